@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from lab_files import lerobot_data_set
 from laboratories import plc, wrapped_counter
 from test_verbs import tustinnet
 
@@ -146,3 +147,40 @@ def test_fit_drafts_a_card_into_its_own_folder(tiny_recipe, tmp_path, capsys):
     card.write_text(card.read_text() + "# mine\n")
     assert "dataset.toml: there already" in tustinnet(capsys, *words)[2]
     assert card.read_text().endswith("# mine\n")
+
+
+def test_links_that_leave_the_folder_are_read_only_if_that_is_said(logs, tmp_path, capsys):
+    links, out = tmp_path / "LINKS", tmp_path / "RUN"
+    links.mkdir()
+    for file in logs.iterdir():
+        (links / file.name).symlink_to(file)
+    for words in (["init", links, "--yes"], ["fit", links, "--out", out]):
+        code, printed, err = tustinnet(capsys, *words)
+        assert (code, printed, err.count("\n")) == (1, "", 1)
+        assert "a link that leaves the folder" in err
+        assert "add --follow-links" in err
+    code, _, err = tustinnet(capsys, "init", links, "--yes", "--follow-links")
+    assert code == 0, err
+    assert f"next: tustinnet fit {links} --follow-links --out RUN" in err
+    assert len(tn.load(links, follow_links=True)) == 5
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_lerobot_data_set_is_given_by_its_folder(version, tmp_path, capsys):
+    folder = tmp_path / "so101"
+    lerobot_data_set(folder, version)
+    pl.DataFrame({"task_index": [0]}).write_parquet(folder / "meta/tasks.parquet")
+    code, out, err = tustinnet(capsys, "init", folder, "--yes")
+    assert code == 0, err
+    assert "note: a LeRobot data set, 50 frames a second" in err
+    assert "observation.state.shoulder.pos  coordinate" in out
+    assert len(tn.load(folder)) == 3
+
+
+def test_logs_of_deeper_folders_are_taken(logs, tmp_path, capsys):
+    (tmp_path / "2026/march").mkdir(parents=True)
+    for file in list(logs.iterdir()):
+        file.rename(tmp_path / "2026/march" / file.name)
+    assert tustinnet(capsys, "init", tmp_path / "2026", "--yes")[0] == 0
+    card = tomllib.loads((tmp_path / "2026/dataset.toml").read_text())
+    assert "march/run1.csv" in card["splits"]["train"]

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lab_files import ANGLE_TIMES, CARD, angle, held_command, mcap_file, ros1_bag, ros2_bag
+from mcap.writer import Writer
 
 import tustinnet as tn
+from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.file_inspection import inspect_file
 from tustinnet.data.readers import read_columns
 
@@ -120,3 +122,35 @@ def test_joints_of_several_publishers_have_times_of_their_own(tmp_path: Path) ->
     assert columns[f"{prefix}/position/b"][t == 0.05].tolist() == [8]
     assert columns[f"{prefix}/goal/on"].tolist() == [1.0] * 79
     assert columns.others[f"{prefix}/wide"] == "a list of 100, longer than 64"
+
+
+def test_rows_of_a_draft_are_those_that_loading_takes(tmp_path: Path) -> None:
+    """Topics with clocks of their own: a command that begins later, an encoder that ends sooner."""
+    angle_times, command_times = np.arange(0.1, 40, 0.01), np.arange(1.0, 41, 0.02)
+    # it moves for 8 s and rests for 2 s
+    turn = 2.5 * np.cumsum(0.01 * ((angle_times % 10) < 8))
+    angles, commands = np.sin(turn), np.where(command_times % 10 < 8, np.cos(command_times), 0.0)
+    samples = [(t, "/encoder", {"angle_rad": q}) for t, q in zip(angle_times, angles, strict=True)]
+    samples += [(t, "/motor", {"volts": u}) for t, u in zip(command_times, commands, strict=True)]
+    samples += [(t, "/battery", {"temp": 20.0 + t}) for t in np.arange(5.0, 9.0)]
+    with (tmp_path / "long.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channels: dict[str, int] = {}
+        for t, topic, message in sorted(samples, key=lambda sample: sample[:2]):
+            if topic not in channels:
+                schema = writer.register_schema(topic, "jsonschema", b"{}")
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            stamp, data = round(t * 1e9), json.dumps(message).encode()
+            writer.add_message(channels[topic], stamp, data, stamp)
+        writer.finish()
+    draft = draft_card(tmp_path, ["long.mcap"])
+    assert "long.mcap: 90 of 3990 samples left out: other columns have none there" in draft.notes
+    (tmp_path / "dataset.toml").write_text(draft.text)
+    data = tn.load(tmp_path)
+    assert len(data) == 4  # cut in the rests
+    assert sum(len(record) for record in data) == 3900
+    later = [record for record in data if record.first_row > 0]
+    assert len(later) == 3
+    for record in later:  # it rests where the log was cut
+        assert np.ptp(record.q[:20]) < 1e-9

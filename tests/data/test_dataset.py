@@ -197,7 +197,7 @@ def test_kinds_and_units_are_declared_never_guessed(
 
 
 def test_times_in_another_unit_are_refused() -> None:
-    with pytest.raises(tn.InputError, match=r"median interval 10 s; expected dt = 0\.01 s"):
+    with pytest.raises(tn.InputError, match=r"samples 10 s apart; expected dt = 0\.01 s"):
         tn.from_arrays(np.arange(5.0), dt=0.01, t=np.arange(5) * 10.0, coordinates=ANGLE)
 
 

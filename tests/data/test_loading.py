@@ -66,14 +66,14 @@ def test_records_of_a_clock_with_much_jitter_have_one_period(tmp_path, irregular
 def test_records_of_two_periods_are_refused_with_what_to_write(tmp_path) -> None:
     for k, factor in enumerate((1, 1, 2)):
         write(tmp_path / f"log{k}.csv", time=factor * DT * np.arange(40))
-    with pytest.raises(tn.InputError, match=r"'log2': median interval 0\.02 s.*add `dt = 0\.01`"):
+    with pytest.raises(tn.InputError, match=r"'log2': samples 0\.02 s apart.*add `dt = 0\.01`"):
         load_folder(tmp_path, card(dt=None, **timed()))
 
 
 @pytest.mark.parametrize(
     ("clock", "scale", "remedy"),
     [
-        ("time", 1, r"median interval of 0\.01 s: add `dt = 0\.01`, or \[time\] with "
+        ("time", 1, r"samples 0\.01 s apart: add `dt = 0\.01`, or \[time\] with "
                     r'`column = "time"`$'),
         ("t_ms", 1e3, r'`dt = 0\.01`, or \[time\] with `column = "t_ms"` and `unit = "ms"`$'),
     ],
@@ -439,7 +439,7 @@ CART = {"name": "cart", "kind": "linear", "column": "x"}
         ),
         (
             {"time": 2 * TIMES}, {}, timed(irregular="keep"),
-            r"median interval 0\.02 s; expected 0\.01",
+            r"samples 0\.02 s apart; expected 0\.01",
         ),
         (
             {"time": at(20, TIMES[19], TIMES)}, {}, timed(irregular="keep"),
@@ -460,7 +460,7 @@ CART = {"name": "cart", "kind": "linear", "column": "x"}
         *(
             (
                 {"time": np.arange(40) * interval}, {}, {**timed(), **period},
-                rf"median interval .*{message}",
+                rf"samples .* s apart.*{message}",
             )
             for interval in (1e-320, 1e-12, 1e12)
             for period, message in (
@@ -495,7 +495,7 @@ def test_a_log_that_does_not_fit_the_card_is_refused(
         ),
         (
             {"a.csv": DT, "b.csv": 0.02}, {"splits": {"train": ["*.csv"]}, "dt": None, **timed()},
-            r"'b': median interval 0\.02 s; .* 0\.01 s as in other .*add `dt = 0\.01`",
+            r"'b': samples 0\.02 s apart; .* 0\.01 s as in other .*add `dt = 0\.01`",
         ),
     ],
 )  # fmt: skip

@@ -101,7 +101,9 @@ def fit(
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
     if card is None and lacks_card(data):
-        card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
+        card = draft_into_run(
+            Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links
+        )
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
         load=partial(

@@ -36,6 +36,7 @@ def init(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an existing card and figure.")
     ] = False,
+    follow_links: options.FollowLinks = False,
     json: options.Json = False,
 ) -> None:
     """Write a data card for a folder of logs: times, coordinates, inputs, units, splits.
@@ -49,23 +50,24 @@ def init(
     from tustinnet.data.loading import load_folder
     from tustinnet.store.files import require_outputs, require_writable_folder
 
-    folder, files = list_logs(logs)
+    folder, files = list_logs(logs, follow_links=follow_links)
     outputs = [folder / CARD_NAME, folder / FIGURE]
     require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
     require_writable_folder(folder)
     draft = make_draft(folder, files, is_asking=not yes)
+    links = " --follow-links" if follow_links else ""
     write_draft(draft, folder)
     if json:
         terminal.print_json(_as_plain(draft, folder))
     else:
         _print_draft(draft, folder)
         place, card = locate(folder)
-        print_inspection(load_folder(place, card), card)
+        print_inspection(load_folder(place, card, follow_links=follow_links), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
     terminal.messages().print(
         f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   "
-        f"next: tustinnet fit {shlex.quote(str(folder))} --out RUN"
+        f"next: tustinnet fit {shlex.quote(str(folder))}{links} --out RUN"
     )
 
 
@@ -122,7 +124,9 @@ def draw_draft(draft: "Draft", folder: Path) -> None:
     write_figure(draft_figure(draft), folder, FIGURE)
 
 
-def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> Path:
+def draft_into_run(
+    folder: Path, out: Path, *, keeps: bool, overwrite: bool, follow_links: bool
+) -> Path:
     """Drafts a card for logs that have none into the folder of a run, and says what it assumed.
 
     Args:
@@ -130,6 +134,7 @@ def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> 
         out: the folder of the run.
         keeps: whether a card that an earlier run left there is used as it is.
         overwrite: whether it may be replaced.
+        follow_links: whether links to files outside of the folder are read.
 
     Returns:
         The card.
@@ -144,7 +149,7 @@ def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> 
     if keeps and card.is_file():
         console.print(f"no card in {folder}: that of the earlier run, {card}")
         return card
-    folder, files = list_logs([folder])
+    folder, files = list_logs([folder], follow_links=follow_links)
     draft = make_draft(folder, files, is_asking=False)
     if not (card.is_file() and card.read_bytes() == draft.text.encode()):
         require_outputs([card], overwrite=overwrite)

@@ -5,11 +5,11 @@ are brought over by the rules for resampling (`signals.resampling`): positions b
 measured by straight lines, held inputs as the mean of the values that were held.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.data.card import Card, ColumnKey, CoordinateCard, InputCard
 from tustinnet.data.columns import Column, Columns
@@ -66,9 +66,8 @@ def align_columns(
             raise InputError(
                 f"{where}, {clock}", "times that do not increase strictly", "at least 2 that do"
             )
-    begin, end = _common_span(own, base, rules, clocks)
-    slack = _SAME_INSTANT * float(np.median(np.diff(own[base])))
-    inside = (own[base] >= begin - slack) & (own[base] <= end + slack)
+    held = {c for c in own if all(r is _resample_held for n, r in rules.items() if clocks[n] == c)}
+    inside = find_covered(own[base], {c: (t[0], t[-1]) for c, t in own.items()}, held)
     if inside.sum() < 2:
         spans = ", ".join(f"{clock} {t[0]:.6g}..{t[-1]:.6g} s" for clock, t in own.items())
         raise InputError(
@@ -118,13 +117,20 @@ def _rules(card: Card, name: Callable[[ColumnKey], str]) -> dict[str, Resample]:
     return rules
 
 
-def _common_span(
-    own: dict[str, Times], base: str, rules: dict[str, Resample], clocks: dict[str, str | None]
-) -> tuple[float, float]:
-    """First and last time at which all columns have values; held inputs keep their last one."""
-    held = {c: all(r is _resample_held for n, r in rules.items() if clocks[n] == c) for c in own}
-    begin = max(t[0] for t in own.values())
-    return begin, min(t[-1] for clock, t in own.items() if clock == base or not held[clock])
+def find_covered(
+    t: Times, spans: Mapping[str, tuple[float, float]], held: Collection[str]
+) -> Bool[np.ndarray, " n"]:
+    """Marks the times of one clock at which the columns of all clocks have values.
+
+    Args:
+        t: times that increase [s].
+        spans: first and last time of each clock [s], by its name.
+        held: clocks of held inputs only, which keep their last value.
+    """
+    slack = _SAME_INSTANT * float(np.median(np.diff(t)))
+    begin = max(first for first, _ in spans.values())
+    end = min((last for clock, (_, last) in spans.items() if clock not in held), default=t[-1])
+    return (t >= begin - slack) & (t <= end + slack)
 
 
 def _note(clock: str, t: Times, base: str, names: list[str]) -> str:

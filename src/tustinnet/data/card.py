@@ -293,6 +293,8 @@ class FormatCard(Declaration):
         decimal: the mark before the decimals of numbers, `.` or `,`; found by default.
         encoding: encoding of the text, as Python names it; found by default.
         columns: required number of columns, None for any.
+        damaged_rows: what happens to rows that are no samples, as lines that a serial link broke,
+            and headers that are repeated: `refuse` the file, or `skip` them.
     """
 
     header: StrictBool | Annotated[StrictInt, Field(ge=1, le=10**6)] | None = None
@@ -300,6 +302,7 @@ class FormatCard(Declaration):
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
     columns: StrictInt | None = Field(default=None, ge=1, le=_MOST_COLUMNS)
+    damaged_rows: Literal["refuse", "skip"] = "refuse"
 
     @field_validator("delimiter")
     @classmethod

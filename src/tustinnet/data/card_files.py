@@ -86,7 +86,7 @@ def _resolve_patterns(
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
                 found = list(folder.glob(entry.file))
             paths = _without_folders(found)
-            files = _in_natural_order(p.relative_to(folder).as_posix() for p in paths)
+            files = in_natural_order(p.relative_to(folder).as_posix() for p in paths)
             result += [entry.model_copy(update={"file": file}) for file in files]
             exists = bool(paths)
         else:
@@ -109,7 +109,7 @@ def list_logs_in(folder: Path) -> list[str]:
     """Names of the logs in a folder, in natural order."""
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
         paths = _without_folders(p for p in folder.iterdir() if is_log(p))
-    return _in_natural_order(p.name for p in paths)
+    return in_natural_order(p.name for p in paths)
 
 
 def _without_folders(paths: Iterable[Path]) -> list[Path]:
@@ -125,7 +125,7 @@ def _without_folders(paths: Iterable[Path]) -> list[Path]:
     return files
 
 
-def _in_natural_order(files: Iterable[str]) -> list[str]:
+def in_natural_order(files: Iterable[str]) -> list[str]:
     """Paths sorted, their numbers by value: run2 before run10."""
     return sorted(files, key=lambda file: [
         (int(part), "") if part.isdecimal() else (-1, part)

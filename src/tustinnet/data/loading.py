@@ -166,7 +166,7 @@ def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
         usual = statistics.median_low([e.dt for e in records])
         other = max(records, key=lambda e: abs(e.dt / usual - 1))
         raise InputError(
-            f"record '{other.name}'", f"median interval {other.dt:.4g} s",
+            f"record '{other.name}'", f"samples {other.dt:.4g} s apart",
             f"about {usual:.4g} s as in other records",
             f'leave it out, or add `dt = {usual:.4g}` to the card and `irregular = "resample"` '
             "under [time]",
@@ -204,7 +204,7 @@ def _load_file(
     form = card.format
     columns = read_columns(
         path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
-        encoding=form.encoding,
+        encoding=form.encoding, skips_damaged=form.damaged_rows == "skip",
     )  # fmt: skip
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -451,7 +451,7 @@ def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray,
     if card.dt is None and not SHORTEST_DT <= median <= LONGEST_DT:
         raise InputError(
             reader.where,
-            f"median interval {median:.4g} s",
+            f"samples {median:.4g} s apart",
             f"{SHORTEST_DT:g} to {LONGEST_DT:g} s",
             "check `unit` under [time]",
         )
@@ -465,7 +465,7 @@ def _no_period(reader: _ColumnReader) -> InputError:
     if clock is not None:
         name, unit, dt = clock.column, clock.unit, clock.dt
         remedy = (
-            f"column '{name}' has a median interval of {dt:.4g} s: add `dt = {dt:.4g}`, or [time] "
+            f"column '{name}' has samples {dt:.4g} s apart: add `dt = {dt:.4g}`, or [time] "
             f'with `column = "{name}"`' + ("" if unit == "s" else f' and `unit = "{unit}"`')
         )
     return InputError(
@@ -482,7 +482,7 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
         return replace(record, notes=(*record.notes, note))
     worst = (
         f"interval of {t[times.worst_row] - t[times.worst_row - 1]:.4g} s before sample "
-        f"{times.worst_row} (median {times.median_dt:.4g} s)"
+        f"{times.worst_row} (usually {times.median_dt:.4g} s)"
     )
     ratio = max(times.median_dt / dt, _LEAST_RATIO)
     if card.irregular != "resample" and abs(ratio - 1) > card.tolerance:
@@ -490,7 +490,7 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
         is_other_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
         raise InputError(
             reader.where,
-            f"median interval {times.median_dt:.4g} s",
+            f"samples {times.median_dt:.4g} s apart",
             f"{dt:g} s as in the card",
             f"check `unit` under [time] (it is {1000.0**power:g} times dt)"
             if is_other_unit

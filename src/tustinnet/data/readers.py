@@ -13,7 +13,7 @@ from tustinnet.data.text_file import read_text
 from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.registry import READERS
 
-_TEXT = (".csv", ".txt", ".tsv", ".dat")
+_TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm")
 _PROSE = re.compile(r"(?i)(read[-_ ]?me|licen[cs]e|copying|notes$|change[-_ ]?log)(?![a-z])")
 
 
@@ -24,17 +24,21 @@ def read_columns(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    skips_damaged: bool = False,
 ) -> Columns:
     """Reads the columns of a file, by its ending.
 
     Args:
-        path: a file with one of the endings .csv, .txt, .tsv, .dat or of the registry `READERS`.
+        path: a file with one of the endings .csv, .txt, .tsv, .dat, .lvm or of the registry
+            `READERS`.
         header: whether the first row of a text file names the columns; by default it does unless
             it holds nothing but numbers. Or the row of the file, from 1 on, that names them.
         delimiter: the mark between the columns of a text file, a blank for any number of blanks;
             found by default.
         decimal: the mark before the decimals in a text file, `.` or `,`; found by default.
         encoding: the encoding of a text file; UTF-8, UTF-16 or Latin-1, as found, by default.
+        skips_damaged: whether rows of a text file that are no samples are left out instead of
+            refused.
 
     Returns:
         Columns by name. Without a header they are called `column 1`, ... The columns of a matrix
@@ -64,8 +68,9 @@ def read_columns(
     with convert_errors(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
             return read_text(
-                path, header=header, delimiter=delimiter, decimal=decimal, encoding=encoding
-            )
+                path, header=header, delimiter=delimiter, decimal=decimal, encoding=encoding,
+                skips_damaged=skips_damaged,
+            )  # fmt: skip
         reader: Reader = READERS[suffix]
         if reader.extra:
             require_package(reader.library.partition(".")[0], reader.extra, path)
@@ -88,6 +93,11 @@ def is_readable(path: Path) -> bool:
     """Whether a path has the ending of a file that `read_columns` reads."""
     suffix = path.suffix.lower()
     return suffix in _TEXT or suffix in READERS
+
+
+def is_text(path: Path) -> bool:
+    """Whether a path has the ending of a text file."""
+    return path.suffix.lower() in _TEXT
 
 
 def is_log(path: Path) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tustinnet.data.text_dates import is_date
 from tustinnet.data.units import ANGLE, LENGTH, TIME
 from tustinnet.errors import InputError, describe_error
 
@@ -184,7 +185,7 @@ def _score(sample: list[str], delimiter: str) -> tuple[float, bool]:
     (width, count), *_ = Counter(map(len, rows)).most_common(1)
     cells = [cell for row in rows if len(row) == width for cell in row if cell]
     pattern = _ANYWHERE if width > 1 else NUMBER  # "1,5" alone is two columns
-    numbers = sum(pattern.fullmatch(cell) is not None for cell in cells)
+    numbers = sum(pattern.fullmatch(cell) is not None or is_date(cell) for cell in cells)
     return round(count / len(rows) * numbers / max(len(cells), 1), 2), width > 1
 
 
@@ -266,6 +267,76 @@ def read_header(rows: Sequence[Sequence[str]], dialect: Dialect) -> Header:
     return Header(
         names, {name: unit for name, unit in units.items() if unit not in ("", "-")}, count
     )
+
+
+@dataclass(frozen=True)
+class Table:
+    """The shape of the samples of a table.
+
+    Attributes:
+        width: number of cells of a row.
+        numeric: columns that are numbers or dates, counted from 0.
+        dialect: how numbers are written.
+    """
+
+    width: int
+    numeric: tuple[int, ...]
+    dialect: Dialect
+
+    def is_value(self, cell: str) -> bool:
+        """Whether a cell is a number or a date."""
+        return self.dialect.is_number(cell) or is_date(cell)
+
+    def is_sample(self, row: Sequence[str], *, is_whole: bool = False) -> bool:
+        """Whether a row has numbers where the others have some; if `is_whole`, in every column."""
+        cells = [row[j] for j in self.numeric] if len(row) == self.width else []
+        if is_whole:
+            return bool(cells) and all(map(self.is_value, cells))
+        return any(cells) and all(not cell or self.is_value(cell) for cell in cells)
+
+    def is_remark(self, row: Sequence[str]) -> bool:
+        """Whether only the first cells have texts: a title, or a setting and its value."""
+        filled = [j for j, cell in enumerate(row) if cell]
+        if len(row) != self.width or not filled:
+            return True
+        return self.width > 2 and filled[-1] < (2 if self.width > 3 else 1)
+
+    def count_rows_above(self, rows: Sequence[Sequence[str]]) -> int:
+        """The number of rows above the header: titles and settings of a measurement.
+
+        Args:
+            rows: the first rows of the file.
+
+        Returns:
+            The number; 0 where no header is found, so that a message names what does not fit.
+        """
+        sample = next((k for k, row in enumerate(rows) if self.is_sample(row)), 0)
+        top = sample
+        while top > 0 and not self.is_remark(rows[top - 1]):
+            if top < sample and any(map(self.is_value, rows[top - 1])):
+                break
+            top -= 1
+        return 0 if top == sample else top
+
+
+def find_table(rows: Sequence[Sequence[str]], dialect: Dialect) -> Table:
+    """The shape of a table by some rows, most of which are samples."""
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    samples = [row for row in rows if len(row) == width]
+    table = Table(width, tuple(range(width)), dialect)
+    numeric = [j for j in range(width)
+               if 2 * sum(table.is_value(row[j]) for row in samples) > len(samples)]  # fmt: skip
+    return Table(width, tuple(numeric), dialect)
+
+
+def find_units_above(rows: Sequence[Sequence[str]], names: Sequence[str]) -> dict[str, str]:
+    """Units by name, from a row above the header that begins with a word such as `Y_Unit_Label`."""
+    for row in rows:
+        is_labelled = len(row) == len(names) > 1 and re.search(r"(?i)unit|einheit", row[0])
+        if is_labelled and any(row[1:]) and _are_units(row[1:]):
+            pairs = zip(names[1:], row[1:], strict=True)
+            return {name: unit.strip("[]() ") for name, unit in pairs if unit and unit != "-"}
+    return {}
 
 
 def _are_units(cells: Sequence[str]) -> bool:

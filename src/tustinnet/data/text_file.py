@@ -1,5 +1,6 @@
 """Text files of columns."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
     NUMBER,
@@ -18,6 +20,8 @@ from tustinnet.data.text_dialect import (
     comment_text,
     decode,
     find_dialect,
+    find_table,
+    find_units_above,
     is_comment,
     read_header,
 )
@@ -26,10 +30,13 @@ from tustinnet.errors import InputError, describe_error
 if TYPE_CHECKING:
     import polars as pl
 
+DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
+_PREAMBLE = 300  # lines above a table, at most
+_LAST = 5  # lines at the end, which are samples
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
 _OTHER_MARKS = (ord("/"), ord("%"))  # with which other comments begin
 _AT_ONCE = 10**5  # lines that are checked at once
@@ -43,19 +50,23 @@ def read_text(
     delimiter: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    skips_damaged: bool = False,
 ) -> Columns:
     """Reads the columns of a text file; see `read_columns`.
 
     Blank lines and comments are no rows. Every other line is one: a quote that would make one row
     of several lines is refused. Errors name the rows of the file as it is.
     """
-    file = _find_rows(path, header, delimiter, decimal, encoding)
+    file = _find_rows(path, header, delimiter, decimal, encoding, skips_damaged=skips_damaged)
     lines, dialect, plain, all_rows = file.lines, file.dialect, file.plain, file.rows
     if header is not None and not isinstance(header, bool):
         header = True
     table = _cells(path, lines, dialect)
     first = _texts(table, 0)
-    is_sample = any(first) and all(dialect.is_number(cell) for cell in first if cell)
+    # a date alone is no sample: it may stand above the table
+    is_sample = any(map(dialect.is_number, first)) and all(
+        dialect.is_number(cell) or is_date(cell) for cell in first if cell
+    )
     if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
@@ -76,6 +87,7 @@ def read_text(
     require_different(names, path)
     index = {name: column for column, name in enumerate(names)}
     rows, first_row = all_rows[found.rows :], lines[0][0]
+    dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
 
     def read(requested: list[str]) -> list[Column]:
         doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
@@ -110,11 +122,14 @@ def read_text(
         *([file.remark] if file.remark else []),
         *([described] if described and not _prefers_tabs(path) else []),
         *([f"{file.skipped} rows before the header skipped"] if file.skipped else []),
+        *([f"{file.damaged} {DAMAGED_ROWS}"] if file.damaged else []),
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
         *(["names of the columns in a comment"] if is_sample and found.names != numbered else []),
         *([NO_HEADER] if is_bare else []),
+        *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    return Columns(names, read, rows, tuple(notes), units=found.units)
+    units = find_units_above(file.above, names) | found.units | dict.fromkeys(dates, "s")
+    return Columns(names, read, rows, tuple(notes), units=units)
 
 
 @dataclass(frozen=True)
@@ -127,7 +142,9 @@ class _FoundRows:
         comment: the last comment before them, without its marks.
         dialect: the marks of the file.
         remark: on its encoding.
-        skipped: number of rows before a header, of other lengths.
+        skipped: number of rows above a header.
+        above: the cells of these rows.
+        damaged: number of rows that are no samples and are left out.
         plain: the rows, where they can be read as numbers at once.
     """
 
@@ -137,6 +154,8 @@ class _FoundRows:
     dialect: Dialect
     remark: str = ""
     skipped: int = 0
+    above: Sequence[Sequence[str]] = ()
+    damaged: int = 0
     plain: "_PlainRows | None" = None
 
 
@@ -150,10 +169,12 @@ def _find_rows(
     delimiter: str | None,
     decimal: str | None,
     encoding: str | None,
+    *,
+    skips_damaged: bool,
 ) -> _FoundRows:
     """The rows of a file that are no comments nor blank, and no lines above a header."""
     first_row = 0 if header is None or isinstance(header, bool) else header
-    is_usual = encoding is None and decimal in {None, "."} and not first_row
+    is_usual = encoding is None and decimal in {None, "."} and not (first_row or skips_damaged)
     if is_usual and path.stat().st_size > _LARGE:
         plain = _plain_rows(path, delimiter)
         if plain is not None:
@@ -172,9 +193,29 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    skipped = 0 if header is False else _preamble(lines, dialect)
+    if dialect.delimiter == BLANKS:
+        lines = _without_blanks_in_names(lines, dialect)
+    skipped, above = 0, []
+    if header is not False:
+        shape = find_table([dialect.split(line) for _, line in lines[-_LAST:]], dialect)
+        first = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
+        skipped = shape.count_rows_above(first)
+        above = first[:skipped]
     lines = lines[skipped:]
-    return _FoundRows(lines, [row for row, _ in lines], comment, dialect, remark, skipped)
+    damaged = 0
+    if skips_damaged:
+        step = max(1, len(lines) // _SAMPLE)
+        shape = find_table([dialect.split(line) for _, line in lines[::step]], dialect)
+        is_sample = [shape.is_sample(dialect.split(line), is_whole=True) for _, line in lines]
+        begin = next((k for k, is_one in enumerate(is_sample) if is_one), 0)
+        header = [line for line in lines[:begin] if len(dialect.split(line[1])) == shape.width]
+        samples = [line for line, is_one in zip(lines, is_sample, strict=True) if is_one]
+        damaged = len(lines) - len(samples) - len(header)
+        lines = [*header, *samples]
+        if not samples:
+            raise InputError(path, "no row of numbers", "rows of samples")
+    rows = [row for row, _ in lines]
+    return _FoundRows(lines, rows, comment, dialect, remark, skipped, above, damaged)
 
 
 @dataclass(frozen=True)
@@ -287,6 +328,20 @@ def _lines(text: str) -> tuple[Lines, str]:
     return lines, comment
 
 
+def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
+    """Lines whose header of names such as `angle (deg)`, far apart, has as many as the table."""
+    width = len(dialect.split(lines[-1][1]))
+    for k, (row, line) in enumerate(lines[:_PREAMBLE]):
+        cells = dialect.split(line)
+        if len(cells) == width and all(map(dialect.is_number, cells)):
+            break
+        names = re.split(r"\s{2,}|\t", line.strip())
+        if len(cells) > width == len(names) > 1:
+            joined = "\t".join(name.replace(" ", "_") for name in names)
+            return [*lines[:k], (row, joined), *lines[k + 1 :]]
+    return lines
+
+
 def _texts(table: "pl.DataFrame", row: int) -> list[str]:
     return [(cell or "").strip() for cell in table.row(row)]
 
@@ -294,18 +349,10 @@ def _texts(table: "pl.DataFrame", row: int) -> list[str]:
 def _names_in(comment: str, dialect: Dialect, width: int) -> list[str] | None:
     """The names of the columns in a comment above the first sample, None where it has none."""
     names = dialect.split(comment)
+    if dialect.delimiter == BLANKS and len(names) != width:
+        names = re.split(r"\s{2,}", comment)  # names of several words
     is_header = len(names) == width > 1 and all(names) and len({*names}) == width
     return names if is_header and not any(dialect.is_number(name) for name in names) else None
-
-
-def _preamble(lines: Lines, dialect: Dialect) -> int:
-    """The number of lines before a header that are shorter or longer than the rows of the table."""
-    tail = [len(dialect.split(line)) for _, line in lines[-5:]]
-    width = max({*tail}, key=tail.count)
-    first = next((k for k, (_, line) in enumerate(lines) if len(dialect.split(line)) == width), 0)
-    cells = dialect.split(lines[first][1])
-    is_header = width > 1 and not any(dialect.is_number(cell) for cell in cells)
-    return first if is_header else 0
 
 
 def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":
@@ -349,6 +396,9 @@ def _numbers(
     numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
         numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
+    has_dates = is_date((cells[0] or "").strip())
+    if has_dates and numbers.null_count():
+        numbers = read_dates(cells)
     if numbers.null_count():
         sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
         text = (cells[sample] or "").strip()
@@ -359,7 +409,7 @@ def _numbers(
             remedy += ', or set `decimal = ","` or `"."` under [format]'
         raise InputError(
             where.format(rows[sample]), f"the text '{text[:40]}'" if text else "an empty cell",
-            "a number", remedy,
+            "a date or time, as in the first row" if has_dates else "a number", remedy,
         )  # fmt: skip
     return numbers.to_numpy()
 

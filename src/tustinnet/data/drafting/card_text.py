@@ -19,6 +19,7 @@ def write_card(
     splits: Splits | None,
     *,
     has_header: bool | None,
+    has_damaged_rows: bool,
     texts: Mapping[str, str],
     is_period_assumed: bool,
 ) -> str:
@@ -31,18 +32,27 @@ def write_card(
         choice: coordinates, inputs and columns that are not used.
         splits: the records; None where all logs beside the card are records.
         has_header: whether files without names of columns have a header; None with names.
+        has_damaged_rows: whether files have rows that are no samples.
         texts: columns that hold no numbers, and what they hold.
         is_period_assumed: whether nothing in the files says the period.
     """
-    why = "assumed; check: how far apart are the samples?" if is_period_assumed else "mean interval"
+    why = (
+        "assumed; check: how far apart are the samples?"
+        if is_period_assumed
+        else "the mean time between samples"
+    )
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",
         "# every key: docs/reference/data.md",
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",
     ]
+    if has_header is not None or has_damaged_rows:
+        lines += ["", "[format]"]
     if has_header is not None:
-        lines += ["", "[format]", f"header = {str(has_header).lower()}"]
+        lines.append(f"header = {str(has_header).lower()}")
+    if has_damaged_rows:
+        lines.append('damaged_rows = "skip"  # some rows are no samples')
     if clock.column is not None:
         doubt = "" if clock.sure else "; check the unit"
         lines += [

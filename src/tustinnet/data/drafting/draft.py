@@ -11,6 +11,7 @@ from tustinnet.data.drafting.choice import choose_channels
 from tustinnet.data.drafting.findings import Choice, Findings, Question
 from tustinnet.data.drafting.logs import (
     Clock,
+    Log,
     Piece,
     find_clock,
     find_pieces,
@@ -155,7 +156,8 @@ def draft_card(
             verdicts[column] = Verdict(_role(answer), ("as you say",))
     findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers)
     choice = choose_channels(findings)
-    usable = _usable_pieces(pieces, choice, notes.append)
+    trimmed = _trim_logs(logs, choice, notes.append)
+    usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
     pieces = usable or pieces
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
@@ -164,7 +166,8 @@ def draft_card(
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
     text = write_card(
         name or _name(folder), clock, dt, choice, splits if has_splits else None,
-        has_header=logs[0].has_header, texts=logs[0].texts,
+        has_header=logs[0].has_header,
+        has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
         is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
     return Draft(
@@ -175,6 +178,23 @@ def draft_card(
     )  # fmt: skip
 
 
+def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], None]) -> list[Log]:
+    """The logs over the time that all columns of the card have, as loading takes them."""
+    trimmed: list[Log] = []
+    for log in logs:
+        common = log.trim(choice.motion, [i.column for i in choice.inputs])
+        if len(common) < _FEWEST <= len(log):
+            on_message(f"left out: {log.place}: the columns have no time in common")
+            continue
+        if len(common) < len(log):
+            lost = len(log) - len(common)
+            on_message(
+                f"{log.place}: {lost} of {len(log)} samples left out: other columns have none there"
+            )
+        trimmed.append(common)
+    return trimmed
+
+
 def _usable_pieces(
     pieces: Sequence[Piece], choice: Choice, on_message: Callable[[str], None]
 ) -> list[Piece]:
@@ -183,8 +203,7 @@ def _usable_pieces(
     Rows that are not finite at either end of a record are cut off.
     """
     coordinates = [c.column for c in choice.coordinates]
-    used = [*coordinates, *(i.column for i in choice.inputs)]
-    used += [c.velocity.column for c in choice.coordinates if c.velocity]
+    used = [*choice.motion, *(i.column for i in choice.inputs)]
     usable: list[Piece] = []
     for piece in pieces:
         place = piece.log.place

@@ -4,21 +4,36 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from tustinnet.data.card_files import list_logs_in
+from tustinnet.data.card_files import in_natural_order, list_logs_in, require_inside
+from tustinnet.data.formats.parquet import LEROBOT_INFO
 from tustinnet.data.readers import is_readable
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, convert_errors
+
+_DEEPEST = 4  # folders below that of the card
 
 
-def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
+def list_logs(paths: Sequence[Path], *, follow_links: bool = False) -> tuple[Path, list[str]]:
     """The folder of a card for some logs, and the logs below it.
 
     Args:
-        paths: a folder, whose logs are taken, or those of its subfolders where it has none itself;
-            or files, of which the folder that holds all is taken.
+        paths: a folder, whose logs are taken, or those of the nearest folders below it where it
+            has none itself, of a LeRobot data set its episodes; or files, of which the folder that
+            holds all is taken.
+        follow_links: whether links to files outside of the folder are taken.
 
     Raises:
-        InputError: no such file or folder, a file that cannot be read, several folders, no logs.
+        InputError: no such file or folder, a file that cannot be read, several folders, no logs,
+            a link that leaves the folder.
     """
+    folder, files = _list_all(paths)
+    if not follow_links:
+        for file in files:
+            require_inside(folder, folder / file)
+    return folder, files
+
+
+def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
+    """The folder of a card for some logs, and the logs below it, links among them."""
     for path in paths:
         if not path.exists():
             raise InputError(
@@ -32,12 +47,11 @@ def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
         )  # fmt: skip
     if folders:
         (folder,) = folders
-        files = list_logs_in(folder) or [
-            f"{sub.name}/{file}"
-            for sub in sorted(folder.iterdir())
-            if sub.is_dir() and not sub.name.startswith(".")
-            for file in list_logs_in(sub)
-        ]
+        if (folder / LEROBOT_INFO).is_file():
+            found = (p.relative_to(folder).as_posix() for p in folder.glob("data/*/*.parquet"))
+            files = in_natural_order(found)
+        else:
+            files = _list_logs_below(folder)
         if not files:
             raise InputError(
                 folder, "no logs", "files of columns, such as .csv, .parquet or .mat",
@@ -52,3 +66,20 @@ def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
     whole = [path.resolve() for path in paths]
     folder = Path(os.path.commonpath([path.parent for path in whole]))
     return folder, [path.relative_to(folder).as_posix() for path in whole]
+
+
+def _list_logs_below(folder: Path) -> list[str]:
+    """The logs of a folder, or of all folders of the first depth at which there are some."""
+    level = [folder]
+    for _ in range(_DEEPEST + 1):
+        logs = [f"{p.relative_to(folder).as_posix()}/{n}" for p in level for n in list_logs_in(p)]
+        if logs:
+            return [log.removeprefix("./") for log in logs]
+        with convert_errors(folder, "its folders cannot be listed", "a folder of logs"):
+            level = [
+                below
+                for parent in level
+                for below in sorted(parent.iterdir())
+                if below.is_dir() and not below.name.startswith(".")
+            ]
+    return []

@@ -95,6 +95,12 @@ class Choice:
     unused: dict[str, str] = field(default_factory=dict)
     questions: list[Question] = field(default_factory=list)
 
+    @property
+    def motion(self) -> list[str]:
+        """The columns of positions and of velocities."""
+        velocities = (c.velocity for c in self.coordinates)
+        return [*(c.column for c in self.coordinates), *(v.column for v in velocities if v)]
+
 
 @dataclass(frozen=True)
 class Findings:

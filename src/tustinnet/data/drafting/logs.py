@@ -1,7 +1,8 @@
 """Logs as they are found in files: their columns, their clock, the records in them."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.alignment import find_covered
 from tustinnet.data.columns import NUMBERED, Columns
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
-from tustinnet.data.readers import read_columns
-from tustinnet.data.text_file import NO_HEADER
+from tustinnet.data.readers import is_text, read_columns
+from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 
@@ -23,6 +25,8 @@ _ROUND = 5e-4  # relative; a period this near to one of two digits is that
 _SAYS = 3.0  # weight of a word that says a quantity
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
+_MOST_DAMAGED = 0.1  # of the rows; a file with more is no table
+_DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
 _PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
@@ -44,6 +48,9 @@ class Log:
         clocks: columns of times [s], of which the first has those of all samples here; empty
             where columns have no times of their own.
         units: units by column, where the file has them.
+        has_damaged_rows: whether rows that are no samples are left out.
+        clock_of: the column of the times of each column that has times of its own.
+        spans: first and last time of each of these columns in the file [s].
     """
 
     file: str
@@ -55,6 +62,9 @@ class Log:
     record: str | None = None
     clocks: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    has_damaged_rows: bool = False
+    clock_of: Mapping[str, str] = field(default_factory=dict)
+    spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
@@ -64,6 +74,22 @@ class Log:
         """The file, and the part of it in brackets."""
         label = self.cell if self.record is None else self.record
         return self.file if label is None else f"{self.file}[{label}]"
+
+    def trim(self, motion: Collection[str], inputs: Collection[str]) -> "Log":
+        """The samples at which all columns of a card have values, as loading takes them.
+
+        Args:
+            motion: columns of positions and velocities.
+            inputs: columns of inputs, which keep their last value.
+        """
+        used = {self.clock_of[name] for name in (*motion, *inputs) if name in self.clock_of}
+        spans = {clock: self.spans[clock] for clock in {*used, *self.clocks[:1]}}
+        if len(spans) < 2:
+            return self
+        held = spans.keys() - {self.clock_of.get(name) for name in motion} - {self.clocks[0]}
+        is_covered = find_covered(self.values[self.clocks[0]], spans, held)
+        values = {name: column[is_covered] for name, column in self.values.items()}
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True)
@@ -168,6 +194,38 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
 
 
 def _read_file(folder: Path, file: str) -> list[Log]:
+    """The logs in a file; of a text file with a few damaged rows without these."""
+    try:
+        logs = _read_whole_file(folder, file)
+    except InputError:
+        if not is_text(folder / file):
+            raise
+        whole = _read_undamaged(folder, file)
+        if whole is None:
+            raise
+        return [whole]
+    if is_text(folder / file) and any(_DAMAGED.match(text) for text in logs[0].texts.values()):
+        whole = _read_undamaged(folder, file)
+        if whole is not None and len(whole.values) > len(logs[0].values):
+            return [whole]
+    return logs
+
+
+def _read_undamaged(folder: Path, file: str) -> Log | None:
+    """The log in a text file without its damaged rows, None where these are many or none."""
+    try:
+        columns = read_columns(folder / file, skips_damaged=True)
+        log = _read_log(columns, file, None)
+    except InputError:
+        return None
+    damaged = next((int(n.split()[0]) for n in columns.notes if n.endswith(DAMAGED_ROWS)), 0)
+    if not 0 < damaged <= _MOST_DAMAGED * len(log) or len(log) < _SHORTEST:
+        return None
+    notes = [f"{file}: {note}" if note.endswith(DAMAGED_ROWS) else note for note in log.notes]
+    return replace(log, has_damaged_rows=True, notes=tuple(notes))
+
+
+def _read_whole_file(folder: Path, file: str) -> list[Log]:
     columns = read_columns(folder / file)
     if columns.parts:
         parts = {label: columns.part(label) for label in columns.parts}
@@ -200,8 +258,10 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
             values[name] = columns[name]
         except InputError as error:
             texts[name] = str(error).split(": ", 1)[-1]
-    clocks, times = columns.clocks, ()
+    clocks, times, spans = columns.clocks, (), {}
     if clocks:
+        own = {clocks[name] for name in values if name in clocks and clocks[name] in values}
+        spans = {c: (float(values[c][0]), float(values[c][-1])) for c in own if len(values[c])}
         values = _on_common_times(values, clocks, columns.units)
         base = next(iter(values))
         times = (base, *(name for name in values if name != base and name in clocks.values()))
@@ -214,8 +274,9 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
     has_header = NO_HEADER not in columns.notes if is_nameless else None
     return Log(
-        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units
-    )
+        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units,
+        clock_of={name: clocks[name] for name in values if clocks.get(name) in spans}, spans=spans,
+    )  # fmt: skip
 
 
 def _on_common_times(

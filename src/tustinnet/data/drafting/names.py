@@ -1,20 +1,24 @@
-"""Words and units in the name of a column, English and German, and what they say about it."""
+"""Words and units in the name of a column, and what they say about it."""
 
 import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 from tustinnet.channels import Kind
+from tustinnet.data.drafting.vocabulary import (
+    ANGULAR,
+    CONTAINERS,
+    LINEAR,
+    POSITION_WORDS,
+    QUALIFIERS,
+    STRONG,
+    WEAK,
+    Qualifier,
+    Quantity,
+)
 from tustinnet.data.units import ANGLE, LENGTH
-
-Quantity = Literal[
-    "time", "counter", "position", "velocity", "acceleration", "voltage", "duty", "control",
-    "torque", "force", "current", "pressure", "error", "flag", "other",
-]  # fmt: skip
-Qualifier = Literal["command", "measured", "filtered", "model"]
 
 INPUTS: tuple[Quantity, ...] = (
     "voltage", "duty", "control", "torque", "force", "current", "pressure",
@@ -27,6 +31,8 @@ _GREEK = str.maketrans(
     {"φ": "phi", "ϕ": "phi", "θ": "theta", "ϑ": "theta", "ψ": "psi", "ω": "omega", "α": "alpha",
      "β": "beta", "γ": "gamma", "τ": "tau", "Δ": "delta", "ẋ": "xdot", "\u0307": "dot"}
 )  # fmt: skip
+_ACCENTS = re.compile("[\u0300-\u036f]")
+_PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
 _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _BEHIND_STROKE = re.compile(r"^([^/]+?)\s*/\s*([^/]+)$")  # `phi / deg`, as DIN 1313 has it
 _IN = re.compile(r"(?i)^(.+?)[\s_,]+in[\s_]+(\S+)$")  # `Winkel in Grad`
@@ -35,8 +41,10 @@ _IN = re.compile(r"(?i)^(.+?)[\s_,]+in[\s_]+(\S+)$")  # `Winkel in Grad`
 _POSITION = {
     **{unit: unit for unit in (*ANGLE, *LENGTH)},
     **dict.fromkeys(("radian", "radians"), "rad"),
-    **dict.fromkeys(("degree", "degrees", "grad", "grd", "°"), "deg"),
-    **dict.fromkeys(("revs", "turns", "turn", "umdr", "umdrehungen", "revolutions"), "rev"),
+    **dict.fromkeys(("degree", "degrees", "grad", "grd", "°", "degre", "degres",
+         "grado", "grados", "gradi", "graus", "度"), "deg"),
+    **dict.fromkeys(("revs", "turns", "turn", "umdr", "umdrehungen", "revolutions", "tour", "tours",
+         "giri", "vueltas"), "rev"),
     **dict.fromkeys(
         ("cnt", "cnts", "count", "counts", "tick", "ticks", "pulses", "inc", "incs", "ink",
          "inkr", "inkremente", "increments", "impulse", "steps", "lsb"), "counts"),
@@ -60,7 +68,7 @@ _VELOCITY = {
     **{f"{name}{per}": f"{unit}/s" for name, unit in _POSITION.items() for per in _PER_SECOND},
     **dict.fromkeys(
         ("rpm", "1/min", "u/min", "min^-1", "min-1", "rev/min", "r/min", "rev_min", "u_min",
-         "upm", "1_min"), "rpm"),
+         "upm", "1_min", "tr/min", "tr_min", "giri/min", "ob/min", "r/m"), "rpm"),
     **dict.fromkeys(("km/h", "kmh", "kph"), "km/h"),
     **dict.fromkeys(("rps", "hz_rev"), "rev/s"),
     "rads": "rad/s", "mps": "m/s", "dps": "deg/s",
@@ -81,7 +89,7 @@ _INPUT_UNITS: dict[str, tuple[str, Quantity]] = {
     "bar": ("bar", "pressure"), "pa": ("Pa", "pressure"), "psi": ("psi", "pressure"),
 }  # fmt: skip
 _TIME_UNITS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "秒"), "s"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds", "millisekunden"), "ms"),
     **dict.fromkeys(("us", "usec", "micros", "microseconds", "mikrosekunden", "µs", "μs"), "us"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanoseconds", "nanosekunden"), "ns"),
@@ -89,180 +97,17 @@ _TIME_UNITS = {
 _OTHER_UNITS = {"degc", "°c", "c", "k", "hz", "w", "kg", "g/s", "l/min", "celsius", "db", "lux"}
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
-# words by what they mean; the weight is lower for words that also mean something else
-_STRONG: dict[Quantity, str] = {
-    "time": "time times zeit timestamp stamp clock millis micros uptime zeitstempel elapsed",
-    "counter": "index idx frame seq sequence row zeile nr episode iteration iter sample samples "
-    "task lfd",
-    "position": "pos position positions angle angles winkel enc encoder encoders theta phi psi "
-    "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
-    "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
-    "elevation",
-    "velocity": "vel velocity velocities speed omega gyro tacho tachometer dot qdot "
-    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd",
-    "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
-    "voltage": "voltage spannung volt volts motorspannung ankerspannung",
-    "duty": "pwm duty dutycycle tastgrad throttle gas",
-    "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
-    "stell aktion",
-    "torque": "torque torques tau moment drehmoment effort efforts motormoment trq",
-    "force": "force forces kraft thrust schub antriebskraft",
-    "current": "current currents strom motorstrom iq ankerstrom",
-    "pressure": "pressure druck",
-    "error": "error err fehler regelabweichung schleppfehler deviation regelfehler",
-    "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
-    "freigabe button taster bit done ready trigger trig estop switch homed zustand armed",
-    "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
-    "battery fric friction reibung humidity rssi checksum crc supply versorgung latency",
-}
-_WEAK: dict[Quantity, str] = {
-    "time": "t sec secs ts date datetime datum uhrzeit clk",
-    "counter": "k step n id count tick cycle zyklus",
-    "position": "q x y z s alpha beta gamma distance abstand dist delta joint gelenk pole pendulum "
-    "pendel cart wagen laser sensor arm link beam ball disc scheibe th ang observation obs state",
-    "velocity": "w v n qd xd xp rpm",
-    "acceleration": "a imu",
-    "voltage": "u v",
-    "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo",
-    "torque": "m",
-    "force": "f",
-    "current": "i",
-    "pressure": "p",
-    "error": "e",
-    "flag": "en on state",
-}
-_QUALIFIERS: dict[Qualifier, str] = {
-    "command": "cmd command commanded setpoint sp target desired des ref reference soll sollwert "
-    "vorgabe goal con fuehrungsgroesse request req set demand planned commands",
-    "measured": "meas measured act actual ist istwert mess messwert fb feedback raw roh m sensor",
-    "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman",
-    "model": "sim simulated model predicted pred",
-}
-_ANGULAR = {
-    "angle",
-    "angles",
-    "winkel",
-    "theta",
-    "phi",
-    "psi",
-    "alpha",
-    "beta",
-    "gamma",
-    "pitch",
-    "roll",
-    "yaw",
-    "drehwinkel",
-    "th",
-    "ang",
-    "pole",
-    "pendulum",
-    "pendel",
-    "joint",
-    "gelenk",
-    "shoulder",
-    "elbow",
-    "wrist",
-    "hip",
-    "knee",
-    "schulter",
-    "ellbogen",
-    "encoder",
-    "enc",
-    "disc",
-    "scheibe",
-    "link",
-    "drehgeber",
-    "resolver",
-    "azimuth",
-    "elevation",
-    "omega",
-    "gyro",
-    "tacho",
-    "drehzahl",
-    "rpm",
-    "winkelgeschwindigkeit",
-    "wheel",
-    "rad_",
-    "rotor",
-    "torque",
-    "tau",
-    "moment",
-    "drehmoment",
-}
-_LINEAR = {
-    "x",
-    "y",
-    "z",
-    "weg",
-    "hub",
-    "lage",
-    "cart",
-    "wagen",
-    "trolley",
-    "katze",
-    "slide",
-    "schlitten",
-    "carriage",
-    "displacement",
-    "height",
-    "hoehe",
-    "distance",
-    "dist",
-    "abstand",
-    "auslenkung",
-    "deflection",
-    "laser",
-    "ball",
-    "kugel",
-    "piston",
-    "kolben",
-    "stroke",
-    "linear",
-    "force",
-    "kraft",
-}
 _SYMBOL = re.compile(
     r"(?P<before>d{0,2})(?P<symbol>theta|phi|psi|alpha|beta|gamma|th|q|x|y|z|s|pos|angle|ang)"
     r"(?P<behind>ddot|dot|pp|p|dd|d|punkt)?"
 )
-_CONTAINERS = {
-    "states",
-    "state",
-    "joint",
-    "joints",
-    "observation",
-    "msg",
-    "data",
-    "value",
-    "log",
-    "logs",
-}
-_WITHIN: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRONG.items()}
-_PERHAPS: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
-_MARKS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
-_PURE = set().union(
-    *(_WITHIN[q] for q in ("time", "velocity", "acceleration", *INPUTS, "error")),
-    *_MARKS.values(),
-    [
-        "pos",
-        "position",
-        "positions",
-        "angle",
-        "angles",
-        "winkel",
-        "lage",
-        "enc",
-        "encoder",
-        "u",
-        "i",
-        "f",
-        "m",
-        "w",
-        "v",
-        "n",
-        "rpm",
-    ],
-)  # words that say which quantity, but not of what
+_PURE = POSITION_WORDS.union(
+    *(STRONG[q] for q in ("time", "velocity", "acceleration", *INPUTS, "error")),
+    *QUALIFIERS.values(), "uifmwvn", ["rpm"],
+)  # fmt: skip
+"""Words that say which quantity, but not of what."""
+_FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
+_CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
 
 
 @dataclass(frozen=True)
@@ -303,6 +148,8 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         if reading.unit == known[0]:
             return reading
     plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
+    plain = _ACCENTS.sub("", unicodedata.normalize("NFD", plain))
+    plain = unicodedata.normalize("NFC", plain)
     plain, unit, unit_quantity, in_brackets = _take_unit(plain)
     words = _split_words(plain)
     if not in_brackets:
@@ -314,9 +161,9 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
-    qualifiers: list[Qualifier] = [mark for mark, texts in _MARKS.items() if texts & {*words}]
+    qualifiers: list[Qualifier] = [mark for mark, texts in QUALIFIERS.items() if texts & {*words}]
     qualifier = qualifiers[0] if qualifiers else None
-    if qualifier == "measured" and not _MARKS["measured"] - {"m", "sensor"} & {*words}:
+    if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(
         tuple(words), unit, in_brackets, quantities, word, qualifier, _kind(words, unit),
@@ -339,7 +186,7 @@ def _read_quantities(
             quantities[quantity], word[quantity] = weight, because
 
     for text in words:
-        for table, weight in ((_WITHIN, 3.0), (_PERHAPS, 1.0)):
+        for table, weight in ((STRONG, 3.0), (WEAK, 1.0)):
             for quantity, texts in table.items():
                 if text in texts:
                     add(quantity, weight, text)
@@ -370,9 +217,9 @@ def _kind(words: Sequence[str], unit: str) -> Kind | None:
         return "linear"
     symbols = {m["symbol"] for w in words if (m := _SYMBOL.fullmatch(w))}
     found = {*words} | symbols
-    angular, linear = bool(found & _ANGULAR), bool(found & _LINEAR)
+    angular, linear = bool(found & ANGULAR), bool(found & LINEAR)
     # `cart`, `x` decide against `joint` and `encoder`, which both kinds have
-    if linear and found & _ANGULAR <= {"joint", "encoder", "enc", "gelenk", "geber"}:
+    if linear and found & ANGULAR <= {"joint", "encoder", "enc", "gelenk", "geber"}:
         return "linear"
     return "angular" if angular else "linear" if linear else None
 
@@ -380,7 +227,7 @@ def _kind(words: Sequence[str], unit: str) -> Kind | None:
 def _object(words: Sequence[str]) -> frozenset[str]:
     """The words that say of what a column is the quantity: `theta` of `theta_dot_ref`."""
     symbols = [m["symbol"] if (m := _SYMBOL.fullmatch(w)) else w for w in words]
-    return frozenset(w for w in symbols if w not in _PURE and w not in _CONTAINERS and w != "d")
+    return frozenset(w for w in symbols if w not in _PURE and w not in CONTAINERS and w != "d")
 
 
 def _look_up(text: str) -> tuple[str, Quantity | None] | None:
@@ -426,9 +273,12 @@ def _take_unit(name: str) -> tuple[str, str, Quantity | None, bool]:
 
 def _split_words(name: str) -> list[str]:
     """Words in lower case: `motorCnt 1` has motor, cnt and 1; `q1` has q and 1."""
+    name = _PREFIXED.sub(lambda unit: unit[0].lower(), name)
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     spaced = re.sub(r"(?<=[^\W\d_])(?=\d)", "_", spaced)  # `q1`, but `s2` of `rad_s2` below
-    return [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
+    words = [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
+    # Chinese and Japanese put no blanks between words
+    return [part for word in words for part in _CHINESE.split(word) if part]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
@@ -463,12 +313,12 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if (last, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
         return True  # a symbol and the unit of its quantity
     if ending in ("k", "c", "g", "w", "s"):
-        return ending == "s" and last in _WITHIN["time"] | _PERHAPS["time"]
-    spoken = {q for q, texts in _WITHIN.items() if last in texts}
-    spoken |= {q for q, texts in _PERHAPS.items() if last in texts}
+        return ending == "s" and last in STRONG["time"] | WEAK["time"]
+    spoken = {q for q, texts in STRONG.items() if last in texts}
+    spoken |= {q for q, texts in WEAK.items() if last in texts}
     if ending == "m":
         return not spoken or ("position" in spoken and last not in ("q", "theta", "phi"))
     is_position = bool(spoken & {"position"}) and not spoken & {*INPUTS}
     if ending in "anv" and is_position and last not in ("motor", "drive"):
-        return last not in _WITHIN["position"] and len(last) > 1
+        return last not in STRONG["position"] and len(last) > 1
     return len(last) > 1

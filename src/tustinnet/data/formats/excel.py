@@ -4,12 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tustinnet.data.formats.reader import Array, Contents, Reader
-from tustinnet.data.text_dialect import Dialect, read_header
+from tustinnet.data.text_dialect import Dialect, find_table, read_header
 
 if TYPE_CHECKING:
     import polars as pl
 
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
+_PREAMBLE = 50  # rows of titles and remarks, at most
+_LAST = 5  # rows at the end, which are samples
 _DIALECT = Dialect(",")  # of numbers that are cells of text
 
 
@@ -67,15 +69,20 @@ def _sheet(table: "pl.DataFrame") -> _Sheet | None:
     import polars as pl
 
     table = table.filter(~pl.all_horizontal(pl.all().is_null()))
-    for first in range(min(50, len(table))):  # titles and remarks stand above
-        rows = [
-            [(cell or "").strip() for cell in table.row(k)]
-            for k in range(first, min(first + _HEADER_ROWS, len(table)))
-        ]
-        if sum(map(bool, rows[0])) >= min(2, table.width):
-            break
-    else:
+
+    def cells_of(rows: range) -> list[list[str]]:
+        return [[(cell or "").strip() for cell in table.row(k)] for k in rows]
+
+    if not len(table):
         return None
+    shape = find_table(cells_of(range(len(table))[-_LAST:]), _DIALECT)
+    top = cells_of(range(len(table))[:_PREAMBLE])
+    first = shape.count_rows_above(top)
+    usual = min(2, table.width)
+    first = next((k for k in range(first, len(top)) if sum(map(bool, top[k])) >= usual), None)
+    if first is None:
+        return None
+    rows = top[first : first + _HEADER_ROWS]
     numbered = [f"column {k}" for k in range(1, table.width + 1)]
     names, units, count = numbered, {}, 0
     if not all(_DIALECT.is_number(cell) for cell in rows[0] if cell):

@@ -12,8 +12,8 @@ from tustinnet.errors import InputError, convert_errors
 if TYPE_CHECKING:
     import polars as pl
 
+LEROBOT_INFO = "meta/info.json"  # in the folder of a LeRobot data set
 _EPISODE = "episode_index"
-_INFO = "meta/info.json"  # of a LeRobot data set, some folders above its files
 _LARGEST_INFO = 10**7  # bytes
 _LONGEST = 256  # numbers of a list that are columns
 
@@ -111,7 +111,7 @@ def _labels(info: dict[str, Any] | None, name: str, length: int) -> list[str]:
 def _lerobot_info(path: Path) -> dict[str, Any] | None:
     """The description of the LeRobot data set that a file belongs to, None of another file."""
     for folder in path.absolute().parents[:3]:
-        file = folder / _INFO
+        file = folder / LEROBOT_INFO
         if file.is_file():
             if file.stat().st_size > _LARGEST_INFO:
                 raise InputError(file, "more than 10 MB", "a description of features")
