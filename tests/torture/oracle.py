@@ -116,7 +116,7 @@ def require_as_csv_reads(e: tn.Experiment, content: bytes) -> None:
     columns = [name.strip() for name in names]
     try:
         table = {
-            name: np.array([float(row[columns.index(name)]) for row in rows])
+            name: np.array([_number(row[columns.index(name)]) for row in rows])
             for name in ("time", "angle", "torque")
         }
     except (ValueError, IndexError, csv.Error):
@@ -127,6 +127,11 @@ def require_as_csv_reads(e: tn.Experiment, content: bytes) -> None:
     size = 1 + np.abs(table["angle"]).max()
     whole = bool((np.abs(turns - np.round(turns)) < 1e-9 * size).all())
     require(whole, "other positions than Python reads")
+
+
+def _number(cell: str) -> float:
+    """A cell as Python reads it; exponents of Fortran are read, too."""
+    return float(re.sub("[dD]", "e", cell))
 
 
 # --- files of the package ---

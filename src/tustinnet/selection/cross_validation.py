@@ -15,6 +15,7 @@ from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import AnyRecipe, resolve_system
+from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
 from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
@@ -218,6 +219,7 @@ def cross_validate(
         InputError: too few records, a horizon of the recipe that is too short for a start, or too
             long; see also `fit`.
     """
+    require_float64("cross_validate")
     recipe = options.recipe
     timing = determine_recipe_timing(
         data, recipe, options.system, is_repeated=True, on_message=on_message

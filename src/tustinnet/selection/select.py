@@ -16,6 +16,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.task import resolve_system
+from tustinnet.models.contract import require_float64
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
@@ -119,6 +120,7 @@ def select_model(
             records too few or too short, a budget in which no candidate was fitted, or none that
             could be.
     """
+    require_float64("select_model")
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget

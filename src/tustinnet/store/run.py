@@ -34,6 +34,7 @@ from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
+from tustinnet.models.contract import require_float64
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
@@ -236,6 +237,7 @@ def run_task(
             its checkpoints belong to another run; an identification is to be resumed; see also
             `fit`.
     """
+    require_float64("run_task")
     with lock_folder(folder):
         own = [folder / MODEL, folder / SPECIFICATION] if earlier == "discard" else []
         require_copy_fits(system, folder, own)
