@@ -110,8 +110,8 @@ def draw_choice(choice: "Choice") -> None:
     """Writes the table of candidates with sentences, their figure, and some free runs."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
-    from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
+    from tustinnet.store.run import TABLE
 
     folder = choice.context.folder
     sentences = "".join(f"* {sentence}\n" for sentence in choice.sentences)
@@ -140,8 +140,7 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
 
 def print_files(choice: "Choice", report: str = "") -> None:
     """Prints the line that names the files, and the duration of the choice."""
-    from tustinnet.selection.select import TABLE
-    from tustinnet.store.run import FIGURES, MODEL
+    from tustinnet.store.run import FIGURES, MODEL, TABLE
 
     out = choice.context.folder
     typer.echo(

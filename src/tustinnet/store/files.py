@@ -1,5 +1,6 @@
 """Writing files so that nothing is ever half-written, nor outside of the output folder."""
 
+import glob
 import json
 import math
 import os
@@ -39,6 +40,7 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
         if not path.parent.resolve().is_relative_to(folder.resolve()):
             raise InputError(path, "outside of the output folder", f"a file below {folder}")
         path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(path)
         try:
             with temporary.open("wb") as file:
                 file.write(payload)
@@ -49,6 +51,27 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable_error(path, error) from error
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Removes what processes that were killed had written of a file."""
+    if fcntl is None:  # Windows, where asking after a process would end it
+        return
+    for part in path.parent.glob(f".{glob.escape(path.name)}.*{PART}"):
+        number = part.name.removesuffix(PART).rpartition(".")[2]
+        if number.isdecimal() and not _is_running(int(number)):
+            part.unlink(missing_ok=True)
+
+
+def _is_running(number: int) -> bool:
+    """Whether there is a process of a number on this machine."""
+    try:
+        os.kill(number, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # of another user
+    return True
 
 
 def require_writable_folder(folder: Path) -> None:
