@@ -1,5 +1,6 @@
 """Files are written whole and inside, folders have one owner."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -69,6 +70,35 @@ def test_what_a_killed_run_left_half_written_goes(tmp_path):
     (tmp_path / ".mine").write_text("stays")
     with lock_folder(tmp_path):
         assert sorted(p.name for p in tmp_path.rglob("*")) == [".mine", "seed-0"]
+
+
+def test_what_a_killed_process_left_of_a_file_goes_when_the_file_is_written(tmp_path):
+    """Of that file only, and of no process that may still be writing."""
+    pytest.importorskip("fcntl")
+    dead, running = 2**22 + 1, os.getppid()  # Linux counts processes to 2**22
+    kept = [
+        f".a[1].html.{running}.part",
+        f".b.html.{dead}.part",
+        f".a1.html.{dead}.part",
+        ".a.part",
+    ]
+    for name in (*kept, f".a[1].html.{dead}.part"):
+        (tmp_path / name).write_text("half")
+    write_into(tmp_path, "a[1].html", "whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*kept, "a[1].html"])
+
+
+def test_files_of_others_that_end_alike_are_left_alone(tmp_path):
+    (tmp_path / ".video.part").write_text("a download")
+    with lock_folder(tmp_path):
+        pass
+    assert (tmp_path / ".video.part").exists()
+
+
+def test_a_folder_that_was_made_for_nothing_goes(tmp_path):
+    with pytest.raises(ZeroDivisionError), lock_folder(tmp_path / "new"):
+        1 / 0  # noqa: B018
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_written_data_set_keeps_the_groups_of_its_records(tmp_path: Path):

@@ -6,10 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-from . import faults, fuzz, kills, load, report, verbs
+from . import faults, fuzz, kills, load, pairs, report, verbs
 
 # of the time
-_SHARE = {"fuzz": 0.25, "headers": 0.15, "verbs": 0.15, "kills": 0.3, "faults": 0.15}
+_SHARE = {
+    "fuzz": 0.2, "headers": 0.15, "verbs": 0.15, "kills": 0.25, "pairs": 0.1, "faults": 0.15
+}  # fmt: skip
 _WHOLE = 20.0  # minutes from which on the load is whole
 _VERBS = 8  # cases of files for each of a verb, which takes longer
 _PART = 20  # else it is this much smaller
@@ -20,7 +22,7 @@ def _arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--minutes", type=float, default=5.0)
     add("--seed", type=int, default=0, help="what is damaged and when is killed follows from it")
-    add("--parts", default="corpus,fuzz,headers,verbs,kills,faults,load")
+    add("--parts", default="corpus,fuzz,headers,verbs,kills,pairs,faults,load")
     add("--cases", type=int, default=10**9, help="at most so many of a part; of verbs an eighth")
     add("--case", type=int, help="only this case of fuzz")
     add("--kill", type=int, help="only this case of kills")
@@ -47,6 +49,7 @@ def _parts(asked: argparse.Namespace, place: Path) -> list[report.Part]:
         "kills": lambda: kills.Kills(place, asked.seed).run(
             seconds["kills"], asked.cases, asked.jobs
         ),
+        "pairs": lambda: pairs.Pairs(place, asked.seed).run(seconds["pairs"], asked.cases),
         "faults": lambda: faults.Faults(place, asked.seed).run(seconds["faults"]),
         "load": lambda: load.Load(place).run(scale),
     }

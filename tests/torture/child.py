@@ -1,7 +1,8 @@
 """The command in a process of its own, made easier to catch: run as a script with its arguments.
 
-TORTURE holds JSON: `slow`, seconds that every write takes longer; `jump`, seconds by which clocks
-jump to and fro; `largest`, bytes that a file may have.
+TORTURE holds JSON: `slow`, seconds that every write takes longer; `jump`, seconds by which all
+clocks jump to and fro; `wall`, seconds by which the clock on the wall does; `largest`, bytes that a
+file may have.
 """
 
 import json
@@ -35,9 +36,9 @@ def slow_writes(seconds: float) -> None:
     Path.replace = slow_replace  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def jumping_clocks(seconds: float) -> None:
+def jumping_clocks(seconds: float, names: tuple[str, ...]) -> None:
     """Clocks that go back as often as they go on."""
-    for name in ("time", "monotonic", "perf_counter"):
+    for name in names:
         read = getattr(time, name)
         setattr(time, name, lambda read=read: read() + random.uniform(-seconds, seconds))
 
@@ -46,7 +47,9 @@ def main() -> None:
     """Runs the command."""
     asked = json.loads(os.environ.get("TORTURE", "{}"))
     if "jump" in asked:
-        jumping_clocks(asked["jump"])
+        jumping_clocks(asked["jump"], ("time", "monotonic", "perf_counter"))
+    if "wall" in asked:
+        jumping_clocks(asked["wall"], ("time",))
     if "largest" in asked:
         resource.setrlimit(resource.RLIMIT_FSIZE, (asked["largest"], asked["largest"]))
     slow_writes(asked.get("slow", 0.0))

@@ -1,8 +1,10 @@
 """Runs the command as a child process, and says what must hold however it ends."""
 
+import importlib.util
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,23 +19,38 @@ _CHILD = Path(__file__).with_name("child.py")
 _LONGEST = 180.0  # seconds that a small run may take
 
 
+_OUT = "{out}"  # in arguments: the folder of what is written
+
+
 @dataclass(frozen=True)
 class Job:
-    """A fit or a cross-validation that is disturbed.
+    """A command that is disturbed while it writes.
 
     Attributes:
         name: what it goes by.
-        arguments: of the command, without `--out`.
-        again: the option with which it is started again.
+        arguments: of the command; `{out}` in them is the folder of what it writes.
+        again: the options with which it is started again.
+        earlier: the arguments of a command whose results are there before, and are replaced.
+        beside: a folder whose files are there before, and are kept.
     """
 
     name: str
     arguments: tuple[str, ...]
-    again: str
+    again: tuple[str, ...]
+    earlier: tuple[str, ...] = ()
+    beside: Path | None = None
 
     def command(self, out: Path, *more: str) -> tuple[str, ...]:
         """What is run."""
-        return (*self.arguments, "--out", str(out), "--quiet", *more)
+        return (*(word.replace(_OUT, str(out)) for word in self.arguments), *more)
+
+    def prepare(self, out: Path) -> None:
+        """Makes the folder with what is there before."""
+        if self.beside is not None:
+            shutil.copytree(self.beside, out, dirs_exist_ok=True)
+        if self.earlier:
+            out.mkdir(exist_ok=True)
+            done(tuple(word.replace(_OUT, str(out)) for word in self.earlier))
 
 
 @dataclass(frozen=True)
@@ -60,7 +77,11 @@ class Ended:
         return lines[-1][:120] if lines else ""
 
 
-def jobs(place: Path) -> dict[str, Job]:
+_TO_FOLDER = ("--out", _OUT, "--quiet")
+_REPLACE = ("--overwrite",)
+
+
+def fits(place: Path) -> list[Job]:
     """A training of every family, an identification, a cross-validation."""
     logs, system = str(place / "logs"), str(place / "pendulum.py")
     found = []
@@ -70,14 +91,71 @@ def jobs(place: Path) -> dict[str, Job]:
         more = ("--set", "stages.*.epochs=12", "--seeds", "2")
         if kind == "hybrid":
             more += ("--physics", str(place / "euler-lagrange.safetensors"), "--system", system)
-        found.append(Job(kind, ("fit", logs, "--recipe", str(recipe), *more), "--resume"))
+        arguments = ("fit", logs, "--recipe", str(recipe), *more, *_TO_FOLDER)
+        found.append(Job(kind, arguments, ("--resume",)))
     grey = ("--recipe", "grey", "--system", system, "--set", "search.initial=anchored")
-    found.append(Job("identification", ("fit", logs, *grey), "--overwrite"))
+    found.append(Job("identification", ("fit", logs, *grey, *_TO_FOLDER), _REPLACE))
     folds = ("--recipe", str(place / "tustin-net.toml"), "--set", "stages.*.epochs=1")
-    found.append(
-        Job("cross-validate", ("cross-validate", logs, *folds, "--folds", "3"), "--overwrite")
-    )
-    return {job.name: job for job in found}
+    arguments = ("cross-validate", logs, *folds, "--folds", "3", *_TO_FOLDER)
+    found.append(Job("cross-validate", arguments, _REPLACE))
+    return found
+
+
+def others(place: Path) -> list[Job]:
+    """A selection, and every other verb that writes; most of them replace earlier results."""
+    logs, published = str(place / "logs"), str(place / "published")
+    for name, text in material.SELECTION.items():
+        (place / name).write_text(text)
+    network, other = str(place / "run" / "model.safetensors"), str(place / "linear.safetensors")
+    committee = str(place / "committee.safetensors")
+    done(("committee", network, other, "--out", committee, "--overwrite"))
+    split = ("--split", "validation", "--start", "derived-6")
+    table = ("--recipe", str(place / "tustin-net-short.toml"), "--records", "2,3", "--draws", "2")
+    bare = place / "bare"
+    bare.mkdir(exist_ok=True)
+    for file in ("fall1.csv", "fall2.csv", "noise1.csv"):
+        shutil.copy(place / "logs" / file, bare)
+    material.write_published(place / "published")
+
+    selection = ("fit", logs, "--plan", str(place / "plan.toml"), *_TO_FOLDER)
+    has_ray = importlib.util.find_spec("ray") is not None
+    on_cluster = [Job("selection on a cluster", (*selection, "--cluster", "auto"), ("--resume",))]
+
+    def replacing(name: str, target: str, *arguments: str, of: str = network) -> Job:
+        """A verb that replaces what it made of another model."""
+        verb, option = arguments[0], "--out"
+        if target.startswith("figures"):
+            option = "--figure" if target.endswith(".png") else "--figures"
+        more = (*arguments[1:], option, f"{_OUT}/{target}" if target else _OUT)
+        earlier = other if of == network else network
+        if verb == "committee":
+            return Job(
+                name,
+                (verb, network, other, *more, *_REPLACE),
+                (),
+                (verb, network, str(place / "gru.safetensors"), *more),
+            )
+        return Job(name, (verb, of, *more, *_REPLACE), (), (verb, earlier, *more))
+
+    return [
+        Job("selection", selection, ("--resume",)),
+        Job("selection from the start", selection, _REPLACE),
+        *(on_cluster if has_ray else []),
+        Job("learning-curve", ("learning-curve", logs, *table, "--out", _OUT), _REPLACE),
+        Job("reproduce", ("reproduce", "--data", published, "--models", "linear", *_TO_FOLDER), ()),
+        Job("init", ("init", _OUT, "--yes"), _REPLACE, beside=bare),
+        replacing("report", "page.html", "report", logs),
+        replacing("export", "", "export", "--to", "c"),
+        replacing("export mat", "", "export", "--to", "mat,js"),
+        replacing("committee", "committee.safetensors", "committee"),
+        Job("calibrate", ("calibrate", committee, logs, *split, "--out",
+                          f"{_OUT}/bands.safetensors"), _REPLACE),
+        replacing("simulate", "", "simulate", logs),
+        replacing("residuals", "figures.png", "residuals", logs, "--lags", "20"),
+        replacing("evaluate", "figures", "evaluate", logs),
+        Job("compare", ("compare", network, other, logs, "--figures", f"{_OUT}/figures"), _REPLACE),
+        Job("inspect", ("inspect", logs, "--figure", f"{_OUT}/figure.png"), _REPLACE),
+    ]  # fmt: skip
 
 
 def start(arguments: tuple[str, ...], asked: dict[str, Any], **more: Any) -> subprocess.Popen[str]:

@@ -1,5 +1,6 @@
-"""Faults around a run: no room, no permission, folders that vanish, damaged caches, clocks."""
+"""Faults around a command: no room, no permission, folders that vanish, damaged caches, clocks."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -11,10 +12,12 @@ from pathlib import Path
 from random import Random
 
 from . import oracle
-from .command import Ended, done, finish, jobs, run, start
+from .command import Ended, Job, done, finish, fits, others, run, start
 from .report import Part
 
 _SLOW = 0.01
+_NOBODY = 65534  # the user without rights
+_BUDGET = 120.0  # seconds that a selection of 60 may take on a machine with other work
 
 
 class Skipped(Exception):
@@ -22,7 +25,7 @@ class Skipped(Exception):
 
 
 class Faults:
-    """Every fault once, on a training.
+    """Every fault once on a training; files and folders that cannot be written with every verb.
 
     Args:
         place: the undamaged files; runs are made beside them.
@@ -30,7 +33,8 @@ class Faults:
     """
 
     def __init__(self, place: Path, seed: int) -> None:
-        self.job, self.place, self.random = jobs(place)["tustin-net"], place, Random(seed)
+        self.jobs = [*fits(place), *others(place)]
+        self.job, self.place, self.random = self.jobs[0], place, Random(seed)
         self.box, self.part = place / "faults", Part("faults")
         self.clean = self.box / "undisturbed"
         shutil.rmtree(self.box, ignore_errors=True)
@@ -53,7 +57,20 @@ class Faults:
             ("a compile cache that is a file", partial(self._cache, "file")),
             *((f"clocks that jump by {size:g} s", partial(self._clocks, size))
               for size in (10.0, 1e7)),
+            ("a budget while the clock on the wall jumps by 1e9 s", self._budget),
         ]  # fmt: skip
+        every: list[tuple[str, Callable[[Path], None]]] = [
+            (f"{name}, {job.name}", partial(fault, job))
+            for job in self.jobs[1:]
+            for name, fault in (
+                ("files of at most 100 bytes", partial(self._replaced, {"largest": 100})),
+                ("small files", partial(self._replaced, {"largest": None})),
+                ("a full file system", self._crowded),
+                ("a folder of another user", self._foreign),
+            )
+        ]
+        self.random.shuffle(every)
+        faults += every
         for name, fault in faults:
             out = self.box / name.replace(" ", "-")
             if time.monotonic() > end:
@@ -75,7 +92,7 @@ class Faults:
         A log that the fault has cost lines is set aside, and said so; the rest of it may differ.
         """
         oracle.require_readable(out)
-        ended = done(self.job.command(out, "--resume"))
+        ended = done(self.job.command(out, *self.job.again))
         aside = list(out.glob("seed-*/log.damaged.jsonl"))
         for path in aside:
             oracle.require(path.name in ended.err, "a log is set aside without a word")
@@ -103,6 +120,95 @@ class Faults:
             oracle.require_readable(out)
             kept = shutil.copytree(out / "run", self.box / "kept")
         self._goes_on(kept)
+
+    def _clean(self, job: Job) -> tuple[Path, Path]:
+        """What a command makes undisturbed, and what is there before."""
+        clean, earlier = (self.box / "clean" / job.name / which / "run" for which in ("new", "old"))
+        if not clean.exists():
+            for folder in (clean, earlier):
+                folder.parent.mkdir(parents=True, exist_ok=True)
+                job.prepare(folder)
+            done(job.command(clean))
+        return clean, earlier
+
+    def _refused(self, job: Job, ended: Ended, out: Path) -> None:
+        """One line; what was there stays or is replaced as a whole; then it succeeds."""
+        clean, earlier = self._clean(job)
+        ended.require_told()
+        oracle.require(not list(oracle.leftovers(out)), "temporary files are left")
+        oracle.require_readable(out)
+        oracle.require_old_or_new(out, clean, earlier)
+        if ended.code == 0:
+            oracle.require_same_run(out, clean)
+
+    def _replaced(self, asked: dict[str, int | None], job: Job, out: Path) -> None:
+        clean, _ = self._clean(job)
+        sizes = [path.stat().st_size for path in clean.rglob("*") if path.is_file()]
+        largest = asked["largest"] or self.random.randrange(100, max(sizes))
+        out = out / "run"
+        out.parent.mkdir()
+        job.prepare(out)
+        ended = run(job.command(out), {"largest": largest})
+        if out.exists():
+            self._refused(job, ended, out)
+        oracle.require(ended.code != 0, f"files of at most {largest} bytes, and exit code 0")
+        done(job.command(out, *job.again))
+        oracle.require_same_run(out, clean)
+
+    def _crowded(self, job: Job, out: Path) -> None:
+        """A file system with room for what is there before, and a part of what is added."""
+        clean, earlier = self._clean(job)
+        blocks = [
+            sum(4 * (path.stat().st_size // 4096 + 1) for path in folder.rglob("*"))
+            for folder in (earlier, clean)
+            if folder.exists()
+        ]
+        size = 16 + (blocks[0] if len(blocks) > 1 else 0) + self.random.randrange(blocks[-1])
+        with _small_disk(out, f"{size}k"):
+            place = out / "run"
+            job.prepare(place)
+            ended = run(job.command(place), {})
+            if place.exists():
+                self._refused(job, ended, place)
+            kept = self.box / f"{out.name}-kept" / "run"
+            shutil.copytree(out, kept.parent)
+        done(job.command(kept, *job.again))
+        oracle.require_same_run(kept, clean)
+
+    def _foreign(self, job: Job, out: Path) -> None:
+        """A folder that belongs to another user; where nobody can be changed to, a closed one."""
+        out = out / "run"
+        out.mkdir(parents=True)
+        job.prepare(out)
+        before = {path: path.stat() for path in out.rglob("*")}
+        root, more = os.geteuid() == 0, {}
+        if root:
+            home = self.box / "home"
+            home.mkdir(exist_ok=True)
+            os.chown(home, _NOBODY, _NOBODY)
+            env = {"HOME": str(home), "TUSTINNET_CONFIG": str(home / "config")}
+            more = {"user": _NOBODY, "group": _NOBODY, "extra_groups": [], "env": env}
+        else:
+            out.chmod(0o555)
+        try:
+            ended = run(job.command(out), {}, **more)
+        finally:
+            out.chmod(0o755)
+        ended.require_told()
+        oracle.require(ended.code == 1, f"exit code {ended.code} where nothing can be written")
+        after = {path: path.stat() for path in out.rglob("*")}
+        oracle.require(before == after, "changed a folder that belongs to another user")
+
+    def _budget(self, out: Path) -> None:
+        job = next(job for job in self.jobs if job.name == "selection")
+        begun = time.monotonic()
+        ended = run(job.command(out, "--budget", "60"), {"wall": 1e9})
+        ended.require_told()
+        oracle.require(ended.code == 0, f"failed: {ended.last_line}")
+        oracle.require(time.monotonic() - begun < _BUDGET, "more than its budget")
+        seconds = json.loads((out / "summary.json").read_text())["seconds"]
+        oracle.require(0 < seconds < _BUDGET, f"a duration of {seconds:g} s")
+        oracle.require_readable(out)
 
     def _read_only(self, out: Path) -> None:
         """Mode bits do not bind the superuser; the flag `immutable` does."""

@@ -4,13 +4,14 @@ import shutil
 import signal
 import subprocess
 import time
+from collections import Counter
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from random import Random
 from threading import Lock
 
 from . import oracle
-from .command import Job, done, finish, jobs, start
+from .command import Job, done, finish, fits, others, start
 from .report import Part
 
 _SLOW = 0.02  # seconds that each half of a write takes longer
@@ -26,10 +27,13 @@ class Kills:
     """
 
     def __init__(self, place: Path, seed: int) -> None:
-        self.seed, self.jobs = seed, jobs(place)
+        self.seed = seed
+        self.groups = [{job.name: job for job in group} for group in (fits(place), others(place))]
+        self.jobs = self.groups[0] | self.groups[1]
         self.clean, self.out = place / "undisturbed", place / "killed"
         self.part, self._writing, self._signals = Part("kills"), 0, 0
-        self._lasts: dict[str, float] = {}  # seconds from the first file to the end
+        self._lasts: dict[str, tuple[float, float]] = {}  # seconds to the first file, and after it
+        self._by_job = Counter[str]()
         self._locks = {name: Lock() for name in self.jobs}
         for folder in (self.clean, self.out):
             shutil.rmtree(folder, ignore_errors=True)
@@ -48,50 +52,68 @@ class Kills:
                     future.result()
         told = f"{self._signals} signals, {self._writing} of them while a file was being written"
         self.part.notes.append(told)
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(self._by_job.items()))
+        self.part.notes.append(f"signals by command: {counts}")
         return self.part
 
     def one(self, number: int) -> None:
         """One case: a run that is killed once or twice and started again."""
         random = Random(f"kill {self.seed} {number}")
-        job = self.jobs[random.choice(list(self.jobs))]
+        # one of the fits, which have most to lose, as often as one of all the others together
+        job = random.choice(list(random.choice(self.groups).values()))
         with self._locks[job.name]:
             if job.name not in self._lasts:
                 self._undisturbed(job)
-        out = self.out / str(number)
+        out = self.out / str(number) / "run"
         outcome, told = oracle.judged(lambda: self._case(job, out, random))
         repeat = f"--seed {self.seed} --kill {number}"
         self.part.count(outcome, f"{job.name}: {told}", repeat)
         if outcome != "finding":
-            shutil.rmtree(out)
+            shutil.rmtree(out.parent)
 
     def _undisturbed(self, job: Job) -> None:
-        out = self.clean / job.name
+        out, earlier = _folder(self.clean, job), _folder(self.clean, job, "earlier")
+        for folder in (out, earlier):
+            folder.parent.mkdir(parents=True)
+            job.prepare(folder)
+        before, begun = _names(out), time.monotonic()
         process = start(job.command(out), {"slow": _SLOW})
-        appeared = _first_file(process, out)
+        appeared = _first_file(process, out, before)
         ended = finish(process)
         assert ended.code == 0, ended.err
-        self._lasts[job.name] = time.monotonic() - appeared
+        self._lasts[job.name] = appeared - begun, time.monotonic() - appeared
 
     def _case(self, job: Job, out: Path, random: Random) -> None:
+        out.parent.mkdir(parents=True)
+        job.prepare(out)
+        clean, earlier = _folder(self.clean, job), _folder(self.clean, job, "earlier")
+        starting, writing = self._lasts[job.name]
         for attempt in range(random.choice((1, 1, 2))):
-            process = start(job.command(out, *([job.again] if attempt else [])), {"slow": _SLOW})
-            if random.random() < 0.9:  # else while it starts
-                _first_file(process, out)
-            time.sleep(random.uniform(0, 1.05) * self._lasts[job.name])
+            before = _names(out)
+            process = start(job.command(out, *(job.again if attempt else ())), {"slow": _SLOW})
+            if random.random() < 0.9:
+                _first_file(process, out, before)
+                time.sleep(random.uniform(0, 1.05) * writing)
+            else:
+                time.sleep(random.uniform(0, 1) * starting)
             if random.random() < 0.5:
                 _half_written(process, out)
             sent = random.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
-            self._kill(process, sent, out)
+            self._kill(process, sent, out, job.name)
             if out.exists():
                 oracle.require_readable(out)
-        done(job.command(out, job.again))
-        oracle.require_same_run(out, self.clean / job.name)
+                oracle.require_old_or_new(out, clean, earlier)
+        done(job.command(out, *job.again))
+        oracle.require_same_run(out, clean)
 
-    def _kill(self, process: "subprocess.Popen[str]", sent: signal.Signals, out: Path) -> None:
+    def _kill(
+        self, process: "subprocess.Popen[str]", sent: signal.Signals, out: Path, name: str
+    ) -> None:
         going = process.poll() is None
         process.send_signal(sent)
         if going:
             self._signals += 1
+            self._by_job[name] += 1
             self._writing += sent == signal.SIGKILL and any(oracle.leftovers(out))
         ended = finish(process, _STOPPING)
         if ended.code != -signal.SIGKILL:
@@ -99,10 +121,20 @@ class Kills:
             oracle.require(told, f"a traceback at {sent.name}: {ended.last_line}")
 
 
-def _first_file(process: "subprocess.Popen[str]", out: Path) -> float:
-    """Waits until a run has made something in its folder, or has ended; the time of it."""
-    while process.poll() is None and not (out.exists() and any(out.iterdir())):
-        time.sleep(0.005)
+def _folder(place: Path, job: Job, which: str = "new") -> Path:
+    """A folder of results; all have one name, which the card of `init` says."""
+    return place / job.name / which / "run"
+
+
+def _names(out: Path) -> set[str]:
+    """The names in a folder."""
+    return {path.name for path in out.iterdir()} if out.is_dir() else set()
+
+
+def _first_file(process: "subprocess.Popen[str]", out: Path, before: set[str]) -> float:
+    """Waits until a command has made something new in its folder, or has ended; the time of it."""
+    while process.poll() is None and not _names(out) - before:
+        time.sleep(0.002)
     return time.monotonic()
 
 

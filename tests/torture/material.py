@@ -13,6 +13,7 @@ import scipy.io
 from conftest import CARD, SMALL_RECIPE, record, write_folder
 
 import tustinnet as tn
+from tustinnet.data.catalog import QUBE_SERVO2
 from tustinnet.fitting.task import Member, Task, make_task
 from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
@@ -40,6 +41,42 @@ initial = "anchored"
 tolerance = 1e-4
 iterations = 10
 """
+
+_NETWORK = """
+name = "small"
+[model]
+hidden = [6]
+[[stages]]
+name = "only"
+windows = { draw = "strided", length = 20, count = 60 }
+rate = 1e-2
+epochs = 8
+batch = 16
+"""
+SELECTION = {
+    "tustin-net-short.toml": _NETWORK,
+    "linear-short.toml": _NETWORK.replace("hidden = [6]", 'kind = "linear"'),
+    "plan.toml": """
+name = "small"
+folds = 3
+start = "model-10"
+[[candidates]]
+name = "linear"
+recipe = "linear-short.toml"
+[[candidates]]
+name = "network"
+recipe = "tustin-net-short.toml"
+[[committees]]
+name = "both"
+of = ["linear", "network"]
+[[rounds]]
+folds = 1
+keep = 1.0
+[[rounds]]
+folds = 3
+keep = 1.0
+""",
+}  # recipes and a plan of a selection that takes seconds
 
 
 def recipe(kind: str) -> str:
@@ -98,6 +135,19 @@ def write_logs(place: Path) -> None:
     head = b"MATLAB 7.3 MAT-file".ljust(124) + (0x0200).to_bytes(2, "little") + b"IM"
     with (place / "log73.mat").open("r+b") as file:
         file.write(head)
+
+
+def write_published(place: Path) -> None:
+    """Short records that go by the names of the published ones."""
+    generator, t = np.random.default_rng(0), 0.01 * np.arange(120)
+    for file in QUBE_SERVO2.checksums():
+        path = place / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        u = generator.uniform(-2, 2, len(t)) if "wN" in file else np.zeros(len(t))
+        q = np.column_stack([0.3 * np.sin(3 * t), np.pi + np.exp(-t) * np.cos(8 * t)])
+        v = np.gradient(q, 0.01, axis=0)
+        v[:3] = v[-2:] = 0.0
+        np.savetxt(path, np.column_stack([u, q, t, v]), delimiter=",")
 
 
 def write_all(place: Path) -> None:

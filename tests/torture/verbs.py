@@ -5,6 +5,7 @@ no file that it was not told to write.
 """
 
 import contextlib
+import hashlib
 import io
 import itertools
 import json
@@ -21,7 +22,9 @@ from unittest import mock
 
 import typer
 
+from tustinnet.cli.init import FIGURE
 from tustinnet.cli.main import app
+from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError
 from tustinnet.store.kept_system import CONFIG_VARIABLE
@@ -35,9 +38,11 @@ _OUTPUTS = ("--out", "--figure", "--figures")
 _COMPUTING = (
     "tustinnet.store.run.fit_task",
     "tustinnet.selection.jobs.fit_task",
+    "tustinnet.selection.select.Halving.run",
     "tustinnet.systems.qube_servo2_twin.twin",
 )
 _COPY = "system.py"  # kept beside a model that is written
+_DRAFTED = (CARD_NAME, FIGURE)  # into the folder of a fit, before it begins
 
 PROPOSALS = """
 [[proposals]]
@@ -103,6 +108,9 @@ def prepare(material: Path, root: Path) -> Place:
         code, _, err = call([str(a) for a in arguments])
         assert code == 0, err
     (root / "cwd").mkdir()
+    (root / "bare").mkdir()  # records without a card
+    for name in ("fall1.csv", "fall2.csv", "noise1.csv"):
+        shutil.copy(root / "logs" / name, root / "bare")
     (root / "link.csv").symlink_to(root / "logs" / "fall1.csv")
     return place
 
@@ -135,14 +143,20 @@ def call(arguments: Sequence[str]) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def _files(root: Path) -> dict[Path, tuple[int, int, int]]:
-    """Every file below a folder, and what shows that it was written: inode, time, size."""
-    found = {}
-    for folder, _, names in os.walk(root):
+def _files(root: Path) -> dict[Path, tuple[object, ...]]:
+    """Every file below a folder, and what shows that it was written: its SHA-256, inode, time.
+
+    Folders count, too, without what they hold.
+    """
+    found: dict[Path, tuple[object, ...]] = {}
+    for folder, folders, names in os.walk(root):
+        found |= {Path(folder, name): () for name in folders}
         for name in names:
             path = Path(folder, name)
             status = path.lstat()
-            found[path] = (status.st_ino, status.st_mtime_ns, status.st_size)
+            content = bytes(path.readlink()) if path.is_symlink() else path.read_bytes()
+            digest = hashlib.sha256(content).digest()
+            found[path] = (digest, status.st_ino, status.st_mtime_ns, status.st_mode)
     return found
 
 
@@ -155,12 +169,10 @@ def examine(place: Place, arguments: Sequence[str], named: Sequence[str]) -> tup
         named: the paths of `arguments` that it is told to write.
     """
     before, begun, codes = _files(place.root), time.monotonic(), list[int]()
-    begun_fits = list[bool]()
 
     def run() -> None:
         code, _, err = call(arguments)
         codes.append(code)
-        begun_fits.append(Fitting.__name__ in err)
         if code == 1:
             lines = [line for line in err.splitlines() if line.startswith(("error: ", "Aborted"))]
             oracle.require(len(lines) == 1, f"{len(lines)} lines `error: ...` at exit code 1")
@@ -175,21 +187,23 @@ def examine(place: Place, arguments: Sequence[str], named: Sequence[str]) -> tup
     after = _files(place.root)
     changed = [path for path, status in before.items() if after.get(path) != status]
     added = [path for path in after if path not in before]
-    beside = {path.parent / _COPY for path in allowed}
-    stray = [p for p in added if p not in beside and not any(p.is_relative_to(a) for a in allowed)]
+    files = [path for path in added if not path.is_dir() or path.is_symlink()]
+    expected = {path.parent / _COPY for path in allowed}.union(*(path.parents for path in allowed))
+    stray = [
+        p for p in added if p not in expected and not any(p.is_relative_to(a) for a in allowed)
+    ]
     if changed:
         outcome, told = "finding", f"changed {changed[0].name}"
     elif stray:
         outcome, told = "finding", f"wrote {stray[0].relative_to(place.root)}"
-    elif added and codes != [0] and begun_fits != [True]:
-        outcome, told = "finding", f"left {added[0].name} behind at exit code {codes}"
-    elif any(p.parent == place.root / "logs" and is_readable(p) for p in added):
-        outcome, told = "finding", f"wrote {added[0].name} among the records"
-    for path in added:
+    elif codes != [0] and any(path.name not in _DRAFTED for path in files):
+        outcome, told = "finding", f"left {files[0].name} behind at exit code {codes}"
+    elif any(p.parent == place.root / "logs" and is_readable(p) for p in files):
+        outcome, told = "finding", f"wrote {files[0].name} among the records"
+    for path in files:
         path.unlink()
-    for path in sorted(place.root.rglob("*"), reverse=True):
-        if path.is_dir() and path.name != "cwd" and not any(path.iterdir()):
-            path.rmdir()
+    for path in sorted(set(added) - set(files), reverse=True):
+        path.rmdir()
     return (outcome if codes != [1] or outcome == "finding" else "refused"), told
 
 
@@ -250,9 +264,8 @@ class Headers:
         damaged.write_bytes(content)
         others = [self.place.model(name) for name in ("network", "linear")]
         arguments = [str(a) for a in random.choice(model_verbs(self.place, damaged, others))]
-        named = [v for o, v in itertools.pairwise(arguments) if o in _OUTPUTS]
         with nothing_is_fitted():
-            outcome, words = examine(self.place, arguments, named)
+            outcome, words = examine(self.place, arguments, told_to_write(arguments))
         where = f"{arguments[0]} {source.parent.name} ({told})"
         self.part.count(
             outcome, words if outcome == "finding" else "", f"--header {number}, {where}"
@@ -265,28 +278,53 @@ class Headers:
 # --- every verb, every option, values of every kind ---
 
 
-def commands(place: Place) -> dict[str, list[object]]:
-    """A command of every verb that does what it is asked, by what it cannot do without."""
+def commands(place: Place) -> list[list[object]]:
+    """Commands of every verb that do what they are asked, by what they cannot do without."""
     root, logs, out = place.root, place.root / "logs", place.out
     network, linear = place.model("network"), place.model("linear")
-    return {
-        "demo": ["--out", out],
-        "inspect": [logs],
-        "fit": [logs, "--out", out, "--recipe", root / "recipe.toml"],
-        "cross-validate": [logs, "--out", out, "--recipe", root / "recipe.toml"],
-        "learning-curve": [logs, "--out", out, "--recipe", root / "recipe.toml"],
-        "next-record": [place.model("committee"), root / "proposals.toml"],
-        "simulate": [network, logs, "--out", out],
-        "evaluate": [network, logs],
-        "compare": [network, linear, logs],
-        "residuals": [network, logs],
-        "committee": [network, linear, "--out", out / "m.safetensors"],
-        "calibrate": [place.model("committee"), logs, "--out", out / "m.safetensors"],
-        "export": [network, "--to", "mat", "--out", out],
-        "show": [network],
-        "report": [network, logs, "--out", out / "page.html"],
-        "reproduce": ["--data", logs, "--out", out],
-    }
+    return [
+        ["demo", "--out", out],
+        ["init", root / "bare"],
+        ["inspect", logs],
+        ["fit", logs, "--out", out, "--recipe", root / "recipe.toml"],
+        ["fit", logs, "--out", out],
+        ["fit", root / "bare", "--out", out],
+        ["cross-validate", logs, "--out", out, "--recipe", root / "recipe.toml"],
+        ["learning-curve", logs, "--out", out, "--recipe", root / "recipe.toml"],
+        ["next-record", place.model("committee"), root / "proposals.toml"],
+        ["simulate", network, logs, "--out", out],
+        ["evaluate", network, logs],
+        ["compare", network, linear, logs],
+        ["residuals", network, logs],
+        ["committee", network, linear, "--out", out / "m.safetensors"],
+        ["calibrate", place.model("committee"), logs, "--out", out / "m.safetensors"],
+        ["export", network, "--to", "mat", "--out", out],
+        ["show", network],
+        ["report", network, logs, "--out", out / "page.html"],
+        ["reproduce", "--data", logs, "--out", out],
+    ]
+
+
+def untried_verbs(place: Place) -> set[str]:
+    """The verbs of the command that `commands` lacks."""
+    return set(_listed()) - {str(verb) for verb, *_ in commands(place)}
+
+
+def _listed() -> dict[str, Any]:
+    """The verbs of the command by name."""
+    return typer.main.get_command(app).commands  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def told_to_write(arguments: Sequence[str]) -> list[str]:
+    """The paths of a command that it is told to write; of `init` those in the folder of logs."""
+    joined = [word.partition("=") for word in arguments]
+    named = [value for option, _, value in joined if option in _OUTPUTS]
+    named += [value for option, value in itertools.pairwise(arguments) if option in _OUTPUTS]
+    if arguments[0] == "init":
+        for log in (word for word in arguments[1:] if not word.startswith("--")):
+            folder = log if os.path.isdir(log) else os.path.dirname(log)  # noqa: PTH112, PTH120
+            named += [os.path.join(folder, name) for name in (CARD_NAME, FIGURE)]  # noqa: PTH118
+    return named
 
 
 def values(place: Place) -> list[str]:
@@ -309,10 +347,10 @@ def values(place: Place) -> list[str]:
 
 def cases(place: Place) -> Iterator[list[str]]:
     """Every verb with each of its options at every value, and each of its arguments so."""
-    listed = typer.main.get_command(app).commands  # pyright: ignore[reportAttributeAccessIssue]
-    for verb, plain in commands(place).items():
-        base = [verb, *map(str, plain)]
-        for parameter in listed[verb].params:
+    listed = _listed()
+    for plain in commands(place):
+        base = [str(word) for word in plain]
+        for parameter in listed[base[0]].params:
             if parameter.param_type_name == "option":
                 yield from _with_option(base, parameter, place)
         for at in (i for i, word in enumerate(base) if i and not base[i - 1].startswith("--")):
@@ -352,6 +390,8 @@ class Interface:
     def run(self, seconds: float, cases: int) -> Part:
         """Cases until the time is over or so many are done; each is done once."""
         end = time.monotonic() + seconds
+        for verb in untried_verbs(self.place):
+            self.part.count("finding", f"{verb} is not tried", "--parts verbs")
         for number, arguments in enumerate(self.cases[:cases]):
             if time.monotonic() > end:
                 left = len(self.cases) - number
@@ -362,11 +402,8 @@ class Interface:
 
     def one(self, arguments: list[str]) -> None:
         """One command."""
-        named = [word.partition("=")[2] for word in arguments
-                 if word.partition("=")[0] in _OUTPUTS]  # fmt: skip
-        named += [v for o, v in itertools.pairwise(arguments) if o in _OUTPUTS]
         with nothing_is_fitted():
-            outcome, told = examine(self.place, arguments, named)
+            outcome, told = examine(self.place, arguments, told_to_write(arguments))
         short = json.dumps([word[:60] for word in arguments]).replace(str(self.place.root), "")
         self.part.count(outcome, told, short)
 

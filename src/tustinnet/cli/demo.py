@@ -49,8 +49,8 @@ def demo(
     from tustinnet.report.page.fit_reports import write_scored_report
     from tustinnet.store.data_set_folder import write_data_set
     from tustinnet.store.files import (
+        lock_folder,
         require_outputs,
-        require_writable_folder,
         to_json,
         write_into,
     )
@@ -62,59 +62,59 @@ def demo(
     figures = [out / f"{name}.png" for name in ("twin_records", *_DRAWN)]
     files = [table_file, table_file.with_suffix(".json"), logs, out / _CHOICE, *figures]
     require_outputs([*files, *([] if no_report else [page])], overwrite=overwrite)
-    require_writable_folder(out)
 
     def print_step(line: str) -> None:
         if not quiet:
             console.print(line)
 
-    print_step(f"1/5 twin of the Qube-Servo 2, simulated and logged: {logs}")
-    twin = qube_servo2_twin.twin(seed)
-    write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
-    data = load(logs)
-    print_step(f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
-    training = list(data.split("train"))
-    reports = [inspect_experiment(e) for e in training]
-    if not json:
-        terminal.print_tables(time_table(reports))
+    with lock_folder(out):
+        print_step(f"1/5 twin of the Qube-Servo 2, simulated and logged: {logs}")
+        twin = qube_servo2_twin.twin(seed)
+        write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
+        data = load(logs)
+        print_step(f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
+        training = list(data.split("train"))
+        reports = [inspect_experiment(e) for e in training]
+        if not json:
+            terminal.print_tables(time_table(reports))
 
-    from tustinnet.report.figures import free_run_figure, inspection_figure, write_figure
+        from tustinnet.report.figures import free_run_figure, inspection_figure, write_figure
 
-    write_figure(inspection_figure(training, reports), out, "twin_records.png")
-    print_step(f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
-    earlier = "discard" if overwrite else "refuse"
-    models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
-    scores = {model.label: model.scores for model in models}
-    tests = list(data.split("test"))
-    print_step(f"4/5 free runs of the {len(tests)} test records")
-    content = {
-        "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
-        "models": {
-            label: {"mean": mean_rmse(model_scores), "rmse": rmse_by_record(model_scores)}
-            for label, model_scores in scores.items()
-        },
-    }  # fmt: skip
-    write_into(out, "twin_table.md", _scores_table(scores).markdown())
-    write_into(out, "twin_table.json", to_json(content))
-    if json:
-        terminal.print_json(content)
-    else:
-        terminal.print_tables(_scores_table(scores))
-    for name in _DRAWN:
-        runs = {
-            label: next(s for s in model_scores if s.experiment == name)
-            for label, model_scores in scores.items()
-        }
-        write_figure(free_run_figure(data[name], runs, recorded="twin"), out, f"{name}.png")
-    if not no_report:
-        print_step(f"5/5 the report, motion and playground in one page: {page}")
-    reported = models[:_REPORTED]
-    report = AutomaticReport(str(logs), is_enabled=not no_report).write(
-        [model.file for model in reported if model.file is not None],
-        page,
-        lambda command: write_scored_report(reported, tests, page, command),
-        {"--split": "test", "--start": _START},
-    )
+        write_figure(inspection_figure(training, reports), out, "twin_records.png")
+        print_step(f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
+        earlier = "discard" if overwrite else "refuse"
+        models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
+        scores = {model.label: model.scores for model in models}
+        tests = list(data.split("test"))
+        print_step(f"4/5 free runs of the {len(tests)} test records")
+        content = {
+            "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
+            "models": {
+                label: {"mean": mean_rmse(model_scores), "rmse": rmse_by_record(model_scores)}
+                for label, model_scores in scores.items()
+            },
+        }  # fmt: skip
+        write_into(out, "twin_table.md", _scores_table(scores).markdown())
+        write_into(out, "twin_table.json", to_json(content))
+        if json:
+            terminal.print_json(content)
+        else:
+            terminal.print_tables(_scores_table(scores))
+        for name in _DRAWN:
+            runs = {
+                label: next(s for s in model_scores if s.experiment == name)
+                for label, model_scores in scores.items()
+            }
+            write_figure(free_run_figure(data[name], runs, recorded="twin"), out, f"{name}.png")
+        if not no_report:
+            print_step(f"5/5 the report, motion and playground in one page: {page}")
+        reported = models[:_REPORTED]
+        report = AutomaticReport(str(logs), is_enabled=not no_report).write(
+            [model.file for model in reported if model.file is not None],
+            page,
+            lambda command: write_scored_report(reported, tests, page, command),
+            {"--split": "test", "--start": _START},
+        )
     file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN]]
     print_step(f"written to {out}: {', '.join(file_names)}{report or ''}")
     print_step(f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"

@@ -74,7 +74,7 @@ def fit(
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.init import draft_into_run
-    from tustinnet.cli.select import select
+    from tustinnet.cli.select import read_options, select
     from tustinnet.data.catalog import lacks_card
     from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
@@ -83,11 +83,14 @@ def fit(
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
             raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
+    found_system = None if system is None else find_system(system)
+    selection = None
     if selects:
         for option, value in {"--set": changes, "--seeds": seeds}.items():
             if value is not None:
                 raise InputError(option, "not applicable without a recipe", "a recipe",
                                  "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
+        selection = read_options(plan, budget, found_system, leave_out_spoiled=leave_out_spoiled)
     else:
         for option, value in {"--plan": plan, "--budget": budget, "--cluster": cluster}.items():
             if value is not None:
@@ -116,15 +119,15 @@ def fit(
             follow_links=follow_links,
         ),
         out=out,
-        system=None if system is None else find_system(system),
+        system=found_system,
         earlier=earlier,
         report=AutomaticReport(data, card, follow_links, is_enabled=not no_report),
         json=json,
         quiet=quiet,
         leave_out_spoiled=leave_out_spoiled,
     )
-    if selects:
-        select(fit_options, plan=plan, budget=budget, cluster_address=cluster)
+    if selection is not None:
+        select(fit_options, selection, cluster_address=cluster)
     else:
         _fit_recipe(
             fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,
@@ -146,6 +149,7 @@ def _fit_recipe(
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
+    from tustinnet.store.files import lock_folder
     from tustinnet.store.model_file import load_model, read_system_name
     from tustinnet.store.run import MODEL
 
@@ -190,7 +194,8 @@ def _fit_recipe(
         run, records = _run_members(
             task, records, left_out, make_task_of, fit_options, progress.follow, system_file
         )
-    with after_model(run.folder / MODEL):
+    # the folder is let go only when figures and report, which are of this model, are there
+    with after_model(run.folder / MODEL), lock_folder(run.folder):
         if system_file is not None:
             terminal.remember_trust(system_file)
         if fit_options.json:

@@ -48,7 +48,7 @@ def init(
     from tustinnet.data.catalog import CARD_NAME, locate
     from tustinnet.data.drafting.files import list_logs
     from tustinnet.data.loading import load_folder
-    from tustinnet.store.files import require_outputs, require_writable_folder
+    from tustinnet.store.files import lock_folder, require_outputs, require_writable_folder
 
     folder, files = list_logs(logs, follow_links=follow_links)
     outputs = [folder / CARD_NAME, folder / FIGURE]
@@ -56,7 +56,10 @@ def init(
     require_writable_folder(folder)
     draft = make_draft(folder, files, is_asking=not yes)
     links = " --follow-links" if follow_links else ""
-    write_draft(draft, folder)
+    with lock_folder(folder):
+        # while questions were answered, another may have written one
+        require_outputs(outputs, overwrite=overwrite)
+        write_draft(draft, folder)
     if json:
         terminal.print_json(_as_plain(draft, folder))
     else:
@@ -142,7 +145,9 @@ def draft_into_run(
     from tustinnet.cli.request import require_apart
     from tustinnet.data.catalog import CARD_NAME
     from tustinnet.data.drafting.files import list_logs
-    from tustinnet.store.files import require_outputs, require_writable_folder
+    from tustinnet.data.readers import is_readable
+    from tustinnet.errors import InputError
+    from tustinnet.store.files import lock_folder, require_outputs
 
     require_apart(out, folder)
     card, console = out / CARD_NAME, terminal.messages()
@@ -151,11 +156,15 @@ def draft_into_run(
         return card
     folder, files = list_logs([folder], follow_links=follow_links)
     draft = make_draft(folder, files, is_asking=False)
+    if card.is_file() and any(is_readable(path) for path in out.iterdir()):
+        raise InputError(
+            out, "a folder of records with a card of its own", "another folder for the run"
+        )
     if not (card.is_file() and card.read_bytes() == draft.text.encode()):
         require_outputs([card], overwrite=overwrite)
-    require_writable_folder(out)
-    write_draft(draft, out)
-    draw_draft(draft, out)
+    with lock_folder(out):
+        write_draft(draft, out)
+        draw_draft(draft, out)
     console.print(
         f"no card in {folder}: drafted {card} (figure: {out / FIGURE}); "
         f"`tustinnet init {shlex.quote(str(folder))}` asks, and writes one beside the logs"

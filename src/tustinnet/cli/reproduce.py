@@ -113,35 +113,35 @@ def reproduce(
     table_options = table1.ReproductionOptions(
         model_names, scored_split, seeds, None if keep is None else keep.value, overwrite
     )
-    with (
-        lock_folder(out),
-        FitProgress(console, quiet=quiet) as progress,
-        terminal.interruptible("the same command continues"),
-    ):
-        rows = table1.build_rows(
-            records, folder, table_options, runs,
-            lambda name: lambda prepared: progress.follow(prepared, name),
-        )  # fmt: skip
-    content, table = table1.as_json(rows, scored_split), table1.as_table(rows, scored_split)
-    texts = to_json(content), table.markdown(), table.latex()
-    for name, text in zip(_TABLES, texts, strict=True):
-        write_into(out, name, text)
-    if json:
-        terminal.print_json(content)
-    else:
-        terminal.print_tables(table)
-    figure_files = figures.draw(records, rows, scored_split, figure_record, out)
-    report = AutomaticReport(data, is_enabled=not no_report)
-    best, scored = choose_reported_rows(rows), list(records.split(scored_split))
-    model_files = [row.file for row in best if row.file is not None]
-    page = report.write(
-        model_files,
-        out / REPORT,
-        lambda command: write_rows_report(
-            best, scored, out / REPORT, command if model_files else ""
-        ),
-        {"--split": scored_split, "--start": best[0].start},
-    )
-    files = f"{', '.join(_TABLES)} and {len(figure_files)} figures{page or ''}"
+    with lock_folder(out):
+        with (
+            FitProgress(console, quiet=quiet) as progress,
+            terminal.interruptible("the same command continues"),
+        ):
+            rows = table1.build_rows(
+                records, folder, table_options, runs,
+                lambda name: lambda prepared: progress.follow(prepared, name),
+            )  # fmt: skip
+        content, table = table1.as_json(rows, scored_split), table1.as_table(rows, scored_split)
+        texts = to_json(content), table.markdown(), table.latex()
+        for name, text in zip(_TABLES, texts, strict=True):
+            write_into(out, name, text)
+        if json:
+            terminal.print_json(content)
+        else:
+            terminal.print_tables(table)
+        figure_files = figures.draw(records, rows, scored_split, figure_record, out)
+        report = AutomaticReport(data, is_enabled=not no_report)
+        best, scored = choose_reported_rows(rows), list(records.split(scored_split))
+        model_files = [row.file for row in best if row.file is not None]
+        page = report.write(
+            model_files,
+            out / REPORT,
+            lambda command: write_rows_report(
+                best, scored, out / REPORT, command if model_files else ""
+            ),
+            {"--split": scored_split, "--start": best[0].start},
+        )
+        files = f"{', '.join(_TABLES)} and {len(figure_files)} figures{page or ''}"
     console.print(f"written to {out}: {files}")
     require_report(page)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
     from tustinnet.selection.jobs import Job
-    from tustinnet.selection.select import Reporter
+    from tustinnet.selection.select import Reporter, SelectionOptions
+    from tustinnet.systems.files import AnySystem
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -33,32 +34,36 @@ def parse_seconds(budget: str | None) -> float | None:
     return seconds
 
 
+def read_options(
+    plan: str | None, budget: str | None, system: "AnySystem | None", *, leave_out_spoiled: bool
+) -> "SelectionOptions":
+    """The options of a selection from words of the command line; its budget counts from now on."""
+    start_time = time.monotonic()  # the imports and records from here on take seconds
+    from tustinnet.selection.plan import USUAL, read_plan
+    from tustinnet.selection.select import SelectionOptions
+
+    return SelectionOptions(
+        read_plan(plan or USUAL), system, parse_seconds(budget), start_time, leave_out_spoiled
+    )
+
+
 def select(
-    fit_options: "FitOptions",
-    *,
-    plan: str | None,
-    budget: str | None,
-    cluster_address: str | None,
+    fit_options: "FitOptions", selection: "SelectionOptions", *, cluster_address: str | None
 ) -> None:
     """Fits the candidates of a plan and keeps the best as one model; prints and draws the results.
 
-    Without a plan the usual one is used, without a cluster this process.
+    Without a cluster this process is used.
     """
-    start_time = time.monotonic()  # the imports and records from here on take seconds
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.cli.request import open_cluster
     from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
-    from tustinnet.selection.plan import USUAL, read_plan
-    from tustinnet.selection.select import SelectionOptions, select_model
+    from tustinnet.selection.select import select_model
+    from tustinnet.store.files import lock_folder
     from tustinnet.store.run import MODEL, REPORT
 
     quiet, report = fit_options.quiet, fit_options.report
-    selection = SelectionOptions(
-        read_plan(plan or USUAL), fit_options.system, parse_seconds(budget), start_time,
-        fit_options.leave_out_spoiled,
-    )  # fmt: skip
     records = fit_options.load()
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
@@ -70,7 +75,8 @@ def select(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor
             )
     folder, start = choice.context.folder, choice.result(choice.best).starts[0]
-    with after_model(folder / MODEL):
+    # the folder is let go only when figures and report, which are of this model, are there
+    with after_model(folder / MODEL), lock_folder(folder):
         if choice.context.system_file is not None:
             terminal.remember_trust(choice.context.system_file)
         if fit_options.json:
@@ -104,8 +110,8 @@ def draw_choice(choice: "Choice") -> None:
     """Writes the table of candidates with sentences, their figure, and some free runs."""
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
-    from tustinnet.selection.select import TABLE
     from tustinnet.store.files import write_into
+    from tustinnet.store.run import TABLE
 
     folder = choice.context.folder
     sentences = "".join(f"* {sentence}\n" for sentence in choice.sentences)
@@ -134,8 +140,7 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
 
 def print_files(choice: "Choice", report: str = "") -> None:
     """Prints the line that names the files, and the duration of the choice."""
-    from tustinnet.selection.select import TABLE
-    from tustinnet.store.run import FIGURES, MODEL
+    from tustinnet.store.run import FIGURES, MODEL, TABLE
 
     out = choice.context.folder
     typer.echo(

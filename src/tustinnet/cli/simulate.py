@@ -43,7 +43,7 @@ def simulate(
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.range import Range
-    from tustinnet.store.files import require_outputs, require_writable_folder
+    from tustinnet.store.files import lock_folder, require_outputs
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
@@ -63,20 +63,21 @@ def simulate(
     bands: list[Band | None] = [None] * len(records)
     if band_options is not None:
         bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
-    require_writable_folder(out)
     runs.print_notes()
     training_range = Range.from_header(read_header(model), simulator)
     simulations: list[dict[str, Any]] = []
-    for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
-        write_simulation(out, e, score.simulated, run_band)
-        content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}
-        point = None
-        if training_range is not None:
-            point = training_range.extrapolation_point(simulator.channels, score.simulated, e.u)
-        if point is not None:
-            content["left"] = extrapolation_content(point, e)
-            terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
-        simulations.append(content)
+    with lock_folder(out):
+        require_outputs(paths, overwrite=overwrite)  # another command may have been faster
+        for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
+            write_simulation(out, e, score.simulated, run_band)
+            content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}
+            point = None
+            if training_range is not None:
+                point = training_range.extrapolation_point(simulator.channels, score.simulated, e.u)
+            if point is not None:
+                content["left"] = extrapolation_content(point, e)
+                terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
+            simulations.append(content)
     if json:
         terminal.print_json({**runs.as_plain(), "simulations": simulations})
         return

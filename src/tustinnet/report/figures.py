@@ -64,8 +64,10 @@ def write_figure(figure: Figure, folder: Path, name: str) -> None:
         figure.set_dpi(_DOTS)
         FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws twice, to lay out first
     else:
-        metadata = {"Date": None} if ending == "svg" else None
-        figure.savefig(buffer, format=ending, dpi=_DOTS, metadata=metadata)
+        # the bytes say nothing of when they were written, and are the same each time
+        metadata = {"Date" if ending == "svg" else "CreationDate": None}
+        with figure_style():
+            figure.savefig(buffer, format=ending, dpi=_DOTS, metadata=metadata)
     write_into(folder, name, buffer.getvalue())
 
 

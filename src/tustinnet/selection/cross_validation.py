@@ -15,15 +15,17 @@ from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import AnyRecipe, resolve_system
+from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
-from tustinnet.selection.jobs import SCORES, Job, JobResult, RunContext
+from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.selection.timing import determine_recipe_timing
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
+from tustinnet.store.run import SCORES
 from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 DEFAULT_PHYSICS = "best-grey"  # identifies the physics of a hybrid where nothing else is given
@@ -218,6 +220,7 @@ def cross_validate(
         InputError: too few records, a horizon of the recipe that is too short for a start, or too
             long; see also `fit`.
     """
+    require_float64("cross_validate")
     recipe = options.recipe
     timing = determine_recipe_timing(
         data, recipe, options.system, is_repeated=True, on_message=on_message

@@ -41,10 +41,9 @@ from tustinnet.store.files import (
 )
 from tustinnet.store.kept_system import CANDIDATES, system_header
 from tustinnet.store.model_file import load_model, read_system_name, save
-from tustinnet.store.run import MODEL, fit_in_folder
+from tustinnet.store.run import MODEL, SCORES, fit_in_folder
 from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
-SCORES = "scores.json"
 SPENT = "its share of the budget was spent"
 NO_STAGE = f"{SPENT} before a stage of its search was finished"
 LEFT_OUT = "left out"  # where files name a split: records that a model was not fitted to

@@ -23,7 +23,7 @@ from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe, Origin
-from tustinnet.models.contract import Model
+from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.cross_validation import (
@@ -405,6 +405,7 @@ def learning_curve(
         InputError: too few records; see also `fit`. A single identification that cannot be done
             with so few records is a point without a model, and its outcome says why.
     """
+    require_float64("learning_curve")
     draws = draw_records(data, options)
     start = options.start or default_start(list(data))
     fitter = DrawFitter(data, start, make_listener)

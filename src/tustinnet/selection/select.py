@@ -1,6 +1,5 @@
 """Selection: tries a plan's candidates within a budget and writes the best model."""
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.task import resolve_system
+from tustinnet.models.contract import require_float64
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
@@ -23,7 +23,7 @@ from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
-from tustinnet.selection.jobs import NO_STAGE, SCORES, SPENT, MakeJobListener, RunContext
+from tustinnet.selection.jobs import NO_STAGE, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
@@ -32,10 +32,19 @@ from tustinnet.selection.spoiled import leave_out_spoiled
 from tustinnet.selection.timing import LAG, determine_timing
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
-from tustinnet.store.files import lock_folder, remove_below, require_outputs, to_json, write_into
+from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_system_copy
 from tustinnet.store.model_file import save
-from tustinnet.store.run import FIGURES, MODEL, REPORT, SUMMARY, WRITTEN, Earlier
+from tustinnet.store.run import (
+    FIGURES,
+    MODEL,
+    REPORT,
+    SCORES,
+    SUMMARY,
+    TABLE,
+    Earlier,
+    discard_results,
+)
 from tustinnet.store.specification import (
     SPECIFICATION,
     Specification,
@@ -53,7 +62,6 @@ _ENDING = 0.12  # share of the budget for committees, the last fit and bands
 _FILES = 0.05  # and for figures and the report, which come after the selection
 _FEWEST_FILES = 6.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
-TABLE = "candidates.md"  # written by rooms above this one
 
 
 @dataclass(frozen=True)
@@ -119,6 +127,7 @@ def select_model(
             records too few or too short, a budget in which no candidate was fitted, or none that
             could be.
     """
+    require_float64("select_model")
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
@@ -354,7 +363,7 @@ def _prepare_folder(context: RunContext, earlier: Earlier, specification: Specif
     own = [context.folder / name for name in (MODEL, SPECIFICATION) if earlier == "discard"]
     require_copy_fits(context.system_file, context.folder, own)
     if earlier == "discard":
-        _discard(context.folder)
+        discard_results(context.folder)
     if earlier == "refuse":
         _require_no_earlier(context.folder)
     files = [context.folder / name for name in (MODEL, SUMMARY, REPORT)]
@@ -376,18 +385,6 @@ def _require_no_earlier(folder: Path) -> None:
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )  # fmt: skip
-
-
-def _discard(folder: Path) -> None:
-    """Removes what an earlier selection wrote, and nothing else."""
-    remove_below(folder / CANDIDATES, {*WRITTEN, SCORES})
-    try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        starts = [s for c in summary["candidates"] for s in c.get("starts", {}).values()]
-        records = {record for start in starts for record in start["rmse"]}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return  # nobody knows which figures are its own
-    remove_below(folder / FIGURES, {f"{name}.png" for name in (CANDIDATES, *records)})
 
 
 def _nothing_fitted(halving: Halving) -> InputError:

@@ -19,6 +19,7 @@ from tustinnet.registry import TARGETS
 from tustinnet.simulate.range import Range
 from tustinnet.store.files import (
     PART,
+    lock_folder,
     remove_partial_files,
     require_outputs,
     require_writable_folder,
@@ -95,8 +96,22 @@ def export_model(
         )  # fmt: skip
     source = make_source(model, Range.from_header(header, model), groups, header)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
+    with lock_folder(Path(out)):
+        _require_room(folders, overwrite=overwrite)
+        exports = [
+            _export(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)
+        ]
+        for result, files in exports:
+            require_writable_folder(result.folder)
+            remove_partial_files(result.folder)
+            _remove_obsolete_files(result.folder, files)
+            _write(result.folder, files)
+    return [result for result, _ in exports]
+
+
+def _require_room(folders: Sequence[Path], *, overwrite: bool) -> None:
+    """Raises unless each folder is empty, or holds an export that may be replaced."""
     for folder in folders:
-        # an empty folder, or an export that may be replaced
         entries = folder.iterdir() if folder.is_dir() else ()
         if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
             raise InputError(
@@ -104,13 +119,6 @@ def export_model(
                 "choose another --out",
             )  # fmt: skip
         require_outputs([folder / CARD], overwrite=overwrite)
-    exports = [_export(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)]
-    for result, files in exports:
-        require_writable_folder(result.folder)
-        remove_partial_files(result.folder)
-        _remove_obsolete_files(result.folder, files)
-        _write(result.folder, files)
-    return [result for result, _ in exports]
 
 
 def _require_extras(targets: Sequence[Target]) -> None:

@@ -1,10 +1,12 @@
 """Writing files so that nothing is ever half-written, nor outside of the output folder."""
 
+import glob
 import json
 import math
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ except ImportError:  # Windows: two runs in one folder are not kept apart there
 
 FIGURE_ENDINGS = (".png", ".svg", ".pdf")  # formats of figures
 PART = ".part"  # how the name of a file ends while it is written
+_HALF_WRITTEN = re.compile(r"\.(.+\.\d+|shared-[0-9a-f]{32})\.part")
 
 
 def write_into(folder: Path, name: str, content: bytes | str) -> None:
@@ -37,6 +40,7 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
         if not path.parent.resolve().is_relative_to(folder.resolve()):
             raise InputError(path, "outside of the output folder", f"a file below {folder}")
         path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(path)
         try:
             with temporary.open("wb") as file:
                 file.write(payload)
@@ -47,6 +51,27 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable_error(path, error) from error
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Removes what processes that were killed had written of a file."""
+    if fcntl is None:  # Windows, where asking after a process would end it
+        return
+    for part in path.parent.glob(f".{glob.escape(path.name)}.*{PART}"):
+        number = part.name.removesuffix(PART).rpartition(".")[2]
+        if number.isdecimal() and not _is_running(int(number)):
+            part.unlink(missing_ok=True)
+
+
+def _is_running(number: int) -> bool:
+    """Whether there is a process of a number on this machine."""
+    try:
+        os.kill(number, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # of another user
+    return True
 
 
 def require_writable_folder(folder: Path) -> None:
@@ -64,7 +89,8 @@ def remove_partial_files(folder: Path) -> None:
     """Removes half-written files of killed processes in a folder and those in it."""
     for pattern in (f".*{PART}", f"*/.*{PART}"):
         for path in folder.glob(pattern):
-            path.unlink(missing_ok=True)
+            if _HALF_WRITTEN.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
 
 def remove_below(folder: Path, names: Collection[str]) -> None:
@@ -81,11 +107,13 @@ def lock_folder(folder: Path) -> Iterator[None]:
     """Locks a folder for the one run that writes into it; makes it where it is not there.
 
     Half-written files of killed runs are removed. The lock is on the folder itself: it leaves no
-    file, and ends with the process however that ends.
+    file, and ends with the process however that ends. A folder that it made goes with it where
+    nothing was written.
 
     Raises:
         InputError: another run has the folder, or files cannot be written into it.
     """
+    is_new = not folder.exists()
     require_writable_folder(folder)
     descriptor = None
     try:
@@ -104,6 +132,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
         remove_partial_files(folder)
         yield
     finally:
+        if is_new:
+            with suppress(OSError):  # not empty
+                folder.rmdir()
         if descriptor is not None:
             os.close(descriptor)
 

@@ -13,9 +13,10 @@ folder/seed-0/checkpoint.safetensors  for `resume`, of all members that train to
 Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
+import json
 import statistics
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,19 +35,26 @@ from tustinnet.fitting.report import FitResult, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
+from tustinnet.models.contract import require_float64
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import (
     lock_folder,
+    remove_below,
     require_outputs,
     require_writable_folder,
     to_json,
     write_into,
 )
 from tustinnet.store.header import ORIGIN
-from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
+from tustinnet.store.kept_system import (
+    CANDIDATES,
+    require_copy_fits,
+    system_header,
+    write_system_copy,
+)
 from tustinnet.store.log import DAMAGED, LOG, SearchLog, TrainingLog
 from tustinnet.store.model_file import save
 from tustinnet.store.specification import (
@@ -62,6 +70,8 @@ MODEL = "model.safetensors"
 SUMMARY = "summary.json"
 REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
 FIGURES = "figures"  # drawn by rooms above this one
+SCORES = "scores.json"  # of a job of a selection
+TABLE = "candidates.md"  # of a selection
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
 
@@ -236,6 +246,7 @@ def run_task(
             its checkpoints belong to another run; an identification is to be resumed; see also
             `fit`.
     """
+    require_float64("run_task")
     with lock_folder(folder):
         own = [folder / MODEL, folder / SPECIFICATION] if earlier == "discard" else []
         require_copy_fits(system, folder, own)
@@ -323,15 +334,9 @@ def _prepare_folder(
         require_same_specification(folder, specification, MODEL)
         (folder / REPORT).unlink(missing_ok=True)  # of the model as it was
         return
-    places = sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
-    if earlier == "discard":  # the files that a run has written, and no others
-        for place in places:
-            for name in WRITTEN:
-                (place / name).unlink(missing_ok=True)
-            if not any(place.iterdir()):
-                place.rmdir()
-        for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION):
-            (folder / name).unlink(missing_ok=True)
+    places = _seed_folders(folder)
+    if earlier == "discard":
+        discard_results(folder)
     elif places:
         raise InputError(
             folder,
@@ -341,6 +346,31 @@ def _prepare_folder(
         )
     files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT, FIGURES)]
     require_outputs(files, overwrite=earlier == "discard")
+
+
+def _seed_folders(folder: Path) -> list[Path]:
+    """The folders of the members of a training in the folder of a run."""
+    return sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
+
+
+def discard_results(folder: Path) -> None:
+    """Removes the files that a run or a selection has written into a folder, and no others."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        starts = [s for c in summary.get("candidates", []) for s in c.get("starts", {}).values()]
+        records = {record for start in starts for record in start["rmse"]}
+        records |= {record for seed in summary.get("seeds", []) for record in seed["rmse"]}
+        drawn = {f"{name}.png" for name in (CANDIDATES, "training", "correlation", *records)}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        drawn = set[str]()  # nobody knows which figures are its own
+    remove_below(folder / FIGURES, drawn)
+    remove_below(folder / CANDIDATES, {*WRITTEN, SCORES})
+    for place in _seed_folders(folder):
+        remove_below(place, WRITTEN)
+        with suppress(OSError):  # other files are in it
+            place.rmdir()
+    for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION, TABLE):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _log_search(folder: Path, listener: Listener, stack: ExitStack) -> Listener:
