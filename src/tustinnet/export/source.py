@@ -50,16 +50,19 @@ class Source:
         model: the model, in its cheapest form, with the values of one group.
         range: the range of its training records, None if unknown.
         about: the header of its file, for the card.
+        layout: the input samples that the exported step is given, where they are not those on
+            which the model's steps depend along a record, see `find_causal_layout`.
     """
 
     model: Model
     range: Range | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
+    layout: InputLayout | None = None
 
     @cached_property
     def input_layout(self) -> InputLayout:
         """The samples of the inputs on which a step depends."""
-        return find_input_layout(self.model)
+        return find_input_layout(self.model) if self.layout is None else self.layout
 
     @property
     def channels(self) -> Channels:
@@ -166,7 +169,7 @@ class Source:
     def notes(self) -> tuple[str, ...]:
         """Notes for users of the export."""
         notes = []
-        for i in self.channels.inputs:
+        for i in self.channels.inputs if self.layout is None else ():
             if i.hold == "band-limited":
                 notes.append(
                     f"input '{i.name}' is band-limited in the records; the exported step takes "
@@ -197,6 +200,8 @@ def make_source(
     range: Range | None = None,
     groups: Mapping[str, str] | None = None,
     about: Mapping[str, Any] | None = None,
+    *,
+    layout: InputLayout | None = None,
 ) -> Source:
     """A model prepared for its export.
 
@@ -205,6 +210,7 @@ def make_source(
         range: the range of its training records.
         groups: the groups of a model with values by group, as `{"payload": "1kg"}`.
         about: the header of its file.
+        layout: the input samples that the exported step is given, see `Source`.
 
     Raises:
         InputError: JAX computes in single precision; a model without a sampling period; groups
@@ -213,7 +219,7 @@ def make_source(
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
     chosen = with_dtype(model_for_groups(model, groups or {}, "export"), np.float64)
-    return Source(chosen.simplify(), range, about or {})
+    return Source(chosen.simplify(), range, about or {}, layout)
 
 
 def require_stepping(model: object) -> None:

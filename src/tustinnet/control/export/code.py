@@ -1,0 +1,106 @@
+"""A controller with its estimator and model as C99, and a program that closes their loop."""
+
+import csv
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.export.c import make_filter_code, make_model_files, math_helpers
+from tustinnet.export.c_text import Code, constant_array
+from tustinnet.export.source import Source
+from tustinnet.export.target import Files
+from tustinnet.export.words import fill_template
+from tustinnet.models.contract import Model
+from tustinnet.program.reading import read
+from tustinnet.simulate.filtering import FilterNoise
+
+TEMPLATES = Path(__file__).parent / "templates"
+SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
+
+Vector = Float[np.ndarray, " _"]
+
+
+def make_code(
+    controller: Feedback | Tracking, source: Source, noise: FilterNoise, start: Vector, steps: int
+) -> Files:
+    """The files in C, and a Makefile.
+
+    Args:
+        controller: the controller.
+        source: the model, with a causal layout of its inputs.
+        noise: the noise of the estimator.
+        start: the state from which the loop in software begins, (n_x,).
+        steps: the periods that it lasts.
+    """
+    return {
+        **make_model_files(source),
+        **_estimator_files(source, noise),
+        **_controller_files(controller, source),
+        "main.c": _main(source, start, steps),
+        "Makefile": fill_template("Makefile", TEMPLATES),
+    }
+
+
+def _estimator_files(source: Source, noise: FilterNoise) -> Files:
+    """`estimator.h` and `estimator.c`."""
+    channels, code = source.channels, Code()
+    code.add("start_state", read(
+        lambda y: {"x": _state_at_rest(source.model, y)}, {"y": channels.n_q}, "the start"
+    ))  # fmt: skip
+    deviations = [
+        constant_array("start_noise", np.asarray(noise.start)),
+        constant_array("process_noise", np.asarray(noise.process)),
+        constant_array("measurement_noise", np.asarray(noise.measured)),
+    ]
+    filter_code = make_filter_code(
+        "estimator.h", channels.angular.tolist(), math_helpers(wrap=bool(channels.angular.any()))
+    )
+    return {
+        "estimator.h": fill_template("estimator.h", TEMPLATES, inputs=channels.n_u),
+        "estimator.c": filter_code + fill_template(
+            "estimator.c", TEMPLATES, noise="".join(deviations), start=code.text()
+        ),
+    }  # fmt: skip
+
+
+def _state_at_rest(model: Model, y: Array) -> Array:
+    """The state at some positions, at rest, with the internal states that the model expects."""
+    measured = jnp.concatenate([y, jnp.zeros_like(y)])
+    return model.initial_state(measured, jnp.zeros(model.channels.n_u))
+
+
+def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
+    """`controller.h` and `controller.c`."""
+    raise NotImplementedError
+
+
+def _main(source: Source, start: Vector, steps: int) -> str:
+    """`main.c`."""
+    tables = [
+        constant_array("start", start),
+        constant_array("resolution", source.channels.resolution),
+    ]
+    return fill_template(
+        "main.c", TEMPLATES, precision=fill_template("precision.c"), steps=steps,
+        tables="".join(tables), header=_c_string(csv_header(source)),
+    )  # fmt: skip
+
+
+def csv_header(source: Source) -> str:
+    """The names of the columns that the loop in software prints."""
+    estimates = [f"estimated_{name}" for name in source.states]
+    line = StringIO()
+    inputs = [i.name for i in source.channels.inputs]
+    csv.writer(line, lineterminator="").writerow(["time", *source.states, *estimates, *inputs])
+    return line.getvalue()
+
+
+def _c_string(text: str) -> str:
+    """A text as a string of C; other bytes than letters and digits of ASCII by their numbers."""
+    plain = set(b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-., ")
+    return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'

@@ -1,0 +1,32 @@
+/* A controller: inputs from the estimated state, at every sample. README.md has what x and u are. */
+#ifndef CONTROLLER_H
+#define CONTROLLER_H
+
+#include "model.h"
+
+#define CONTROLLER_INPUTS @inputs@
+#define CONTROLLER_INTEGRALS @integrals@ /* of errors of positions */
+#define CONTROLLER_DELAY @delay@ /* samples from the computation of an input to its effect */
+#define CONTROLLER_STEPS @steps@ /* of a plan that is followed first; 0 without a plan */
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct controller {
+    int step; /* of the plan */
+    model_real integral[CONTROLLER_INTEGRALS + 1];
+    model_real waiting[CONTROLLER_DELAY * CONTROLLER_INPUTS + 1]; /* computed, not applied yet */
+} controller;
+
+/* Begins anew: with the plan, where there is one. */
+void controller_reset(controller *c);
+
+/* The inputs u that act until the next sample, from the estimated state x. */
+void controller_inputs(controller *c, const model_real x[], model_real u[]);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
