@@ -63,6 +63,27 @@ def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.nda
     return step
 
 
+def make_linearised_step(
+    equations: Equations,
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function that steps and linearises a discrete model; see `runs.make_linearised_step`."""
+    none = jnp.zeros(0)
+
+    def twice(x: Array, u: Array) -> tuple[Array, Array]:
+        following = equations.function(x, u, none, none)
+        return following, following
+
+    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
+    derivatives = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)
+    program = jax.jit(derivatives).lower(*shapes).compile()
+
+    def step(state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (a, b), following = program(np.asarray(state, float), np.asarray(inputs, float))
+        return np.asarray(following), np.asarray(a), np.asarray(b)
+
+    return step
+
+
 def _rows(runs: Runs, longest: int) -> np.ndarray:
     """Rows of the samples of every run; of shorter ones the last is repeated."""
     places = np.minimum(np.arange(longest + 1), runs.steps[:, None])

@@ -116,20 +116,45 @@ def evaluate(
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    function, constants = _load(step_kernel(equations), "step", STEP)
+    step = _make_function(equations, equations.n_x, linearised=False)
+    return lambda state, inputs: step(state, inputs).copy()
+
+
+def make_linearised_step(
+    equations: Equations,
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function that steps and linearises a discrete model; see `runs.make_linearised_step`."""
     n_x, n_u = equations.n_x, equations.n_u
+    end = n_x + n_x**2
+    step = _make_function(equations, end + n_x * n_u, linearised=True)
+
+    def linearised_step(
+        state: np.ndarray, inputs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        values = step(state, inputs).copy()
+        return values[:n_x], values[n_x:end].reshape(n_x, n_x), values[end:].reshape(n_x, n_u)
+
+    return linearised_step
+
+
+def _make_function(
+    equations: Equations, size: int, *, linearised: bool
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The function of a step kernel; what it returns is overwritten by the next call."""
+    function, constants = _load(step_kernel(equations, linearised=linearised), "step", STEP)
+    n_u = equations.n_u
     # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
-    memory = constants, *(np.zeros(max(1, n)) for n in (n_x, n_u, n_x))
+    memory = constants, *(np.zeros(max(1, n)) for n in (equations.n_x, n_u, size))
     addresses = [_address(array) for array in memory]
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        _, x, u, x_next = memory
+        _, x, u, values = memory
         x[:] = state
         if n_u:
             u[:] = inputs
         function(*addresses)
-        return x_next.copy()
+        return values
 
     return step
 

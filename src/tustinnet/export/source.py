@@ -1,6 +1,7 @@
 """A model as it is exported: its step as a function of vectors, their names and ranges."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -236,8 +237,13 @@ def require_stepping(model: object) -> None:
         )  # fmt: skip
 
 
-def find_input_layout(model: Model) -> InputLayout:
-    """The input samples on which a model's steps depend, from the responses to single samples."""
+def find_input_layout(model: Model, delays: Sequence[float] = ()) -> InputLayout:
+    """The input samples on which a model's steps depend, from the responses to single samples.
+
+    Args:
+        model: the model.
+        delays: by how many periods each input acts late; by default none.
+    """
     inputs = model.channels.inputs
     if not inputs:
         return InputLayout((0,), np.zeros((0, 0)), (0,))
@@ -247,10 +253,11 @@ def find_input_layout(model: Model) -> InputLayout:
     ]
 
     def step_inputs(samples: np.ndarray) -> np.ndarray:
-        signal: Excitation = excitation(samples, holds, [0.0] * len(inputs))
+        signal: Excitation = excitation(samples, holds, delays or [0.0] * len(inputs))
         return np.asarray(model.step_inputs(signal))
 
-    reach = max((1, *map(abs, model.step_layout.taps)))
+    late = math.ceil(max(map(abs, delays), default=0.0))
+    reach = max((1, *map(abs, model.step_layout.taps))) + late
     blank = np.zeros((2 * reach + 2, len(inputs)))
     shape = step_inputs(blank)[reach].shape
     columns = {}
