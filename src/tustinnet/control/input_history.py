@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.export.source import find_input_layout
+from tustinnet.export.source import InputLayout, find_input_layout
 from tustinnet.models.contract import Model
 
 Vector = Float[np.ndarray, " _"]
@@ -23,16 +23,11 @@ class InputHistory:
     """
 
     def __init__(self, model: Model) -> None:
-        channels = model.channels
-        layout = find_input_layout(model, [(i.delay or 0.0) / channels.dt for i in channels.inputs])
-        n_u, self.shape = channels.n_u, layout.shape
-        lags = [max(0, -offset) for offset in layout.offsets]
-        self.samples = max(lags) + 1
-        matrix = np.zeros((len(layout.matrix), self.samples * n_u))
-        for i, lag in enumerate(lags):
-            matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]
-        is_plain = self.samples == 1 and np.array_equal(matrix, np.eye(n_u))
-        self._matrix = None if is_plain else matrix
+        layout = find_causal_layout(model)
+        n_u, self.shape = model.channels.n_u, layout.shape
+        self.samples = len(layout.offsets)
+        is_plain = self.samples == 1 and np.array_equal(layout.matrix, np.eye(n_u))
+        self._matrix = None if is_plain else layout.matrix
         self._size = self.samples * n_u
         self.reset()
 
@@ -50,3 +45,21 @@ class InputHistory:
             return u
         self._past = np.concatenate([u, self._past[: self._size - len(u)]])
         return self._matrix @ self._past
+
+
+def find_causal_layout(model: Model) -> InputLayout:
+    """The input samples on which steps depend where inputs are held, delays of them included.
+
+    They are those of now, of a sample before, and so on. Samples to come are taken to be those of
+    now.
+
+    Args:
+        model: the model.
+    """
+    channels = model.channels
+    layout = find_input_layout(model, [(i.delay or 0.0) / channels.dt for i in channels.inputs])
+    n_u, lags = channels.n_u, [max(0, -offset) for offset in layout.offsets]
+    matrix = np.zeros((len(layout.matrix), (max(lags) + 1) * n_u))
+    for i, lag in enumerate(lags):
+        matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]
+    return InputLayout(tuple(-lag for lag in range(max(lags) + 1)), matrix, layout.shape)

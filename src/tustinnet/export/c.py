@@ -139,7 +139,7 @@ def library_step(library: Path, n_x: int) -> Stepper:
 def _readme(source: Source) -> str:
     """The text of `README.md`: tables of states and inputs."""
     states = [
-        f"| `x[{i}]` | {_cell(name)} | {_cell(unit)} |"
+        f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} |"
         for i, (name, unit) in enumerate(zip(source.states, source.units, strict=True))
     ]
     inputs = []
@@ -148,7 +148,7 @@ def _readme(source: Source) -> str:
             k, f"{abs(k)} samples {'later' if k > 0 else 'before'}"
         )
         inputs += [
-            f"| `u[{len(inputs) + i}]` | {_cell(channel.name)} | {_cell(channel.unit)} | {when} |"
+            f"| `u[{len(inputs) + i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} | {when} |"
             for i, channel in enumerate(source.channels.inputs)
         ]
     return fill_template(
@@ -158,8 +158,8 @@ def _readme(source: Source) -> str:
     )  # fmt: skip
 
 
-def _cell(text: str) -> str:
-    """Text in a cell of a table."""
+def markdown_cell(text: str) -> str:
+    """Text in a cell of a table in Markdown."""
     return text.replace("|", "\\|")
 
 

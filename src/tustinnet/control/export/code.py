@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.control.lqr import Feedback, Tracking
-from tustinnet.export.c import make_filter_code, make_model_files, math_helpers
+from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
 from tustinnet.export.c_text import Code, constant_array
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files
@@ -21,6 +21,13 @@ from tustinnet.simulate.filtering import FilterNoise
 
 TEMPLATES = Path(__file__).parent / "templates"
 SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
+
+_SCRIPTS = {
+    "step.casadi": "a step of the model for CasADi",
+    "problem.py": "the control problem in CasADi, solved by ipopt",
+    "acados_problem.py": "the problem for acados, which generates a solver in C",
+    "do_mpc_controller.py": "a predictive controller by do-mpc",
+}
 
 Vector = Float[np.ndarray, " _"]
 
@@ -76,7 +83,46 @@ def _state_at_rest(model: Model, y: Array) -> Array:
 
 def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
-    raise NotImplementedError
+    tracking = controller if isinstance(controller, Tracking) else None
+    final = controller if isinstance(controller, Feedback) else controller.final
+    n_u = source.channels.n_u
+    numbers = {
+        "gain": final.gain,
+        "x0": final.x0,
+        "u0": final.u0,
+        "lower": final.lower,
+        "upper": final.upper,
+        "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
+        "plan_u": tracking.plan.u if tracking else np.zeros(0),
+        "plan_gain": tracking.gains if tracking else np.zeros(0),
+    }
+    indices = {"integrated": final.integral, "periodic": final.periodic}
+    tables = [
+        *(_index_table(name, values) for name, values in indices.items()),
+        *(constant_array(name, v if v.size else np.zeros(1)) for name, v in numbers.items()),
+    ]
+    return {
+        "controller.h": fill_template(
+            "controller.h", TEMPLATES, inputs=n_u, integrals=len(final.integral),
+            previous=count_previous(final), periodic=len(final.periodic),
+            steps=len(tracking.plan.u) if tracking else 0,
+        ),
+        "controller.c": fill_template(
+            "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
+        ),
+    }  # fmt: skip
+
+
+def count_previous(feedback: Feedback) -> int:
+    """How many samples of earlier inputs a feedback takes."""
+    n_u, n_z = feedback.gain.shape
+    return (n_z - len(feedback.x0) - len(feedback.integral)) // n_u
+
+
+def _index_table(name: str, values: Sequence[int]) -> str:
+    """The definition of a table of indices."""
+    text = ", ".join(str(i) for i in values or (0,))
+    return f"static const int {name}[{max(len(values), 1)}] = {{{text}}};\n"
 
 
 def _main(source: Source, start: Vector, steps: int) -> str:
@@ -104,3 +150,41 @@ def _c_string(text: str) -> str:
     """A text as a string of C; other bytes than letters and digits of ASCII by their numbers."""
     plain = set(b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-., ")
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
+
+
+def make_readme(
+    controller: Feedback | Tracking, source: Source, scripts: Sequence[str], notes: Sequence[str]
+) -> str:
+    """`README.md` of the folder.
+
+    Args:
+        controller: the controller.
+        source: the model.
+        scripts: the files for solvers that are in the folder.
+        notes: remarks.
+    """
+    final = controller if isinstance(controller, Feedback) else controller.final
+    kind = "linear feedback about the goal"
+    if isinstance(controller, Tracking):
+        kind = f"a plan of {len(controller.plan.u)} periods with feedback along it, then {kind}"
+    states = [
+        f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} | {x0:.6g} |"
+        for i, (name, unit, x0) in enumerate(
+            zip(source.states, source.units, final.x0.tolist(), strict=True)
+        )
+    ]
+    limits = zip(final.lower.tolist(), final.upper.tolist(), final.u0.tolist(), strict=True)
+    inputs = [
+        f"| `u[{i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} "
+        f"| {lower:.6g} | {upper:.6g} | {u0:.6g} |"
+        for i, (channel, (lower, upper, u0)) in enumerate(
+            zip(source.channels.inputs, limits, strict=True)
+        )
+    ]
+    return fill_template(
+        "readme.md", TEMPLATES, title="A controller in C99", period=float(source.channels.dt),
+        kind=kind, positions=source.channels.n_q, states="\n".join(states),
+        inputs="\n".join(inputs),
+        scripts="\n".join(f"| `{name}` | {_SCRIPTS[name]} |" for name in scripts),
+        notes="\n".join(f"- {note}" for note in notes) or "None.",
+    )  # fmt: skip

@@ -88,7 +88,8 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
         x=x, u=u, cost=float(cost), converged=bool(converged), iterations=int(iterations),
         dt=float(period),
     )  # fmt: skip
-    gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_x))
+    n_z = final.gain.shape[1]
+    gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
     return Tracking(plan=motion, gains=gains, final=final)
 
 
@@ -102,7 +103,8 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     f = _feedback(controller)
     feedback = {
         "gain": f.gain, "x0": f.x0, "u0": f.u0, "lower": f.lower, "upper": f.upper,
-        "integral": np.array(f.integral, int), "delay": f.delay,
+        "integral": np.array(f.integral, int), "periodic": np.array(f.periodic, int),
+        "delay": f.delay,
     }  # fmt: skip
     if isinstance(controller, Feedback):
         return {"feedback": feedback}
@@ -162,10 +164,9 @@ def _read_feedback(read: Reader, period: float) -> Feedback:
     """The feedback that a file holds."""
     x0, u0 = read("x0", (None,)), read("u0", (None,))
     integral = tuple(int(i) for i in read("integral", (None,)))
-    delay = int(read("delay", ()))
-    n_z = len(x0) + len(integral) + delay * len(u0)
     return Feedback(
-        gain=read("gain", (len(u0), n_z)), x0=x0, u0=u0,
+        gain=read("gain", (len(u0), None)), x0=x0, u0=u0,
         lower=read("lower", (len(u0),)), upper=read("upper", (len(u0),)),
-        integral=integral, delay=delay, dt=period,
+        integral=integral, periodic=tuple(int(i) for i in read("periodic", (None,))),
+        delay=int(read("delay", ())), dt=period,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 import problem
 
-NAME = "@name@"
+NAME = "controller"  # of the files that acados generates
 
 
 def expressions():
@@ -30,19 +30,30 @@ def make_solver(AcadosModel, AcadosOcp, AcadosOcpSolver):
     ocp.model.name = NAME
     ocp.model.x, ocp.model.u, ocp.model.disc_dyn_expr = expressions()
 
-    # acados minimises half of (y - yref)' W (y - yref) with y = [x, u]
+    # half of (y - yref)' W (y - yref) with y = [x, u]
     ocp.cost.cost_type = ocp.cost.cost_type_e = "LINEAR_LS"
     ocp.cost.Vx = np.eye(n_x + n_u, n_x)
     ocp.cost.Vu = np.eye(n_x + n_u, n_u, -n_x)
     ocp.cost.Vx_e = np.eye(n_x)
-    ocp.cost.W = np.diag(2 * np.concatenate([problem.STATE_WEIGHTS, problem.INPUT_WEIGHTS]))
-    ocp.cost.W_e = np.diag(2 * problem.FINAL_WEIGHTS)
+    ocp.cost.W = np.diag(np.concatenate([problem.STATE_WEIGHTS, problem.INPUT_WEIGHTS]))
+    ocp.cost.W_e = problem.FINAL_WEIGHTS
     ocp.cost.yref = np.concatenate([problem.GOAL, problem.GOAL_INPUT])
     ocp.cost.yref_e = problem.GOAL
 
     ocp.constraints.idxbu = np.arange(n_u)
     ocp.constraints.lbu, ocp.constraints.ubu = problem.LOWER, problem.UPPER
     ocp.constraints.x0 = problem.START
+    soft = np.flatnonzero((problem.PENALTY > 0) & np.isfinite(problem.MOST - problem.LEAST))
+    if len(soft):
+        # limits of states, with a slack that costs half of Z times its square
+        slack = np.arange(len(soft))
+        least, most = problem.LEAST[soft], problem.MOST[soft]
+        weight, none = problem.PENALTY[soft], np.zeros(len(soft))
+        con, cost = ocp.constraints, ocp.cost
+        con.idxbx, con.lbx, con.ubx, con.idxsbx = soft, least, most, slack
+        con.idxbx_e, con.lbx_e, con.ubx_e, con.idxsbx_e = soft, least, most, slack
+        cost.Zl, cost.Zu, cost.zl, cost.zu = weight, weight, none, none
+        cost.Zl_e, cost.Zu_e, cost.zl_e, cost.zu_e = weight, weight, none, none
 
     ocp.solver_options.N_horizon = problem.STEPS
     ocp.solver_options.tf = problem.STEPS * problem.PERIOD

@@ -6,8 +6,9 @@
 
 #define CONTROLLER_INPUTS @inputs@
 #define CONTROLLER_INTEGRALS @integrals@ /* of errors of positions */
-#define CONTROLLER_DELAY @delay@ /* samples from the computation of an input to its effect */
-#define CONTROLLER_STEPS @steps@ /* of a plan that is followed first; 0 without a plan */
+#define CONTROLLER_PREVIOUS @previous@ /* samples of inputs before that count */
+#define CONTROLLER_PERIODIC @periodic@ /* angles whose errors are wrapped */
+#define CONTROLLER_STEPS @steps@ /* of the plan that is followed first; 0 without a plan */
 
 #ifdef __cplusplus
 extern "C" {
@@ -16,7 +17,7 @@ extern "C" {
 typedef struct controller {
     int step; /* of the plan */
     model_real integral[CONTROLLER_INTEGRALS + 1];
-    model_real waiting[CONTROLLER_DELAY * CONTROLLER_INPUTS + 1]; /* computed, not applied yet */
+    model_real previous[CONTROLLER_PREVIOUS * CONTROLLER_INPUTS + 1];
 } controller;
 
 /* Begins anew: with the plan, where there is one. */

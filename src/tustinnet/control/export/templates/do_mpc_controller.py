@@ -34,16 +34,16 @@ def make_controller(states):
     mpc = do_mpc.controller.MPC(model)
     mpc.set_param(n_horizon=AHEAD, t_step=problem.PERIOD, store_full_solution=False)
     mpc.settings.supress_ipopt_output()
-    error, effort = x - follow, u - problem.GOAL_INPUT
-    along = error.T @ (problem.STATE_WEIGHTS * error) + effort.T @ (problem.INPUT_WEIGHTS * effort)
-    mpc.set_objective(mterm=error.T @ (problem.FINAL_WEIGHTS * error), lterm=along)
+    mpc.set_objective(
+        mterm=problem.final_cost(x, follow), lterm=problem.step_cost(x, u, follow)
+    )
     mpc.set_rterm(u=0.0)
     mpc.bounds["lower", "_u", "u"] = problem.LOWER
     mpc.bounds["upper", "_u", "u"] = problem.UPPER
     template = mpc.get_tvp_template()
 
     def followed(now):
-        first = round(float(now) / problem.PERIOD)
+        first = round(np.asarray(now).item() / problem.PERIOD)
         for k in range(AHEAD + 1):
             template["_tvp", k, "follow"] = states[min(first + k, len(states) - 1)]
         return template

@@ -25,10 +25,13 @@ START = np.array(@start@)
 GOAL = np.array(@goal@)  # the state in which the motion ends
 GOAL_INPUT = np.array(@goal_input@)  # the input that holds it
 LOWER, UPPER = np.array(@lower@), np.array(@upper@)  # limits of the inputs
-# weights of squared differences from the goal: along the way, and at the end
+# weights of squared differences from the goal along the way, and their matrix at the end
 STATE_WEIGHTS = np.array(@state_weights@)
 INPUT_WEIGHTS = np.array(@input_weights@)
 FINAL_WEIGHTS = np.array(@final_weights@)
+# states beyond these limits cost a weight times the square of what is beyond
+LEAST, MOST = np.array(@least@), np.array(@most@)
+PENALTY = np.array(@penalty@)
 
 
 def first_guess():
@@ -41,17 +44,39 @@ def first_guess():
         line = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
         return START + line * (GOAL - START), np.tile(GOAL_INPUT, (STEPS, 1))
     states = np.array(plan["x"])[np.minimum(np.arange(STEPS + 1), len(plan["u"]))]
-    inputs = np.array(plan["u"])[: STEPS]
+    inputs = np.array(plan["u"])[:STEPS]
     rest = np.tile(GOAL_INPUT, (STEPS - len(inputs), 1))
     return states, np.concatenate([inputs, rest])
 
 
+def penalty(x):
+    """The cost of a state beyond its limits, (n_x, 1)."""
+    total = casadi.DM(0)
+    for i in np.flatnonzero(PENALTY):
+        if np.isfinite(MOST[i]):
+            total += PENALTY[i] * casadi.fmax(x[i] - MOST[i], 0) ** 2 / 2
+        if np.isfinite(LEAST[i]):
+            total += PENALTY[i] * casadi.fmax(LEAST[i] - x[i], 0) ** 2 / 2
+    return total
+
+
+def step_cost(x, u, goal=GOAL):
+    """The cost of a step, from the state (n_x, 1) and the input (n_u, 1)."""
+    error, effort = x - goal, u - GOAL_INPUT
+    squares = casadi.sum1(STATE_WEIGHTS * error**2) + casadi.sum1(INPUT_WEIGHTS * effort**2)
+    return squares / 2 + penalty(x)
+
+
+def final_cost(x, goal=GOAL):
+    """The cost of the state at the end, (n_x, 1)."""
+    error = x - goal
+    return error.T @ FINAL_WEIGHTS @ error / 2 + penalty(x)
+
+
 def cost(states, inputs):
-    """The cost of a motion: states (n_x, STEPS + 1), inputs (n_u, STEPS), one column a sample."""
-    error, effort = states - GOAL[:, None], inputs - GOAL_INPUT[:, None]
-    along = casadi.sum1(casadi.sum2(STATE_WEIGHTS[:, None] * error[:, :-1] ** 2))
-    along += casadi.sum1(casadi.sum2(INPUT_WEIGHTS[:, None] * effort**2))
-    return along + casadi.sum1(FINAL_WEIGHTS * error[:, -1] ** 2)
+    """The cost of a motion: states (n_x, STEPS + 1), inputs (n_u, STEPS), a column for a sample."""
+    steps = [step_cost(states[:, k], inputs[:, k]) for k in range(STEPS)]
+    return sum(steps) + final_cost(states[:, -1])
 
 
 def solve(start=START):
