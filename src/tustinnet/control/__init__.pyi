@@ -1,4 +1,16 @@
 from .controller import Controller as Controller
-from .ilqr import Plan as Plan
+from .controllers import LinearFeedback as LinearFeedback
+from .controllers import TrackingFeedback as TrackingFeedback
+from .equilibrium import Mode as Mode
+from .equilibrium import OperatingPoint as OperatingPoint
+from .equilibrium import find_equilibrium as find_equilibrium
+from .ilqr import ilqr as ilqr
 from .lqr import Feedback as Feedback
 from .lqr import Tracking as Tracking
+from .lqr import lqr as lqr
+from .lqr import time_varying_lqr as time_varying_lqr
+from .margins import InputMargins as InputMargins
+from .margins import Margins as Margins
+from .margins import margins as margins
+from .mpc import Mpc as Mpc
+from .plan import Plan as Plan
