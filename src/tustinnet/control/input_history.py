@@ -47,7 +47,7 @@ class InputHistory:
         return self._matrix @ self._past
 
 
-def find_causal_layout(model: Model) -> InputLayout:
+def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
     """The input samples on which steps depend where inputs are held, delays of them included.
 
     They are those of now, of a sample before, and so on. Samples to come are taken to be those of
@@ -55,10 +55,11 @@ def find_causal_layout(model: Model) -> InputLayout:
 
     Args:
         model: the model.
+        delay: samples by which all inputs act late, beside the delays that the model's inputs have.
     """
     channels = model.channels
     layout = find_input_layout(model, [(i.delay or 0.0) / channels.dt for i in channels.inputs])
-    n_u, lags = channels.n_u, [max(0, -offset) for offset in layout.offsets]
+    n_u, lags = channels.n_u, [delay + max(0, -offset) for offset in layout.offsets]
     matrix = np.zeros((len(layout.matrix), (max(lags) + 1) * n_u))
     for i, lag in enumerate(lags):
         matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]

@@ -124,9 +124,14 @@ class KalmanFilter:
         self.x, self.p, self.innovations, self.spreads = x, p, innovations, spreads
 
     def predict(self, inputs: Vector) -> None:
-        """Steps to the next sample, with the inputs of a step, flattened."""
+        """Steps to the next sample, with the inputs of a step, flattened.
+
+        At an unstable equilibrium what rounding adds to one half of the covariance only would grow
+        without end, as no measurement corrects it: both halves are made the same.
+        """
         self.x, a, _ = self._step(self.x, inputs)
-        self.p = a @ self.p @ a.T + self._process
+        p = a @ self.p @ a.T
+        self.p = (p + p.T) / 2 + self._process
 
 
 def kalman_filter(

@@ -85,13 +85,16 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
     tracking = controller if isinstance(controller, Tracking) else None
     final = controller if isinstance(controller, Feedback) else controller.final
-    n_u = source.channels.n_u
+    n_x, n_i = len(final.x0), len(final.integral)
+    # integrals last, so that the gains of a plan, which has none, are in the same order
+    order = [*range(n_x), *range(n_x + n_i, final.gain.shape[1]), *range(n_x, n_x + n_i)]
     numbers = {
-        "gain": final.gain,
+        "gain": final.gain[:, order],
         "x0": final.x0,
         "u0": final.u0,
         "lower": final.lower,
         "upper": final.upper,
+        "before": tracking.plan.before if tracking else final.u0,
         "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
         "plan_u": tracking.plan.u if tracking else np.zeros(0),
         "plan_gain": tracking.gains if tracking else np.zeros(0),
@@ -103,20 +106,14 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     ]
     return {
         "controller.h": fill_template(
-            "controller.h", TEMPLATES, inputs=n_u, integrals=len(final.integral),
-            previous=count_previous(final), periodic=len(final.periodic),
+            "controller.h", TEMPLATES, inputs=source.channels.n_u, integrals=n_i,
+            previous=final.previous, periodic=len(final.periodic),
             steps=len(tracking.plan.u) if tracking else 0,
         ),
         "controller.c": fill_template(
             "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
         ),
     }  # fmt: skip
-
-
-def count_previous(feedback: Feedback) -> int:
-    """How many samples of earlier inputs a feedback takes."""
-    n_u, n_z = feedback.gain.shape
-    return (n_z - len(feedback.x0) - len(feedback.integral)) // n_u
 
 
 def _index_table(name: str, values: Sequence[int]) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tustinnet.channels import Channels
-from tustinnet.control.ilqr import Plan
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.plan import Plan
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.export.mat import mat_cells, mat_file
 from tustinnet.store.files import to_json
@@ -86,9 +86,10 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     cost, converged, iterations = (read(k, ()) for k in ("cost", "converged", "iterations"))
     motion = Plan(
         x=x, u=u, cost=float(cost), converged=bool(converged), iterations=int(iterations),
-        dt=float(period),
+        dt=float(period), goal=read("goal", (n_x,)), before=read("before", (n_u,)),
+        delay=final.delay,
     )  # fmt: skip
-    n_z = final.gain.shape[1]
+    n_z = n_x + final.previous * n_u
     gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
     return Tracking(plan=motion, gains=gains, final=final)
 
@@ -111,6 +112,7 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     p = controller.plan
     plan = {
         "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "iterations": p.iterations,
+        "goal": p.goal, "before": p.before,
     }  # fmt: skip
     return {"feedback": feedback, "plan": plan, "gains": controller.gains}
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.controllers import make_controller
+from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.cost import Cost
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
 from tustinnet.control.export.code import make_code, make_readme
 from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
-from tustinnet.control.export.scripts import Weights, make_scripts
+from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.errors import InputError
@@ -54,7 +55,7 @@ def export_controller(
     noise: FilterNoise,
     out: str | Path,
     *,
-    weights: Weights | None = None,
+    cost: Cost | None = None,
     start: Vector | None = None,
     file: str | Path | None = None,
     groups: Mapping[str, str] | None = None,
@@ -70,8 +71,8 @@ def export_controller(
         controller: the feedback, or the feedback along a plan.
         noise: the noise of the estimator, see `find_noise`.
         out: the folder, which is empty or has an earlier export.
-        weights: the weights of the cost, for the scripts that solve the problem anew. Without
-            them there are no such scripts.
+        cost: what the plan minimises, see `make_cost`, for the scripts that solve the problem
+            anew. Without it there are no such scripts.
         start: the state from which the loop in software begins, (n_x,); by default the beginning
             of the plan, or ten encoder counts beside the goal.
         file: the model's file. From it the card takes data and scores.
@@ -90,7 +91,8 @@ def export_controller(
     require_export_folder(folder, overwrite=overwrite)
     header = {} if file is None else read_header(file)
     source = make_source(model, Range.from_header(header, model), groups, header)
-    source = replace(source, layout=find_causal_layout(source.model))
+    final = controller.final if isinstance(controller, Tracking) else controller
+    source = replace(source, layout=find_causal_layout(source.model, final.delay))
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
     _require_fit(controller, source)
     if start is None:
@@ -99,19 +101,23 @@ def export_controller(
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
     steps = _AFTER + (len(controller.plan.u) if isinstance(controller, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps)
-    check = check_loop(code, make_controller(controller), source, noise, start, steps)
+    own = (
+        TrackingFeedback(controller) if isinstance(controller, Tracking)
+        else LinearFeedback(controller)
+    )  # fmt: skip
+    check = check_loop(code, own, source, noise, start, steps)
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
-    if weights is None:
-        notes.append("no weights were given: no scripts for CasADi, acados and do-mpc")
+    if cost is None:
+        notes.append("no cost was given: no scripts for CasADi, acados and do-mpc")
     elif find_spec("casadi") is None:
         notes.append(
             "casadi is not installed (pip install 'tustinnet[casadi]'): no scripts for CasADi, "
             "acados and do-mpc"
         )
     else:
-        scripts = make_scripts(controller, source, weights, start)
+        scripts = make_scripts(controller, source, cost, start)
         if len(source.input_layout.offsets) > 1:
             notes.append(
                 "a step of the model depends on inputs before its sample: the scripts for CasADi, "
@@ -158,12 +164,13 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
             raise InputError(
                 f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers"
             )
-    least = n_x + len(final.integral)
-    n_z = np.shape(final.gain)[-1]
-    if np.shape(final.gain) != (n_u, n_z) or n_z < least or (n_z - least) % n_u:
+    previous = len(source.input_layout.offsets) - 1
+    n_z = n_x + len(final.integral) + previous * n_u
+    if np.shape(final.gain) != (n_u, n_z) or not np.isfinite(final.gain).all():
         raise InputError(
-            "the controller", f"a gain of shape {np.shape(final.gain)}",
-            f"({n_u}, {least}), and {n_u} more columns for each sample of earlier inputs",
+            "gain of the controller", f"shape {np.shape(final.gain)}",
+            f"finite numbers, ({n_u}, {n_z}): {n_x} states, {len(final.integral)} integrals, "
+            f"{previous} samples of previous commands",
         )  # fmt: skip
     if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
         raise InputError(
@@ -178,7 +185,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
             )  # fmt: skip
         for name, value, shape in (
             ("x of the plan", plan.x, (steps + 1, n_x)), ("u of the plan", plan.u, (steps, n_u)),
-            ("gains along the plan", controller.gains, (steps, n_u, n_z)),
+            ("gains along the plan", controller.gains, (steps, n_u, n_x + previous * n_u)),
         ):  # fmt: skip
             if np.shape(value) != shape or not np.isfinite(value).all():
                 raise InputError(name, f"shape {np.shape(value)}", f"finite numbers, {shape}")

@@ -6,7 +6,7 @@
 
 #define CONTROLLER_INPUTS @inputs@
 #define CONTROLLER_INTEGRALS @integrals@ /* of errors of positions */
-#define CONTROLLER_PREVIOUS @previous@ /* samples of inputs before that count */
+#define CONTROLLER_PREVIOUS @previous@ /* samples of commands before, on which it depends */
 #define CONTROLLER_PERIODIC @periodic@ /* angles whose errors are wrapped */
 #define CONTROLLER_STEPS @steps@ /* of the plan that is followed first; 0 without a plan */
 
@@ -23,7 +23,7 @@ typedef struct controller {
 /* Begins anew: with the plan, where there is one. */
 void controller_reset(controller *c);
 
-/* The inputs u that act until the next sample, from the estimated state x. */
+/* The inputs u that are commanded at this sample, from the estimated state x. */
 void controller_inputs(controller *c, const model_real x[], model_real u[]);
 
 #ifdef __cplusplus

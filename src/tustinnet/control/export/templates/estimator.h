@@ -4,7 +4,7 @@
 
 #include "model.h"
 
-#define ESTIMATOR_INPUTS @inputs@ /* at a sample; MODEL_INPUTS has those of all samples of a step */
+#define ESTIMATOR_INPUTS @inputs@ /* of a sample; MODEL_INPUTS are those of all samples of a step */
 
 #ifdef __cplusplus
 extern "C" {
@@ -13,13 +13,14 @@ extern "C" {
 /* The estimated state is `filter.state.x`. */
 typedef struct estimator {
     model_estimate filter;
-    model_real inputs[MODEL_INPUTS]; /* now, a sample before, and so on */
+    model_real inputs[MODEL_INPUTS]; /* commanded now, a sample before, and so on */
 } estimator;
 
 /* Begins at the first measurement y, at rest. */
 void estimator_reset(estimator *e, const model_real y[]);
 
-/* Takes a new measurement y, and the inputs u that acted since the last one. */
+/* Takes a new measurement y, and the inputs u that were commanded at the last one. The model knows
+   when they act. */
 void estimator_update(estimator *e, const model_real y[], const model_real u[]);
 
 /* Puts the inputs u of this sample before those of the samples before, for `model_step`. */
