@@ -17,6 +17,7 @@ from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.simulate.filtering import FilterNoise, FilterResult, KalmanFilter, kalman_filter
+from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import initial_states, step_equations
 
 Vector = Float[np.ndarray, " _"]
@@ -329,3 +330,31 @@ def _filtered(model: Model, parts: Sequence[Experiment], noise: FilterNoise) -> 
         with np.errstate(all="ignore"):
             results.append(kalman_filter(own, e, initial_states(own, measured, e.u[:1])[0], noise))
     return results
+
+
+def usual_noise(model: Model, range: Range | None = None) -> FilterNoise:
+    """The noise of a filter where there are no records to find it by.
+
+    Encoders err by their rounding; what a step misses is taken to be a hundredth of the recorded
+    speeds.
+
+    Args:
+        model: the model.
+        range: the range of its training records; without it positions are taken to move by 1 rad
+            or m, at 1 a second.
+    """
+    channels = model.channels
+    half = np.ones(2 * channels.n_q)
+    if range is not None:
+        recorded = np.ptp(range.states[channels.measured], axis=1) / 2
+        half = np.where(recorded > 0, recorded, half)
+    travel, speed = half[channels.position], half[channels.velocity]
+    resolution = np.asarray(channels.resolution, np.float64)
+    measured = np.where(resolution > 0, resolution / math.sqrt(12), _UNKNOWN * travel)
+    spread = np.asarray(model.internal_spread, np.float64)
+    velocity = _GUESS * speed
+    return FilterNoise(
+        start=np.concatenate([measured, speed, spread]),
+        process=np.concatenate([velocity * channels.dt / 2, velocity, _GUESS * spread]),
+        measured=measured,
+    )
