@@ -154,6 +154,17 @@ def evaluate(
     return engine.evaluate(formula, points, derivatives=derivatives)
 
 
+def compile_formula(formula: Formula, *, derivatives: bool = False) -> None:
+    """Compiles a formula now; else it is compiled once it was evaluated at many points.
+
+    For programs that must not wait later, as controllers.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    _choose_engine(lambda: formula.program).compile_formula(formula, derivatives=derivatives)
+
+
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
 
