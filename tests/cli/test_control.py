@@ -21,13 +21,14 @@ def model(identified) -> Path:
 def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     out = tmp_path / "held"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--out", out
+        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 5, "--out", out
     )
     assert code == 0, messages
-    assert "unstable" in text and "controllable; observable" in text
+    assert "unstable" in text
+    assert "controllable; observable" in text
     assert "no records were given (--data)" in text
     nominal = next(line for line in text.splitlines() if line.strip().startswith("nominal"))
-    assert "20 of 20" in nominal
+    assert "5 of 5" in nominal
     names = {path.name for path in out.iterdir()}
     assert {"controller.c", "estimator.c", "model.c", "main.c", "controller.json", "design.json",
             "closed_loop.png", "robustness.png"} <= names  # fmt: skip
@@ -43,7 +44,8 @@ def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, 
         capsys, "control", model, "--at", f"angle={np.pi}", "--swing-up", "--seconds", 4, *LIMITS,
         "--data", folder, "--card", folder / "dataset.toml", "--follow-links", "--weight",
         "angle=20deg", "--weight", "torque=3", "--within", "der_angle=-20:20", "--delay", 1,
-        "--trust-beyond", "--system", system, "--plant", system, "--json", "--quiet", "--out", out,
+        "--trust-beyond", "--system", system, "--plant", system, "--json", "--quiet", "--starts", 3,
+        "--out", out,
     )  # fmt: skip
     assert code == 0, messages
     assert "designing" not in messages
@@ -52,20 +54,35 @@ def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, 
     assert design["motion"]["seconds"] == pytest.approx(4.0)
     assert design["estimator"]["tests"]
     plant = design["robustness"][-1]
-    assert plant["kind"] == "plant" and plant["runs"] == 20
-    assert design["robustness"][0]["successes"] == 20
+    assert plant["kind"] == "plant"
+    assert plant["runs"] == 3
+    assert design["robustness"][0]["successes"] == 3
     assert isinstance(tn.control.read_controller(out), tn.control.Tracking)
 
 
 def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_path, capsys):
     out = tmp_path / "held"
-    arguments = ("control", model, "--at", "angle=0", *LIMITS, "--integral", "angle", "--out", out)
+    arguments = (
+        "control",
+        model,
+        "--at",
+        "angle=0",
+        *LIMITS,
+        "--integral",
+        "angle",
+        "--starts",
+        1,
+        "--out",
+        out,
+    )
     assert tustinnet(capsys, *arguments)[0] == 0
     first = (out / "controller.json").read_bytes()
     code, _, messages = tustinnet(capsys, *arguments)
-    assert code == 1 and "--overwrite" in messages
+    assert code == 1
+    assert "--overwrite" in messages
     code, text, _ = tustinnet(capsys, *arguments, "--overwrite")
-    assert code == 0 and "integral of angle" in text
+    assert code == 0
+    assert "integral of angle" in text
     assert (out / "controller.json").read_bytes() == first
 
 
@@ -73,7 +90,7 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     out = tmp_path / "moved"
     code, text, messages = tustinnet(
         capsys, "control", model, "--at", "angle=0", "--to", "angle=0.4", *LIMITS, "--out", out,
-        "--trust-beyond",
+        "--trust-beyond", "--starts", 1,
     )  # fmt: skip
     assert code == 0, messages
     assert "motion:" in text
@@ -82,11 +99,10 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     assert plan.x[-1, 0] == pytest.approx(0.4, abs=0.05)
 
 
-@pytest.mark.slow
 def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
     out = tmp_path / "held"
     assert tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--out", out
+        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 1, "--out", out
     )[0] == 0  # fmt: skip
     subprocess.run(["make", "-s"], cwd=out, check=True)
     rows = subprocess.run(["./main"], cwd=out, check=True, capture_output=True, text=True).stdout
@@ -97,7 +113,7 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (("--at", "elbow=0"), "elbow"),
+        (("--at", "elbow=0", *LIMITS), "elbow"),
         (("--at", "angle"), "--at"),
         (("--at", "angle=1.5", "--limits", "torque=-1:1"), "nearest"),
         (("--at", "angle=0", "--limits", "torque=6:-6"), "--limits"),
@@ -123,12 +139,16 @@ def test_what_cannot_be_is_said_in_a_line_and_nothing_is_written(
     code, text, messages = tustinnet(capsys, "control", model, *arguments, "--out", out)
     assert code == 1
     errors = [line for line in messages.splitlines() if line.startswith("error:")]
-    assert len(errors) == 1 and names in errors[0]
-    assert not text and not out.exists()
+    assert len(errors) == 1
+    assert names in errors[0]
+    assert not text
+    assert not out.exists()
 
 
 def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
     code, _, messages = tustinnet(
         capsys, "control", model, "--at", "angle=0", "--out", tmp_path / "none"
     )
-    assert code == 1 and "torque" in messages and "limits" in messages
+    assert code == 1
+    assert "torque" in messages
+    assert "limits" in messages

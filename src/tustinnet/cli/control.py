@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tustinnet.models.contract import Model
     from tustinnet.simulate.range import Range
 
-_STARTS, _SEED = 20, 0
+_SEED = 0  # of all draws
 _LONGEST = 1000  # s, of a motion
 _SPREAD = 0.05  # of where runs begin: rad of an angle, and share of the recorded range of a length
 LOOP, ROBUSTNESS, SUMMARY = "closed_loop.png", "robustness.png", "design.json"
@@ -104,6 +104,9 @@ def control(
             "qube-servo2-twin, or an FMU.",
         ),
     ] = None,
+    starts: Annotated[
+        int, typer.Option(min=1, max=1000, help="Runs on the plants of each kind.")
+    ] = 20,
     group: Annotated[
         list[str] | None,
         typer.Option(
@@ -152,16 +155,15 @@ def control(
 
     if swing_up and to is not None:
         raise InputError("--swing-up", "not applicable beside --to", "one of them")
-    if not swing_up and to is None:
-        _refuse_without("a motion", "--swing-up or --to", {
-            "--seconds": seconds, "--within": within, "--trust-beyond": trust_beyond or None,
-        })  # fmt: skip
-    if data is None:
-        _refuse_without(
-            "records", "--data", {"--card": card, "--follow-links": follow_links or None}
-        )
     if seconds is not None and not 0 < seconds < _LONGEST:
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
+    _refuse_without("a motion", "--swing-up or --to", swing_up or to is not None, {
+        "--seconds": seconds, "--within": within, "--trust-beyond": trust_beyond or None,
+    })  # fmt: skip
+    _refuse_without(
+        "records", "--data", data is not None,
+        {"--card": card, "--follow-links": follow_links or None},
+    )  # fmt: skip
     require_export_folder(out, overwrite=overwrite)
     printer = terminal.make_printer(quiet=quiet)
     loaded, header = request.load_model(model, system), read_header(model)
@@ -192,14 +194,14 @@ def control(
     def make_estimator() -> ExtendedKalmanFilter:
         return ExtendedKalmanFilter(simulator, design.noise)
 
-    kinds = make_variants(simulator, design.noise, header, count=_STARTS, seed=_SEED)
+    kinds = make_variants(simulator, design.noise, header, count=starts, seed=_SEED)
     if plant is not None:
         played = load_plant(plant, simulator.channels)
-        kinds += (VariantKind("plant", f"the plant {plant}", (played,) * _STARTS),)
-    starts = draw_starts(design.first_positions, _spread(simulator, training_range), _STARTS, _SEED)
-    printer(f"playing {len(kinds) * _STARTS} closed loops of {design.steps * simulator.dt:.3g} s")
+        kinds += (VariantKind("plant", f"the plant {plant}", (played,) * starts),)
+    places = draw_starts(design.first_positions, _spread(simulator, training_range), starts, _SEED)
+    printer(f"playing {len(kinds) * starts} closed loops of {design.steps * simulator.dt:.3g} s")
     robustness = assess_robustness(
-        kinds, design.make_controller(), make_estimator(), starts, design.goal, design.steps
+        kinds, design.make_controller(), make_estimator(), places, design.goal, design.steps
     )
     export = export_controller(
         simulator, design.gains, design.noise, out, cost=design.cost, file=model,
@@ -210,24 +212,22 @@ def control(
     if json:
         terminal.print_json(content)
     else:
-        for line in sentences(design):
-            typer.echo(line)
+        typer.echo("\n".join(sentences(design)))
         terminal.print_tables(
             point_table(design), margins_table(design),
             robustness_table(robustness, simulator.channels),
         )  # fmt: skip
         typer.echo(robustness.sentence)
-    first = next(kind for kind in kinds if kind.name == (kinds[-1].name if plant else "nominal"))
-    shown = [(kind.name, kind) for kind in dict.fromkeys((kinds[0], first))]
+    shown = {"model": kinds[0]} | ({} if plant is None else {f"plant {plant}": kinds[-1]})
     runs = [
         (
-            "model" if name == "nominal" else f"plant {plant}",
+            label,
             closed_loop(
                 kind.plants[0], design.make_controller(), make_estimator(), design.steps,
-                starts[0], _SEED, design.goal,
+                places[0], _SEED, design.goal,
             ),
         )
-        for name, kind in shown
+        for label, kind in shown.items()
     ]  # fmt: skip
     write_figure(closed_loop_figure(design, runs), out, LOOP)
     write_figure(robustness_figure(robustness), out, ROBUSTNESS)
@@ -238,12 +238,14 @@ def control(
     )
 
 
-def _refuse_without(what: str, needed: str, given: "Mapping[str, object]") -> None:
-    """Raises an error for the first option that is given and not applicable."""
+def _refuse_without(
+    what: str, needed: str, is_there: bool, given: "Mapping[str, object]"
+) -> None:  # fmt: skip
+    """Raises an error for the first option that needs something which is not there."""
     from tustinnet.errors import InputError
 
     for option, value in given.items():
-        if value is not None:
+        if value is not None and not is_there:
             raise InputError(option, f"not applicable without {what}", needed)
 
 

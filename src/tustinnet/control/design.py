@@ -32,7 +32,6 @@ _LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
 _WINDOW = 0.2  # rad, in which angles count as held
 _WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
 _WINDOW_LENGTH = 0.05  # m, where that range is not known
-_ARRIVED = 0.1  # of the window, within which a plan has to end
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ def design_controller(
     if task.start is not None:
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits)
-        plan = _plan_motion(model, task, start, point, goal, range)
+        plan = _plan_motion(model, task, start, point, range)
         beyond = None if range is None else range.extrapolation_point(
             model.channels, plan.x[:-1], plan.u
         )  # fmt: skip
@@ -203,13 +202,13 @@ def design_controller(
 
 
 def _plan_motion(
-    model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint, goal: Goal,
+    model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint,
     range: Range | None,
 ) -> Plan:  # fmt: skip
     """A motion from a start to the equilibrium that is held.
 
     Raises:
-        InputError: none converged; it says what the best one reached.
+        InputError: no plan arrives; it says what the best one reached.
     """
     channels = model.channels
     way = np.abs(point.x - start.x)[channels.position]
@@ -217,21 +216,15 @@ def _plan_motion(
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
     own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
-    best, nearest = None, np.inf
+    best = None
     for seconds in durations:
         plan = ilqr(
             model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
             deviations=own, range=range, within=task.within, limits=task.limits, delay=task.delay,
         )  # fmt: skip
-        windows = [
-            goal.window.get(c.name, _WINDOW if c.kind == "angular" else _WINDOW_LENGTH)
-            for c in channels.coordinates
-        ]
-        miss = float(np.max(np.abs(plan.miss[channels.position]) / windows))
-        if plan.converged and miss < _ARRIVED:
+        if plan.reached:
             return plan
-        if miss < nearest:
-            best, nearest = plan, miss
+        best = plan if best is None or plan.cost < best.cost else best
     assert best is not None
     reached = ", ".join(
         f"{c.name} = {value:.3g} {c.unit}"
@@ -241,7 +234,7 @@ def _plan_motion(
         f"{c.name} = {value:.3g}"
         for c, value in zip(channels.coordinates, best.goal[channels.position], strict=True)
     )
-    end = "did not converge" if not best.converged else "does not arrive"
+    end = "does not arrive" if best.converged else "did not converge"
     raise InputError(
         "the motion", f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
         wanted, "give it more time (--seconds), wider limits, or other weights (--weight)",

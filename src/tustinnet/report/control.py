@@ -134,7 +134,7 @@ def robustness_figure(robustness: Robustness) -> Figure:
         figure = Figure(figsize=(7.0, 0.28 * len(rows) + 0.9), layout="constrained")
         axes = figure.subplots()
         places = np.arange(len(rows))
-        axes.barh(places, [row.share for row in rows], color=COLOURS[0], height=0.65)
+        axes.barh(places, [row.share for row in rows], color=COLOURS[2], height=0.65)
         for place, row in zip(places, rows, strict=True):
             axes.text(0.01, place, f"{row.successes} of {len(row.outcomes)}", va="center",
                       color="white" if row.share > 0.2 else "black", fontsize=7.5)  # fmt: skip
