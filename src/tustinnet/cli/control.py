@@ -11,12 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tustinnet.data.experiment import Experiment
-    from tustinnet.models.contract import Model
-    from tustinnet.simulate.range import Range
 
-_SEED = 0  # of all draws
 _LONGEST = 1000  # s, of a motion
-_SPREAD = 0.05  # of where runs begin: rad of an angle, and share of the recorded range of a length
 LOOP, ROBUSTNESS, SUMMARY = "closed_loop.png", "robustness.png", "design.json"
 
 
@@ -129,13 +125,10 @@ def control(
     import time
 
     from tustinnet.cli import request
-    from tustinnet.control.closed_loop import closed_loop
     from tustinnet.control.design import ControlTask, design_controller, find_rest
-    from tustinnet.control.estimator import ExtendedKalmanFilter
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import load_plant
-    from tustinnet.control.robustness import assess_robustness, draw_starts
-    from tustinnet.control.variants import VariantKind, make_variants
+    from tustinnet.control.trial import try_design
     from tustinnet.errors import InputError
     from tustinnet.models.groups import model_for_groups
     from tustinnet.report.control import (
@@ -190,24 +183,14 @@ def control(
         on_message=lambda step: printer(f"designing: {step}"),
     )  # fmt: skip
     printer(f"designed in {time.perf_counter() - begin:.1f} s")
-
-    def make_estimator() -> ExtendedKalmanFilter:
-        return ExtendedKalmanFilter(simulator, design.noise)
-
-    kinds = make_variants(simulator, design.noise, header, count=starts, seed=_SEED)
-    if plant is not None:
-        played = load_plant(plant, simulator.channels)
-        kinds += (VariantKind("plant", f"the plant {plant}", (played,) * starts),)
-    places = draw_starts(design.first_positions, _spread(simulator, training_range), starts, _SEED)
-    printer(f"playing {len(kinds) * starts} closed loops of {design.steps * simulator.dt:.3g} s")
-    robustness = assess_robustness(
-        kinds, design.make_controller(), make_estimator(), places, design.goal, design.steps
-    )
+    printer(f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant")
+    plants = {} if plant is None else {plant: load_plant(plant, simulator.channels)}
+    trial = try_design(design, header, plants=plants, count=starts)
     export = export_controller(
         simulator, design.gains, design.noise, out, cost=design.cost, file=model,
         overwrite=overwrite,
     )  # fmt: skip
-    content = summarise(design, robustness, export)
+    content = summarise(design, trial.robustness, export)
     write_into(out, SUMMARY, to_json(content))
     if json:
         terminal.print_json(content)
@@ -215,22 +198,11 @@ def control(
         typer.echo("\n".join(sentences(design)))
         terminal.print_tables(
             point_table(design), margins_table(design),
-            robustness_table(robustness, simulator.channels),
+            robustness_table(trial.robustness, simulator.channels),
         )  # fmt: skip
-        typer.echo(robustness.sentence)
-    shown = {"model": kinds[0]} | ({} if plant is None else {f"plant {plant}": kinds[-1]})
-    runs = [
-        (
-            label,
-            closed_loop(
-                kind.plants[0], design.make_controller(), make_estimator(), design.steps,
-                places[0], _SEED, design.goal,
-            ),
-        )
-        for label, kind in shown.items()
-    ]  # fmt: skip
-    write_figure(closed_loop_figure(design, runs), out, LOOP)
-    write_figure(robustness_figure(robustness), out, ROBUSTNESS)
+        typer.echo(trial.robustness.sentence)
+    write_figure(closed_loop_figure(design, trial.runs), out, LOOP)
+    write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
     for note in export.notes:
         terminal.messages().print(f"note: {note}")
     terminal.messages().print(
@@ -247,16 +219,3 @@ def _refuse_without(
     for option, value in given.items():
         if value is not None and not is_there:
             raise InputError(option, f"not applicable without {what}", needed)
-
-
-def _spread(model: "Model", training_range: "Range | None") -> "list[float]":
-    """How far from where it is designed for a run may begin, for each coordinate."""
-    import numpy as np
-
-    spread = []
-    for j, c in enumerate(model.channels.coordinates):
-        if c.kind == "angular" or training_range is None:
-            spread.append(_SPREAD)
-        else:
-            spread.append(_SPREAD * float(np.ptp(training_range.states[j])))
-    return spread

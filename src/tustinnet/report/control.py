@@ -1,6 +1,6 @@
 """Tables and figures of a controller: where, margins, robustness, closed loops."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -83,9 +83,7 @@ def robustness_table(robustness: Robustness, channels: Channels) -> Table:
     )  # fmt: skip
 
 
-def closed_loop_figure(
-    design: ControlDesign, runs: Sequence[tuple[str, ClosedLoopResult]]
-) -> Figure:
+def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResult]) -> Figure:
     """Positions and inputs of closed loops over time, with the plan where there is one.
 
     Args:
@@ -106,7 +104,7 @@ def closed_loop_figure(
             if c.name in design.goal.at:
                 goal = design.point.x[j] if plan is None else plan.goal[j]
                 axes.axhline(goal, color=MEASURED, linewidth=0.8, linestyle=":", label="goal")
-            for i, (label, run) in reversed([*enumerate(runs)]):
+            for i, (label, run) in reversed([*enumerate(runs.items())]):
                 t = run.dt * np.arange(len(run.states))
                 plot_line(
                     axes, t, run.states[:, j], color=COLOURS[i % len(COLOURS)], label=label,
@@ -114,7 +112,7 @@ def closed_loop_figure(
                 )  # fmt: skip
             axes.set_ylabel(f"{c.name} [{c.unit}]")
         for j, (axes, i) in enumerate(zip(panels[n_q:], channels.inputs, strict=True)):
-            for k, (label, run) in reversed([*enumerate(runs)]):
+            for k, (label, run) in reversed([*enumerate(runs.items())]):
                 t = run.dt * np.arange(len(run.inputs))
                 colour = INPUT if len(runs) == 1 else COLOURS[k % len(COLOURS)]
                 plot_line(axes, t, run.inputs[:, j], color=colour, label=label, linewidth=0.8,
