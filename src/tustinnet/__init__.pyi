@@ -1,3 +1,4 @@
+from . import control as control
 from .channels import Channels as Channels
 from .channels import Coordinate as Coordinate
 from .channels import Input as Input

@@ -601,10 +601,13 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
         }
     )
     monkeypatch.setattr(demo, "_PLAN", plan)
+    monkeypatch.setattr(demo, "_RUNS", 2)
     out = tmp_path / "demo"
     code, printed, err = tustinnet(capsys, "demo", "--out", out)
     assert code == 0, err
     assert "* chosen: physics" in printed
+    assert "2 of 2 runs reach upright" in printed
+    assert (out / "twin_controller" / "controller.c").is_file()
     assert "Twin (simulated, favours Lagrangian models)" in printed
     table = json.loads((out / "twin_table.json").read_text())
     means = {name: m["mean"] for name, m in table["models"].items()}

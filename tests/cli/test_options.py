@@ -204,7 +204,7 @@ def test_the_demo_is_quiet_and_prints_json(pendulum, tmp_path, monkeypatch, caps
     monkeypatch.setattr(demo, "_select_and_score", fitted)
     _, table, progress = tustinnet(capsys, "demo", "--out", tmp_path / "loud")
     assert "Time: period" in table
-    assert "1/5 twin" in progress
+    assert "1/6 twin" in progress
     command = ("demo", "--out", tmp_path / "out", "--json", "--quiet")
     assert tustinnet(capsys, *command) == (1, "", "error: stopped: here\n")
 

@@ -175,3 +175,18 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monk
         states = [engine.simulate(equations, runs) for equations in sorting]
     assert len(warnings) == 1
     np.testing.assert_allclose(states[0][1], [0.05, 0.15])
+
+
+@SMALL
+@given(seed=seeds_of_runs)
+def test_both_engines_linearise_the_same(seed):
+    equations = Equations(
+        lambda x, u, p, c: x + 0.05 * swing(x, u, jnp.array([1.2, 0.7]), jnp.array([0.4])),
+        n_x=3, n_u=1, continuous=False,
+    )  # fmt: skip
+    generator = np.random.default_rng(seed)
+    x, u = generator.normal(size=3), generator.normal(size=1)
+    result = by_machine_code.make_linearised_step(equations)(x, u)
+    for value, expected in zip(result, by_jax.make_linearised_step(equations)(x, u), strict=True):
+        alike(value, expected)
+    alike(result[0], engine.make_step(equations)(x, u))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tustinnet.data.dataset import DataSet
+    from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.page.reported_model import ReportedModel
     from tustinnet.report.tables import Table
@@ -24,6 +25,9 @@ _CHOICE = "twin_choice"
 _START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
 _REPORTED = 2  # models: the chosen one and one beside it; each takes seconds
 _DRAWN = ("twin_fall_test1", "twin_noise_test2")
+# the controller: on the identified equations, for a swing-up of the twin that they do not know
+_CONTROLLER, _SWING_UP = "twin_controller", "twin_swing_up.png"
+_UPRIGHT, _VOLTAGE, _RUNS = {"alpha": 0.0}, {"voltage": (-10.0, 10.0)}, 20
 
 
 def demo(
@@ -35,7 +39,7 @@ def demo(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Try it without data: simulate a pendulum, fit, compare, report.
+    """Try it without data: simulate a pendulum, fit, compare, report, swing up.
 
     The logs are simulated from Lagrange's equations, which favours grey boxes: the table shows
     how the command works, not how accurate the models are on a real device.
@@ -59,8 +63,9 @@ def demo(
     console = terminal.messages()
     table_file, logs = out / "twin_table.md", out / "twin"
     page = out / "twin_report.html"
-    figures = [out / f"{name}.png" for name in ("twin_records", *_DRAWN)]
-    files = [table_file, table_file.with_suffix(".json"), logs, out / _CHOICE, *figures]
+    figures = [out / f"{name}.png" for name in ("twin_records", *_DRAWN)] + [out / _SWING_UP]
+    folders = [logs, out / _CHOICE, out / _CONTROLLER]
+    files = [table_file, table_file.with_suffix(".json"), *folders, *figures]
     require_outputs([*files, *([] if no_report else [page])], overwrite=overwrite)
 
     def print_step(line: str) -> None:
@@ -68,11 +73,11 @@ def demo(
             console.print(line)
 
     with lock_folder(out):
-        print_step(f"1/5 twin of the Qube-Servo 2, simulated and logged: {logs}")
+        print_step(f"1/6 twin of the Qube-Servo 2, simulated and logged: {logs}")
         twin = qube_servo2_twin.twin(seed)
         write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
         data = load(logs)
-        print_step(f"2/5 looking at the {len(data)} records: {out / 'twin_records.png'}")
+        print_step(f"2/6 looking at the {len(data)} records: {out / 'twin_records.png'}")
         training = list(data.split("train"))
         reports = [inspect_experiment(e) for e in training]
         if not json:
@@ -81,12 +86,12 @@ def demo(
         from tustinnet.report.figures import free_run_figure, inspection_figure, write_figure
 
         write_figure(inspection_figure(training, reports), out, "twin_records.png")
-        print_step(f"3/5 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
+        print_step(f"3/6 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
         earlier = "discard" if overwrite else "refuse"
         models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
         scores = {model.label: model.scores for model in models}
         tests = list(data.split("test"))
-        print_step(f"4/5 free runs of the {len(tests)} test records")
+        print_step(f"4/6 free runs of the {len(tests)} test records")
         content = {
             "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
             "models": {
@@ -107,7 +112,7 @@ def demo(
             }
             write_figure(free_run_figure(data[name], runs, recorded="twin"), out, f"{name}.png")
         if not no_report:
-            print_step(f"5/5 the report, motion and playground in one page: {page}")
+            print_step(f"5/6 the report, motion and playground in one page: {page}")
         reported = models[:_REPORTED]
         report = AutomaticReport(str(logs), is_enabled=not no_report).write(
             [model.file for model in reported if model.file is not None],
@@ -115,7 +120,11 @@ def demo(
             lambda command: write_scored_report(reported, tests, page, command),
             {"--split": "test", "--start": _START},
         )
-    file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN]]
+        print_step(f"6/6 a controller that swings the twin up: {out / _CONTROLLER}")
+        swing_up = _swing_up(models[0], list(data.split("train")), out, overwrite=overwrite)
+        if not json:
+            typer.echo(swing_up)
+    file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN], _SWING_UP]
     print_step(f"written to {out}: {', '.join(file_names)}{report or ''}")
     print_step(f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
                f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
@@ -150,6 +159,38 @@ def _select_and_score(
         label = f"{name} (chosen)" if is_chosen else name
         models.append(replace(reported, label=label, scores=evaluate(model, tests, _START)))
     return models
+
+
+def _swing_up(
+    reported: "ReportedModel", records: "Sequence[Experiment]", out: Path, *, overwrite: bool
+) -> str:  # fmt: skip
+    """Designs a controller on a model, plays it on the twin, writes it as C; returns the result."""
+    from tustinnet.control.design import ControlTask, design_controller, find_rest
+    from tustinnet.control.export.write import export_controller
+    from tustinnet.control.plants import qube_twin
+    from tustinnet.control.trial import try_design
+    from tustinnet.report.control import closed_loop_figure
+    from tustinnet.report.figures import write_figure
+    from tustinnet.simulate.range import Range
+
+    model, header = reported.model, reported.header
+    task = ControlTask(
+        _UPRIGHT, find_rest(model, _UPRIGHT, _VOLTAGE), limits=_VOLTAGE, trust_beyond=True
+    )
+    design = design_controller(
+        model, task, range=Range.from_header(dict(header), model), records=records
+    )
+    trial = try_design(design, header, plants={"twin": qube_twin()}, variants=False, count=_RUNS)
+    export_controller(
+        model, design.gains, design.noise, out / _CONTROLLER, cost=design.cost,
+        file=reported.file, overwrite=overwrite,
+    )  # fmt: skip
+    write_figure(closed_loop_figure(design, trial.runs), out, _SWING_UP)
+    (row,) = trial.robustness.rows
+    return (
+        f"swing-up of the twin, through its encoders: {row.successes} of {len(row.outcomes)} runs "
+        f"reach upright and hold it for {design.goal.hold:.0f} s"
+    )
 
 
 def _scores_table(scores: "Mapping[str, Sequence[Score]]") -> "Table":

@@ -42,19 +42,17 @@ def export(
 ) -> None:
     """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO or matrices."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import load_model
+    from tustinnet.cli.request import load_model, parse_groups, parse_values
     from tustinnet.errors import InputError
     from tustinnet.report.tables import Table
     from tustinnet.store.exported import export_model, find_targets
 
-    groups = dict(pair.split("=", 1) for pair in group or [] if "=" in pair)
-    if len(groups) < len(group or []):
-        raise InputError("--group", f"'{', '.join(group or [])}'", "NAME=VALUE, each name once")
+    groups = parse_groups(group)
     if system is not None and out.resolve() in Path(system).resolve().parents:
         raise InputError(out, f"the folder of {system}, which the command reads",
                          "another folder")  # fmt: skip
     exports = export_model(
-        load_model(model, system), find_targets(to, _parse_point(at)), out,
+        load_model(model, system), find_targets(to, parse_values("--at", at)), out,
         file=model, groups=groups, overwrite=overwrite,
     )  # fmt: skip
     if json:
@@ -74,20 +72,3 @@ def export(
     notes += [f"{e.target}: {e.checked.note}" for e in exports if e.checked.note]
     for note in dict.fromkeys(notes):
         terminal.messages().print(f"note: {note}")
-
-
-def _parse_point(text: str | None) -> dict[str, float]:
-    """The operating point that `--at` describes, values by name."""
-    from tustinnet.errors import InputError
-
-    pairs = [] if text is None else [pair.partition("=") for pair in text.split(",")]
-    try:
-        point = {name.strip(): float(value) for name, _, value in pairs}
-    except ValueError:
-        point = {}
-    if len(point) < len(pairs):
-        raise InputError(
-            "--at", f"'{text}'", "NAME=VALUE, separated by commas, each name once",
-            "for instance --at theta=0.1,der_theta=0",
-        )  # fmt: skip
-    return point

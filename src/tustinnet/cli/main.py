@@ -9,6 +9,7 @@ from tustinnet.cli import about, terminal
 from tustinnet.cli.calibrate import calibrate
 from tustinnet.cli.committee import committee
 from tustinnet.cli.compare import compare
+from tustinnet.cli.control import control
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
 from tustinnet.cli.evaluate import evaluate
@@ -33,7 +34,7 @@ app = typer.Typer(
 )
 _VERBS = (
     demo, init, inspect, fit, cross_validate, learning_curve, next_record, simulate, evaluate,
-    compare, residuals, committee, calibrate, export, show, report, reproduce,
+    compare, residuals, committee, calibrate, control, export, show, report, reproduce,
 )  # fmt: skip
 for verb in _VERBS:
     app.command(cls=Verb)(terminal.interruptible()(verb))

@@ -1,6 +1,7 @@
 """The values that verbs make of their arguments: records, recipes, models, bands."""
 
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 _MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
 _MAX_NAMED = 6  # records that a note names
+_QUANTITY = re.compile(
+    r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf) *(?P<unit>.*)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -469,3 +473,73 @@ def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | Non
         return None
     require_share(level)
     return BandOptions(level, "record" if whole else "time")
+
+
+def parse_groups(pairs: Sequence[str] | None) -> dict[str, str]:
+    """The groups of a model that `--group NAME=VALUE` names."""
+    from tustinnet.errors import InputError
+
+    groups = dict(pair.split("=", 1) for pair in pairs or [] if "=" in pair)
+    if len(groups) < len(pairs or []):
+        raise InputError("--group", f"'{', '.join(pairs or [])}'", "NAME=VALUE, each name once")
+    return groups
+
+
+def parse_values(option: str, text: str | None) -> dict[str, float]:
+    """Values by name, written as `NAME=VALUE,..`; empty without the option."""
+    from tustinnet.errors import InputError
+
+    pairs = [] if text is None else [pair.partition("=") for pair in text.split(",")]
+    try:
+        values = {name.strip(): float(value) for name, _, value in pairs}
+    except ValueError:
+        values = {}
+    if len(values) < len(pairs):
+        raise InputError(
+            option, f"'{text}'", "NAME=VALUE, separated by commas, each name once",
+            f"for instance {option} theta=0.1,der_theta=0",
+        )  # fmt: skip
+    return values
+
+
+def parse_quantities(option: str, pairs: Sequence[str] | None) -> dict[str, float]:
+    """Values by name in SI units, each written as `NAME=VALUE` with or without a unit."""
+    from tustinnet.data.units import convert_to_si
+    from tustinnet.errors import InputError
+
+    values: dict[str, float] = {}
+    for pair in pairs or ():
+        name, _, text = pair.partition("=")
+        parts = _QUANTITY.fullmatch(text.strip())
+        try:
+            factor = convert_to_si(parts["unit"])[0] if parts and parts["unit"] else 1.0
+        except ValueError:
+            parts, factor = None, 1.0
+        if parts is None or name.strip() in values:
+            raise InputError(
+                f"{option} {pair}", "it is not understood", "NAME=VALUE, each name once",
+                f"for instance {option} theta=0.1, {option} theta=5deg",
+            )  # fmt: skip
+        values[name.strip()] = factor * float(parts["number"])
+    return values
+
+
+def parse_limits(option: str, pairs: Sequence[str] | None) -> dict[str, tuple[float, float]]:
+    """Lower and upper limits by name, each written as `NAME=LOW:HIGH`."""
+    from tustinnet.errors import InputError
+
+    limits: dict[str, tuple[float, float]] = {}
+    for pair in pairs or ():
+        name, _, text = pair.partition("=")
+        try:
+            low, high = (float(end) for end in text.split(":"))
+        except ValueError:
+            low, high = 0.0, 0.0
+        if not low < high or name.strip() in limits:
+            raise InputError(
+                f"{option} {pair}", "it is not understood",
+                "NAME=LOW:HIGH, the smaller number first, each name once",
+                f"for instance {option} voltage=-10:10",
+            )  # fmt: skip
+        limits[name.strip()] = (low, high)
+    return limits

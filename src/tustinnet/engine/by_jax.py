@@ -51,6 +51,10 @@ def evaluate(
     return np.array(_values(formula, derivatives, points)).reshape(len(points), -1)
 
 
+def compile_formula(formula: Formula, *, derivatives: bool) -> None:
+    """Nothing: programs are compiled for a number of points; see `runs.compile_formula`."""
+
+
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
     none = jnp.zeros(0)
@@ -59,6 +63,27 @@ def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.nda
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         return np.asarray(program(np.asarray(state, float), np.asarray(inputs, float)))
+
+    return step
+
+
+def make_linearised_step(
+    equations: Equations,
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function that steps and linearises a discrete model; see `runs.make_linearised_step`."""
+    none = jnp.zeros(0)
+
+    def twice(x: Array, u: Array) -> tuple[Array, Array]:
+        following = equations.function(x, u, none, none)
+        return following, following
+
+    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
+    derivatives = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)
+    program = jax.jit(derivatives).lower(*shapes).compile()
+
+    def step(state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (a, b), following = program(np.asarray(state, float), np.asarray(inputs, float))
+        return np.asarray(following), np.asarray(a), np.asarray(b)
 
     return step
 

@@ -100,9 +100,9 @@ def evaluate(
 ) -> Float[np.ndarray, "n n_out"]:
     """Values of a formula, or its derivatives, at many points; see `runs.evaluate`."""
     program = formula.derivatives if derivatives else formula.program
-    operations = _operations.get(formula, 0) + len(points) * len(program.nodes)
-    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * len(program.nodes)):
-        _operations[formula] = operations
+    operations = _operations.get(formula, 0) + len(points) * program.executed
+    _operations[formula] = operations
+    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * program.executed):
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
     function, constants = _function(
@@ -114,22 +114,56 @@ def evaluate(
     return values
 
 
+def compile_formula(formula: Formula, *, derivatives: bool) -> None:
+    """Compiles a formula whatever the number of points; see `runs.compile_formula`."""
+    _operations[formula] = max(
+        _FEW_OPERATIONS, _FEW_POINTS * formula.program.executed,
+        _FEW_POINTS * formula.derivatives.executed,
+    )  # fmt: skip
+    _function(map_kernel, "map", MAP, formula, width(), derivatives=derivatives)
+
+
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    function, constants = _load(step_kernel(equations), "step", STEP)
+    step = _make_function(equations, equations.n_x, linearised=False)
+    return lambda state, inputs: step(state, inputs).copy()
+
+
+def make_linearised_step(
+    equations: Equations,
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A function that steps and linearises a discrete model; see `runs.make_linearised_step`."""
     n_x, n_u = equations.n_x, equations.n_u
+    end = n_x + n_x**2
+    step = _make_function(equations, end + n_x * n_u, linearised=True)
+
+    def linearised_step(
+        state: np.ndarray, inputs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        values = step(state, inputs).copy()
+        return values[:n_x], values[n_x:end].reshape(n_x, n_x), values[end:].reshape(n_x, n_u)
+
+    return linearised_step
+
+
+def _make_function(
+    equations: Equations, size: int, *, linearised: bool
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The function of a step kernel; what it returns is overwritten by the next call."""
+    function, constants = _load(step_kernel(equations, linearised=linearised), "step", STEP)
+    n_u = equations.n_u
     # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
-    memory = constants, *(np.zeros(max(1, n)) for n in (n_x, n_u, n_x))
+    memory = constants, *(np.zeros(max(1, n)) for n in (equations.n_x, n_u, size))
     addresses = [_address(array) for array in memory]
 
     def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        _, x, u, x_next = memory
+        _, x, u, values = memory
         x[:] = state
         if n_u:
             u[:] = inputs
         function(*addresses)
-        return x_next.copy()
+        return values
 
     return step
 

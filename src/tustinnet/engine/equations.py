@@ -56,6 +56,14 @@ class Equations:
         return with_adjoints(self.program, "x", ("x", "p"), value=True).program
 
     @cached_property
+    def linearised(self) -> Program:
+        """The program with its derivatives by rows: `a` by the state, `b` by the inputs.
+
+        Loops stay loops, so that machine code of a step is compiled in a fraction of a second.
+        """
+        return with_derivatives(self.program, "x", {"a": "x", "b": "u"})
+
+    @cached_property
     def adjoints(self) -> Adjoints:
         """The program in reverse: adjoints of the state, the parameters and the layers."""
         return with_adjoints(self.program, "x", ("x", "p"))

@@ -201,14 +201,23 @@ def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
     return _kernel(lanes, write)
 
 
-def step_kernel(equations: Equations) -> Kernel:
-    """Machine code of one step of a discrete model without parameters, with one lane."""
+def step_kernel(equations: Equations, *, linearised: bool = False) -> Kernel:
+    """Machine code of one step of a discrete model without parameters, with one lane.
+
+    Args:
+        equations: the model.
+        linearised: whether the derivatives by the state and by the inputs follow the next state.
+    """
+    program = equations.linearised if linearised else equations.program
 
     def write(module: Module, constants: Constants) -> None:
         with module.procedure("step", STEP, is_internal=False) as f:
             inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
-            emission = Emission(f, equations.program, inputs, constants, "%constants")
-            emission.store(emission.values()["x"], "%out")
+            emission = Emission(f, program, inputs, constants, "%constants")
+            values, begin = emission.values(), 0
+            for name in ("x", "a", "b") if linearised else ("x",):
+                emission.store(values[name], f.at("%out", begin))
+                begin += output_size(program, name)
 
     return _kernel(1, write)
 

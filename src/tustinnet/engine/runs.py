@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -154,7 +155,22 @@ def evaluate(
     return engine.evaluate(formula, points, derivatives=derivatives)
 
 
-def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def compile_formula(formula: Formula, *, derivatives: bool = False) -> None:
+    """Compiles a formula now; else it is compiled once it was evaluated at many points.
+
+    For programs that must not wait later, as controllers.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    _choose_engine(lambda: formula.program).compile_formula(formula, derivatives=derivatives)
+
+
+Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
+LinearisedStep = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+def make_step(equations: Equations) -> Step:
     """A function that steps a discrete model without parameters once: `step(x, u) -> x`.
 
     It uses memory of its own, so each thread needs one of its own. It raises an `InputError` for
@@ -163,10 +179,28 @@ def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.nda
     Raises:
         InputError: an engine that there is not.
     """
-    next_state = _choose_engine(lambda: equations.program).make_step(equations)
+    return _with_shapes(equations, _choose_engine(lambda: equations.program).make_step(equations))
+
+
+def make_linearised_step(equations: Equations) -> LinearisedStep:
+    """A function that steps a discrete model and linearises the step: `step(x, u) -> x, a, b`.
+
+    The derivatives are by the state, `a` (n_x, n_x), and by the inputs, `b` (n_x, n_u). As
+    `make_step`, it is for models without parameters, and uses memory of its own.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    return _with_shapes(
+        equations, _choose_engine(lambda: equations.linearised).make_linearised_step(equations)
+    )
+
+
+def _with_shapes(equations: Equations, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of a state and inputs that refuses arrays of other shapes."""
     state_shape, input_shape = (equations.n_x,), (equations.n_u,)
 
-    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    def step(state: np.ndarray, inputs: np.ndarray) -> Any:
         state, inputs = np.asarray(state), np.asarray(inputs)  # in less time than np.shape takes
         if state.shape != state_shape:
             raise InputError(
@@ -178,7 +212,7 @@ def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.nda
                 equations.where, f"inputs of shape {inputs.shape}", f"{input_shape}",
                 "give an array with a number for each input",
             )  # fmt: skip
-        return next_state(state, inputs)
+        return function(state, inputs)
 
     return step
 

@@ -28,7 +28,7 @@ class C(Target):
         """`model.h`, `model.c`, `estimate.c`, `example.c`, `README.md`."""
         return {
             **make_model_files(source),
-            "estimate.c": fill_template("estimate.c"),
+            "estimate.c": make_filter_code("model.h"),
             "example.c": fill_template("example.c"),
             "README.md": _readme(source),
         }
@@ -57,11 +57,38 @@ def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, st
         period=float(source.channels.dt),
         more=fill_template("estimate.h") if linearised else "",
     )  # fmt: skip
-    body = fill_template("model.c", code=code.text())
+    body = fill_template("model.c", code=code.text(), precision=fill_template("precision.c"))
     return {
         "model.h": header,
         "model.c": body + (fill_template("linearise.c") if linearised else ""),
     }
+
+
+def make_filter_code(header: str, angular: Sequence[bool] = (), helpers: str = "") -> str:
+    """The C code of the extended Kalman filter that `model.h` declares.
+
+    Args:
+        header: the header that it includes.
+        angular: for each position whether its innovation is wrapped to within half a turn; () for
+            none of them.
+        helpers: code that is needed before it: for angles that of `math_helpers`.
+    """
+    missed, mask = "q[m] - e->state.x[m]", ""
+    angles = "Positions are not wrapped: an encoder that starts again from 0 has to be counted on."
+    if any(angular):
+        flags = ", ".join(str(int(is_angle)) for is_angle in angular)
+        mask = f"static const int angular[MODEL_POSITIONS] = {{{flags}}};\n"
+        missed = f"angular[m] ? wrapped({missed}) : {missed}"
+        angles = "Angles are wrapped: whole turns between model and encoder do not count."
+    return fill_template(
+        "estimate.c", header=header, angles=angles, helpers=helpers + mask, missed=missed
+    )
+
+
+def math_helpers(*, wrap: bool) -> str:
+    """Macros of numbers in both precisions; on demand a function that wraps angles."""
+    parts = ["#include <math.h>\n", fill_template("precision.c")]
+    return "\n".join([*parts, fill_template("wrap.c")] if wrap else parts)
 
 
 def find_compiler() -> list[str]:
@@ -112,7 +139,7 @@ def library_step(library: Path, n_x: int) -> Stepper:
 def _readme(source: Source) -> str:
     """The text of `README.md`: tables of states and inputs."""
     states = [
-        f"| `x[{i}]` | {_cell(name)} | {_cell(unit)} |"
+        f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} |"
         for i, (name, unit) in enumerate(zip(source.states, source.units, strict=True))
     ]
     inputs = []
@@ -121,7 +148,7 @@ def _readme(source: Source) -> str:
             k, f"{abs(k)} samples {'later' if k > 0 else 'before'}"
         )
         inputs += [
-            f"| `u[{len(inputs) + i}]` | {_cell(channel.name)} | {_cell(channel.unit)} | {when} |"
+            f"| `u[{len(inputs) + i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} | {when} |"
             for i, channel in enumerate(source.channels.inputs)
         ]
     return fill_template(
@@ -131,8 +158,8 @@ def _readme(source: Source) -> str:
     )  # fmt: skip
 
 
-def _cell(text: str) -> str:
-    """Text in a cell of a table."""
+def markdown_cell(text: str) -> str:
+    """Text in a cell of a table in Markdown."""
     return text.replace("|", "\\|")
 
 

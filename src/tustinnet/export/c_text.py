@@ -40,11 +40,7 @@ class Code:
         key = values.tobytes()
         if key not in self._names:
             self._names[key] = f"k{len(self._names)}"
-            numbers = [_literal(x) for x in values.tolist()]
-            self._arrays.append(
-                f"static const model_real {self._names[key]}[{len(numbers)}] = {{\n"
-                f"{_wrapped(numbers)}\n}};\n"
-            )
+            self._arrays.append(constant_array(self._names[key], values))
         return self._names[key]
 
     def text(self) -> str:
@@ -293,6 +289,12 @@ def _may_change(program: Program, carried: Sequence[str]) -> bool:
     return all(
         nodes[i].op == "join" and all(map(is_independent, nodes[i].args)) for i in ends
     ) and (not read & set(ends))
+
+
+def constant_array(name: str, values: np.ndarray) -> str:
+    """The definition of an array of constants, in the order of memory."""
+    numbers = [_literal(x) for x in values.ravel().tolist()]
+    return f"static const model_real {name}[{len(numbers)}] = {{\n{_wrapped(numbers)}\n}};\n"
 
 
 def _plus(text: str, offset: int) -> str:

@@ -1,9 +1,10 @@
 """Matrices of a linearised step, for scipy and MATLAB."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,28 +42,33 @@ class Matrices(Target):
     def files(self, source: Source) -> Files:
         """The matrices, names, period and operating point."""
         t = compute_tangent(source, *operating_point(source, self.point))
-        content = BytesIO()
-        # names as MATLAB has them: a cell each
-        states, inputs = (
-            np.array(names, dtype=object) for names in (source.states, source.input_names)
-        )
+        states, inputs = mat_cells(source.states), mat_cells(source.input_names)
         columns = {"x": t.x, "u": t.u, "drift": t.drift}
-        savemat(content, {
+        return {FILE: mat_file({
             "A": t.a, "B": t.b,
             "C": np.eye(source.n_x), "D": np.zeros((source.n_x, source.n_w)),
             "dt": source.channels.dt,
             "states": states, "inputs": inputs, "outputs": states,
             **{name: values[:, None] for name, values in columns.items()},
-        })  # fmt: skip
-        # without the time at which it was written
-        title = b"MATLAB 5.0 MAT-file, written by tustinnet".ljust(_TITLE)
-        return {FILE: title + content.getvalue()[_TITLE:]}
+        })}  # fmt: skip
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """An affine step by the matrices of the file, read by scipy."""
         content = loadmat(folder / FILE)
         x0, u0, drift = (content[name].ravel() for name in ("x", "u", "drift"))
         return lambda x, u: x0 + drift + content["A"] @ (x - x0) + content["B"] @ (u - u0)
+
+
+def mat_cells(names: Sequence[str]) -> np.ndarray:
+    """Names as MATLAB has them in a MAT file: a cell each."""
+    return np.array(names, dtype=object)
+
+
+def mat_file(content: Mapping[str, Any]) -> bytes:
+    """The bytes of a MAT file with some variables, without the time at which it was written."""
+    written = BytesIO()
+    savemat(written, dict(content))
+    return b"MATLAB 5.0 MAT-file, written by tustinnet".ljust(_TITLE) + written.getvalue()[_TITLE:]
 
 
 TARGET = Matrices()

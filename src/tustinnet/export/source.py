@@ -1,6 +1,7 @@
 """A model as it is exported: its step as a function of vectors, their names and ranges."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -50,16 +51,19 @@ class Source:
         model: the model, in its cheapest form, with the values of one group.
         range: the range of its training records, None if unknown.
         about: the header of its file, for the card.
+        layout: the input samples that the exported step is given, where they are not those on
+            which the model's steps depend along a record, see `find_causal_layout`.
     """
 
     model: Model
     range: Range | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
+    layout: InputLayout | None = None
 
     @cached_property
     def input_layout(self) -> InputLayout:
         """The samples of the inputs on which a step depends."""
-        return find_input_layout(self.model)
+        return find_input_layout(self.model) if self.layout is None else self.layout
 
     @property
     def channels(self) -> Channels:
@@ -108,15 +112,7 @@ class Source:
     @cached_property
     def function(self) -> StepFunction:
         """The step as a JAX function of two vectors, (n_x,) and (n_w,), in float64."""
-        model, layout = self.model, self.input_layout
-        is_held = layout.offsets == (0,) and layout.shape == (self.channels.n_u,)
-
-        def step(x: Array, w: Array) -> Array:
-            # from NumPy in here: an array of JAX made while a step is read would belong to that
-            u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
-            return model.step(x, u)
-
-        return step
+        return step_by_samples(self.model, self.input_layout)
 
     @cached_property
     def equations(self) -> Equations:
@@ -166,7 +162,7 @@ class Source:
     def notes(self) -> tuple[str, ...]:
         """Notes for users of the export."""
         notes = []
-        for i in self.channels.inputs:
+        for i in self.channels.inputs if self.layout is None else ():
             if i.hold == "band-limited":
                 notes.append(
                     f"input '{i.name}' is band-limited in the records; the exported step takes "
@@ -197,6 +193,8 @@ def make_source(
     range: Range | None = None,
     groups: Mapping[str, str] | None = None,
     about: Mapping[str, Any] | None = None,
+    *,
+    layout: InputLayout | None = None,
 ) -> Source:
     """A model prepared for its export.
 
@@ -205,6 +203,7 @@ def make_source(
         range: the range of its training records.
         groups: the groups of a model with values by group, as `{"payload": "1kg"}`.
         about: the header of its file.
+        layout: the input samples that the exported step is given, see `Source`.
 
     Raises:
         InputError: JAX computes in single precision; a model without a sampling period; groups
@@ -213,7 +212,7 @@ def make_source(
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
     chosen = with_dtype(model_for_groups(model, groups or {}, "export"), np.float64)
-    return Source(chosen.simplify(), range, about or {})
+    return Source(chosen.simplify(), range, about or {}, layout)
 
 
 def require_stepping(model: object) -> None:
@@ -230,21 +229,27 @@ def require_stepping(model: object) -> None:
         )  # fmt: skip
 
 
-def find_input_layout(model: Model) -> InputLayout:
-    """The input samples on which a model's steps depend, from the responses to single samples."""
+def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> InputLayout:
+    """The input samples on which a model's steps depend, from the responses to single samples.
+
+    Args:
+        model: the model.
+        delays: how late each input acts [periods]; by default none does.
+    """
     inputs = model.channels.inputs
     if not inputs:
         return InputLayout((0,), np.zeros((0, 0)), (0,))
+    late = [0.0] * len(inputs) if delays is None else list(delays)
     linear = ("first-order", "band-limited")
     holds: list[DeclaredHold] = [
         "first-order" if i.hold in linear else "zero-order" for i in inputs
     ]
 
     def step_inputs(samples: np.ndarray) -> np.ndarray:
-        signal: Excitation = excitation(samples, holds, [0.0] * len(inputs))
+        signal: Excitation = excitation(samples, holds, late)
         return np.asarray(model.step_inputs(signal))
 
-    reach = max((1, *map(abs, model.step_layout.taps)))
+    reach = max((1, *map(abs, model.step_layout.taps))) + math.ceil(max(map(abs, late)))
     blank = np.zeros((2 * reach + 2, len(inputs)))
     shape = step_inputs(blank)[reach].shape
     columns = {}
@@ -259,3 +264,15 @@ def find_input_layout(model: Model) -> InputLayout:
     offsets = sorted(columns, key=lambda offset: (offset < 0, abs(offset)))
     matrix = np.concatenate([columns[offset] for offset in offsets], axis=1)
     return InputLayout(tuple(offsets), matrix, shape)
+
+
+def step_by_samples(model: Model, layout: InputLayout) -> StepFunction:
+    """The step of a model as a function of the state and of the samples of a layout, flattened."""
+    is_held = layout.offsets == (0,) and layout.shape == (model.channels.n_u,)
+
+    def step(x: Array, w: Array) -> Array:
+        # from NumPy in here: an array of JAX made while a step is read would belong to that
+        u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
+        return model.step(x, u)
+
+    return step

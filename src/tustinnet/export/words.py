@@ -17,9 +17,12 @@ def apply_form(form: str | None, function: str, operands: Sequence[str]) -> str:
     return f"{function}({', '.join(operands)})" if form is None else form.format(*operands)
 
 
-def fill_template(name: str, **values: object) -> str:
-    """The text of a file of the folder `templates`, with `@name@` replaced by a value."""
-    text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def fill_template(name: str, templates: Path = TEMPLATES, **values: object) -> str:
+    """The text of a file of a folder of templates, with `@name@` replaced by a value."""
+    text = (templates / name).read_text(encoding="utf-8")
     return re.sub("@([a-z_]+)@", lambda match: str(values.get(match[1], match[0])), text)
 
 

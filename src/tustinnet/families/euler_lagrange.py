@@ -156,41 +156,62 @@ class EulerLagrangeFamily(IdentifiedFamily):
 
         They are drawn around the values of the model, which may be those of a second fit.
         """
-        identification = header.get("identification", {})
-        estimates, correlation = (
-            identification.get("estimates", ()),
-            identification.get("correlation"),
-        )
-        if correlation is None or not estimates:
-            return ()
-        errors, lower, upper = (
-            np.array([estimate[key] for estimate in estimates], float)  # None becomes NaN
-            for key in ("error", "lower", "upper")
-        )
-        errors = np.nan_to_num(errors)
-        covariance = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
+        drawn = draw_values(model, header, _ALTERNATIVES)
         equations = self.equations(model)
-        current = equations.values
-        values = [
-            float(current[estimate["name"]]) if estimate["name"] in current else estimate["value"]
-            for estimate in estimates
-        ]
-        drawn = np.random.default_rng(0).multivariate_normal(
-            values, covariance, _ALTERNATIVES, check_valid="ignore"
-        )
-        # a delay, for instance, is no parameter of the equations
-        columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in current]
-        names = [estimates[i]["name"] for i in columns]
-        drawn = np.clip(drawn[:, columns], lower[columns], upper[columns])
         return [
             replace(model, continuous=LagrangianModel(
-                equations.system, current | dict(zip(names, map(jnp.asarray, row), strict=True))
+                equations.system,
+                equations.values | {name: jnp.asarray(value) for name, value in values.items()},
             ))
-            for row in drawn
+            for values in drawn
         ]  # fmt: skip
 
 
 FAMILY = EulerLagrangeFamily()
+
+
+def draw_values(
+    model: Discretised, header: Header, count: int, seed: int = 0
+) -> list[dict[str, float]]:
+    """Parameters drawn from the errors of their identification, within their ranges.
+
+    They are drawn around the values of the model, which may be those of a second fit.
+
+    Args:
+        model: the identified model.
+        header: the header of its file.
+        count: how many sets to draw.
+        seed: of the draw.
+
+    Returns:
+        The sets, by name; none of a model whose file has no errors.
+    """
+    identification = header.get("identification", {})
+    estimates, correlation = (
+        identification.get("estimates", ()),
+        identification.get("correlation"),
+    )
+    if correlation is None or not estimates:
+        return []
+    errors, lower, upper = (
+        np.array([estimate[key] for estimate in estimates], float)  # None becomes NaN
+        for key in ("error", "lower", "upper")
+    )
+    errors = np.nan_to_num(errors)
+    covariance = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
+    current = FAMILY.equations(model).values
+    values = [
+        float(current[estimate["name"]]) if estimate["name"] in current else estimate["value"]
+        for estimate in estimates
+    ]
+    drawn = np.random.default_rng(seed).multivariate_normal(
+        values, covariance, count, check_valid="ignore"
+    )
+    # a delay, for instance, is no parameter of the equations
+    columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in current]
+    names = [estimates[i]["name"] for i in columns]
+    drawn = np.clip(drawn[:, columns], lower[columns], upper[columns])
+    return [dict(zip(names, row.tolist(), strict=True)) for row in drawn]
 
 
 def _made_for_records(name: str) -> SystemTemplate | None:

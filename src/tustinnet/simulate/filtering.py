@@ -1,21 +1,22 @@
-"""Estimates of a model's states along a record, by a Kalman filter that sees positions only."""
+"""Estimates of a model's states by an extended Kalman filter that sees positions only."""
 
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.runs import LinearisedStep, make_linearised_step
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.input_signal import input_signal
+from tustinnet.simulate.simulation import step_equations
 
 Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
 Vector = Float[np.ndarray, " _"]
+
+_RECENT = 4  # models whose steps are at hand
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,23 @@ class FilterNoise:
     process: Deviations
     measured: Deviations
 
+    def checked(self, n_x: int, n_q: int, where: str) -> "FilterNoise":
+        """The deviations as arrays, of the sizes that a model has.
+
+        Raises:
+            InputError: another size, a deviation that is negative or not finite, no noise at a
+                position that is measured.
+        """
+        arrays = {}
+        for name, size in (("start", n_x), ("process", n_x), ("measured", n_q)):
+            value = getattr(self, name)
+            array = arrays[name] = checked_vector(name, value, size, where)
+            if (array < 0).any() or (name == "measured" and not array.all()):
+                raise InputError(
+                    where, f"{name} {value}", "standard deviations, those measured above 0"
+                )
+        return FilterNoise(**arrays)
+
 
 @dataclass(frozen=True)
 class FilterResult:
@@ -40,10 +58,80 @@ class FilterResult:
     Attributes:
         states: estimates after the positions of the same sample are known, (n, n_x).
         deviations: the standard deviation of each of them, (n, n_x).
+        innovations: positions minus what the filter expected, (n, n_q) [rad or m]. A coordinate's
+            is what remains once the coordinates before it are known, so that all are independent
+            of one another where the model is right.
+        innovation_deviations: the standard deviations that the filter expected of them, (n, n_q).
     """
 
     states: Float[np.ndarray, "n n_x"]
     deviations: Float[np.ndarray, "n n_x"]
+    innovations: Float[np.ndarray, "n n_q"]
+    innovation_deviations: Float[np.ndarray, "n n_q"]
+
+
+class KalmanFilter:
+    """An extended Kalman filter, sample by sample: `correct` by positions, `predict` by inputs.
+
+    Attributes:
+        x: the estimated state, (n_x,).
+        p: its covariance, (n_x, n_x).
+        innovations: of the last correction, (n_q,), see `FilterResult`.
+        spreads: the variances that were expected of them, (n_q,).
+
+    Args:
+        step: the step of the model with its derivatives, see `make_linearised_step`.
+        noise: standard deviations, as `FilterNoise.checked` returns them.
+        angular: coordinates whose innovations are wrapped to within half a turn, (n_q,); None
+            for none.
+    """
+
+    def __init__(
+        self,
+        step: LinearisedStep,
+        noise: FilterNoise,
+        angular: Bool[np.ndarray, " n_q"] | None = None,
+    ) -> None:
+        self._step, self._angular = step, angular
+        self._process = np.diag(np.asarray(noise.process) ** 2)
+        self._variances = (np.asarray(noise.measured) ** 2).tolist()
+        self._start = np.diag(np.asarray(noise.start) ** 2)
+        self.restart(np.zeros(len(self._start)))
+
+    def restart(self, x: Vector) -> None:
+        """Begins anew at a state whose errors are those of the start."""
+        self.x, self.p = x, self._start
+        self.innovations = self.spreads = np.zeros(len(self._variances))
+
+    def correct(self, q: Vector) -> None:
+        """Takes measured positions into account, (n_q,).
+
+        They come one after the other, in the form of Joseph, which keeps the covariance symmetric.
+        """
+        x, p = self.x, self.p
+        innovations, spreads = np.empty(len(q)), np.empty(len(q))
+        for i, variance in enumerate(self._variances):
+            row = p[i]
+            spread = row[i] + variance
+            gain = row / spread
+            innovation = q[i] - x[i]
+            if self._angular is not None and self._angular[i]:
+                innovation = (innovation + np.pi) % (2 * np.pi) - np.pi
+            x = x + gain * innovation
+            across = gain[:, None] * row
+            p = p - across - across.T + spread * gain[:, None] * gain
+            innovations[i], spreads[i] = innovation, spread
+        self.x, self.p, self.innovations, self.spreads = x, p, innovations, spreads
+
+    def predict(self, inputs: Vector) -> None:
+        """Steps to the next sample, with the inputs of a step, flattened.
+
+        At an unstable equilibrium what rounding adds to one half of the covariance only would grow
+        without end, as no measurement corrects it: both halves are made the same.
+        """
+        self.x, a, _ = self._step(self.x, inputs)
+        p = a @ self.p @ a.T
+        self.p = (p + p.T) / 2 + self._process
 
 
 def kalman_filter(
@@ -61,54 +149,52 @@ def kalman_filter(
         noise: standard deviations of the start, of the steps, of the measurement.
 
     Returns:
-        The estimated states and their standard deviations, after each sample's positions are known.
+        The estimated states and their standard deviations, after each sample's positions are known,
+        and the innovations.
 
     Raises:
         InputError: another system's record; shapes that the model does not have; a standard
             deviation that is negative or not finite; no noise at a position that is measured.
     """
     require_fit(model, experiment)
-    n_x = model.state_size
-
-    def checked(name: str, value: Rows, size: int = n_x) -> Vector:
-        array = np.asarray(value, np.float64)
-        if array.shape != (size,) or not np.isfinite(array).all():
-            raise InputError("kalman_filter", f"{name} {value}", f"{size} finite numbers")
-        if (name != "x0" and (array < 0).any()) or (name == "measured" and not array.all()):
-            raise InputError(
-                "kalman_filter", f"{name} {value}", "standard deviations, those measured above 0"
-            )
-        return array
-
-    x, start = checked("x0", x0), checked("start", noise.start)
-    process = checked("process", noise.process)
-    measured = checked("measured", noise.measured, model.channels.n_q)
-    p, folded = np.diag(start**2), model.simplify()
-    u = np.asarray(input_signal(model, experiment).u)
-    states, variances = [], []
+    where = "kalman_filter"
+    x = checked_vector("x0", x0, model.state_size, where)
+    noise = noise.checked(model.state_size, model.channels.n_q, where)
+    u = np.asarray(input_signal(model, experiment).u, np.float64)
+    kalman = KalmanFilter(_linearised_step(model, u.shape[1:]), noise)
+    kalman.restart(x)
+    rows = u.reshape(len(u), -1)
+    results: list[tuple[np.ndarray, ...]] = []
     for k, q in enumerate(experiment.q):
-        # one position after the other, in the form of Joseph, which keeps the covariance symmetric
-        for i, variance in enumerate(measured**2):
-            row = p[i]
-            spread = row[i] + variance
-            gain = row / spread
-            x = x + gain * (q[i] - x[i])
-            p = p - np.outer(gain, row) - np.outer(row, gain) + np.outer(gain, gain) * spread
-        states.append(x)
-        variances.append(np.diag(p))
-        if k < len(u):
-            x, a = map(np.asarray, _predict(folded, x, u[k]))
-            p = a @ p @ a.T + np.diag(process**2)
-    return FilterResult(np.stack(states), np.sqrt(np.stack(variances)))
+        kalman.correct(q)
+        results.append((kalman.x, np.diag(kalman.p), kalman.innovations, kalman.spreads))
+        if k < len(rows):
+            kalman.predict(rows[k])
+    states, variances, innovations, spreads = map(np.stack, zip(*results, strict=True))
+    return FilterResult(states, np.sqrt(variances), innovations, np.sqrt(spreads))
 
 
-@eqx.filter_jit  # a step with its derivatives, written out for LLVM, takes longer to compile
-def _predict(model: Model, x: Rows, u: Rows) -> tuple[Array, Array]:
-    """The next state, and its Jacobian by this one."""
+def checked_vector(name: str, value: Rows, size: int, where: str) -> Vector:
+    """A vector of finite numbers in double precision.
 
-    def twice(x: Array) -> tuple[Array, Array]:
-        x_next = model.step(x, jnp.asarray(u))
-        return x_next, x_next
+    Raises:
+        InputError: another size, or a number that is not finite.
+    """
+    array = np.asarray(value, np.float64)
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(where, f"{name} {value}", f"{size} finite numbers")
+    return array
 
-    a, x_next = jax.jacfwd(twice, has_aux=True)(jnp.asarray(x))
-    return x_next, a
+
+def _linearised_step(model: Model, shape: tuple[int, ...]) -> LinearisedStep:
+    """The step of a model with its derivatives, compiled once while the model is in use."""
+    for known, known_shape, step in _recent:
+        if known is model and known_shape == shape:
+            return step
+    step = make_linearised_step(step_equations(model.simplify(), shape))
+    _recent.insert(0, (model, shape, step))
+    del _recent[_RECENT:]
+    return step
+
+
+_recent: list[tuple[Model, tuple[int, ...], LinearisedStep]] = []

@@ -97,28 +97,43 @@ def export_model(
     source = make_source(model, Range.from_header(header, model), groups, header)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     with lock_folder(Path(out)):
-        _require_room(folders, overwrite=overwrite)
+        for folder in folders:
+            require_export_folder(folder, overwrite=overwrite)
         exports = [
             _export(source, t, file, folder) for t, folder in zip(targets, folders, strict=True)
         ]
         for result, files in exports:
-            require_writable_folder(result.folder)
-            remove_partial_files(result.folder)
-            _remove_obsolete_files(result.folder, files)
-            _write(result.folder, files)
+            write_export(result.folder, files)
     return [result for result, _ in exports]
 
 
-def _require_room(folders: Sequence[Path], *, overwrite: bool) -> None:
-    """Raises unless each folder is empty, or holds an export that may be replaced."""
-    for folder in folders:
-        entries = folder.iterdir() if folder.is_dir() else ()
-        if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
-            raise InputError(
-                folder, "a folder that holds something else", "an empty folder",
-                "choose another --out",
-            )  # fmt: skip
-        require_outputs([folder / CARD], overwrite=overwrite)
+def require_export_folder(folder: Path, *, overwrite: bool) -> None:
+    """Raises unless an export may be written into a folder; asked before anything is computed.
+
+    Raises:
+        InputError: a folder that holds something else, or an export that may not be replaced.
+    """
+    entries = folder.iterdir() if folder.is_dir() else ()
+    if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
+        raise InputError(
+            folder, "a folder that holds something else", "an empty folder",
+            "choose another --out",
+        )  # fmt: skip
+    require_outputs([folder / CARD], overwrite=overwrite)
+
+
+def write_export(folder: Path, files: Files) -> None:
+    """Writes the files of an export in their order; an earlier export in the folder is replaced.
+
+    Args:
+        folder: the folder, for which `require_export_folder` was asked.
+        files: the files by name, the card first: where writing is stopped, it says that the
+            folder is an export's.
+    """
+    require_writable_folder(folder)
+    remove_partial_files(folder)
+    _remove_obsolete_files(folder, files)
+    _write(folder, files)
 
 
 def _require_extras(targets: Sequence[Target]) -> None:
@@ -192,8 +207,9 @@ def _export(
             note = f"not run here: {unbuilt}; what it is written from was compared"
             check = CheckResult(alike.steps, alike.difference, note)
     result = ExportResult(target.name, folder, (*files, CARD), check, source.notes)
-    # first the card: where writing was stopped, it says that the folder is an export's
-    return result, {CARD: to_json(_make_card(source, target, files, check, file)), **files}
+    checked = {"steps": check.steps, "difference": check.difference,
+               "bound": target.bound, "note": check.note}  # fmt: skip
+    return result, {CARD: make_card(source, target.name, files, checked, file), **files}
 
 
 def _remove_obsolete_files(folder: Path, files: Files) -> None:
@@ -213,17 +229,29 @@ def _write(folder: Path, files: Files) -> None:
         write_into(folder, name, content)
 
 
-def _make_card(
-    source: Source, target: Target, files: Files, check: CheckResult, file: str | Path | None
-) -> dict[str, Any]:
-    """The card of an exported folder."""
+def make_card(
+    source: Source,
+    target: str,
+    files: Files,
+    check: Mapping[str, Any],
+    file: str | Path | None,
+) -> str:
+    """The card of an exported folder, in JSON.
+
+    Args:
+        source: the model.
+        target: the name of the form.
+        files: the files of the folder by name.
+        check: what was compared with the model, by name.
+        file: the model's file, if known.
+    """
     channels, limits = source.channels, source.range
     state_limits = [None] * source.n_x if limits is None else limits.states.tolist()
     input_limits = [None] * channels.n_u if limits is None else limits.inputs.tolist()
     contents = {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}
-    return {
+    return to_json({
         "form": _MARK,
-        "target": target.name,
+        "target": target,
         "files": {name: sha256(content).hexdigest() for name, content in contents.items()},
         "model": None if file is None else {
             "file": Path(file).name,
@@ -247,8 +275,7 @@ def _make_card(
         "samples": list(source.input_layout.offsets),
         "warm_up": source.model.warm_up,
         "scores": source.about.get("scores"),
-        "check": {"steps": check.steps, "difference": check.difference,
-                  "bound": target.bound, "note": check.note},
+        "check": dict(check),
         "notes": list(source.notes),
         "versions": package_versions(),
-    }  # fmt: skip
+    })  # fmt: skip

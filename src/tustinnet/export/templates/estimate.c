@@ -1,8 +1,8 @@
 /* An extended Kalman filter: the states that the model has, from measured positions.
 
-   Positions are not wrapped: an encoder that starts again from 0 has to be counted on. */
-#include "model.h"
-
+   @angles@ */
+#include "@header@"
+@helpers@
 enum { N = MODEL_STATES };
 
 void model_estimate_init(model_estimate *e, const model_real x0[], const model_real start[],
@@ -50,7 +50,7 @@ void model_estimate_correct(model_estimate *e, const model_real q[])
     model_real *p = e->covariance;
     for (int m = 0; m < MODEL_POSITIONS; m++) {
         const model_real spread = p[m * N + m] + e->noise[m];
-        const model_real missed = q[m] - e->state.x[m];
+        const model_real missed = @missed@;
         model_real row[N], gain[N];
         for (int i = 0; i < N; i++) {
             row[i] = p[m * N + i];

@@ -3,15 +3,7 @@
 
 #include <math.h>
 
-#ifdef MODEL_FLOAT
-#define M(name) name##f
-#define EITHER(in_double, in_float) in_float
-#else
-#define M(name) name
-#define EITHER(in_double, in_float) in_double
-#endif
-#define R(x) MODEL_NUMBER(x)
-
+@precision@
 @code@
 void model_init(model_state *s, const model_real x0[])
 {

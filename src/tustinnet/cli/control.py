@@ -1,0 +1,221 @@
+"""`tustinnet control`: a controller designed on a model, tested, and written as C."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tustinnet.cli import options, terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tustinnet.data.experiment import Experiment
+
+_LONGEST = 1000  # s, of a motion
+LOOP, ROBUSTNESS, SUMMARY = "closed_loop.png", "robustness.png", "design.json"
+
+
+def control(
+    model: options.Model,
+    at: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=VALUE,..",
+            help="Positions to hold, e.g. alpha=0; with --to, positions where the motion begins.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the controller.")],
+    swing_up: Annotated[
+        bool,
+        typer.Option(
+            "--swing-up", help="Plan a motion to --at from where the mechanism hangs at rest."
+        ),
+    ] = False,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,..", help="Plan a motion from --at to these positions; hold these."
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="Duration of the motion. Default: six of the mechanism's own oscillations."
+        ),
+    ] = None,
+    data: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DATA",
+            help="Records by which the noise of the estimator is found, as for fit. Default: from "
+            "encoders and the range of the training records.",
+        ),
+    ] = None,
+    card: options.Card = None,
+    follow_links: options.FollowLinks = False,
+    weight: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Acceptable deviation of a state, an input or integral_NAME, e.g. theta=0.1rad: "
+            "smaller is stricter. May be repeated. Default: half of the recorded range.",
+        ),
+    ] = None,
+    integral: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Coordinate held without a lasting error; may be repeated."
+        ),
+    ] = None,
+    delay: Annotated[
+        int,
+        typer.Option(
+            min=0, max=100, help="Samples from when an input is computed to when it acts."
+        ),
+    ] = 0,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Limits of an input, instead of the data card's. May be repeated.",
+        ),
+    ] = None,
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Limits of a position or velocity that a motion keeps. May be repeated.",
+        ),
+    ] = None,
+    trust_beyond: Annotated[
+        bool,
+        typer.Option("--trust-beyond", help="Accept a motion beyond the range of the records."),
+    ] = False,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PLANT",
+            help="Another plant to play the controller on: a model file, a system file or name, "
+            "qube-servo2-twin, or an FMU.",
+        ),
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(min=1, max=1000, help="Runs on the plants of each kind.")
+    ] = 20,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="For a model with values by group: the group, e.g. payload=1kg; may be repeated.",
+        ),
+    ] = None,
+    system: options.System = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Design a controller on a model, test it on what the model does not know, write it as C.
+
+    Feedback is linear-quadratic, the state is estimated by an extended Kalman filter, a motion is
+    planned by iterative LQR. The folder gets controller, estimator, model and a closed loop in C,
+    gains, scripts for CasADi, acados and do-mpc, and figures.
+    """
+    terminal.prepare_jax()
+    import time
+
+    from tustinnet.cli import request
+    from tustinnet.control.design import ControlTask, design_controller, find_rest
+    from tustinnet.control.export.write import export_controller
+    from tustinnet.control.plants import load_plant
+    from tustinnet.control.trial import try_design
+    from tustinnet.errors import InputError
+    from tustinnet.models.groups import model_for_groups
+    from tustinnet.report.control import (
+        closed_loop_figure,
+        margins_table,
+        point_table,
+        robustness_figure,
+        robustness_table,
+        sentences,
+        summarise,
+    )
+    from tustinnet.report.figures import write_figure
+    from tustinnet.simulate.range import Range
+    from tustinnet.store.exported import require_export_folder
+    from tustinnet.store.files import to_json, write_into
+    from tustinnet.store.header import read_header
+
+    if swing_up and to is not None:
+        raise InputError("--swing-up", "not applicable beside --to", "one of them")
+    if seconds is not None and not 0 < seconds < _LONGEST:
+        raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
+    _refuse_without("a motion", "--swing-up or --to", swing_up or to is not None, {
+        "--seconds": seconds, "--within": within, "--trust-beyond": trust_beyond or None,
+    })  # fmt: skip
+    _refuse_without(
+        "records", "--data", data is not None,
+        {"--card": card, "--follow-links": follow_links or None},
+    )  # fmt: skip
+    require_export_folder(out, overwrite=overwrite)
+    printer = terminal.make_printer(quiet=quiet)
+    loaded, header = request.load_model(model, system), read_header(model)
+    groups = request.parse_groups(group)
+    simulator = model_for_groups(loaded, groups, "control")
+    training_range = Range.from_header(header, simulator)
+    positions = request.parse_values("--at", at)
+    input_limits = request.parse_limits("--limits", limits)
+    start = None
+    if swing_up:
+        start = find_rest(simulator, positions, input_limits)
+    elif to is not None:
+        start, positions = positions, {**positions, **request.parse_values("--to", to)}
+    records: Sequence[Experiment] = ()
+    if data is not None:
+        records = [*request.load_records(data, card, follow_links=follow_links)]
+    task = ControlTask(
+        positions, start, seconds, request.parse_quantities("--weight", weight), integral or (),
+        delay, input_limits, request.parse_limits("--within", within), trust_beyond,
+    )  # fmt: skip
+    begin = time.perf_counter()
+    design = design_controller(
+        simulator, task, range=training_range, records=records,
+        on_message=lambda step: printer(f"designing: {step}"),
+    )  # fmt: skip
+    printer(f"designed in {time.perf_counter() - begin:.1f} s")
+    printer(f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant")
+    plants = {} if plant is None else {plant: load_plant(plant, simulator.channels)}
+    trial = try_design(design, header, plants=plants, count=starts)
+    export = export_controller(
+        simulator, design.gains, design.noise, out, cost=design.cost, file=model,
+        overwrite=overwrite,
+    )  # fmt: skip
+    content = summarise(design, trial.robustness, export)
+    write_into(out, SUMMARY, to_json(content))
+    if json:
+        terminal.print_json(content)
+    else:
+        typer.echo("\n".join(sentences(design)))
+        terminal.print_tables(
+            point_table(design), margins_table(design),
+            robustness_table(trial.robustness, simulator.channels),
+        )  # fmt: skip
+        typer.echo(trial.robustness.sentence)
+    write_figure(closed_loop_figure(design, trial.runs), out, LOOP)
+    write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
+    for note in export.notes:
+        terminal.messages().print(f"note: {note}")
+    terminal.messages().print(
+        f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS))}"
+    )
+
+
+def _refuse_without(
+    what: str, needed: str, is_there: bool, given: "Mapping[str, object]"
+) -> None:  # fmt: skip
+    """Raises an error for the first option that needs something which is not there."""
+    from tustinnet.errors import InputError
+
+    for option, value in given.items():
+        if value is not None and not is_there:
+            raise InputError(option, f"not applicable without {what}", needed)

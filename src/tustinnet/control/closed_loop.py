@@ -1,0 +1,284 @@
+"""Closed loops in simulation: a plant, an estimator, a controller, and whether the goal is met."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tustinnet.channels import Channels
+from tustinnet.control.controller import Controller
+from tustinnet.control.estimator import Estimator
+from tustinnet.control.sampled_plant import Plant
+from tustinnet.errors import InputError
+
+Vector = Float[np.ndarray, " _"]
+End = Literal["held", "reached too late", "lost", "never reached", "left its limits", "diverged"]
+
+_WINDOW = 0.2  # rad, to both sides of an angle that is to be held
+_REACHED = 0.5  # s in the window, from which it counts as reached: a swing passes it faster
+_OFTEN = 0.2  # share of the time at its limits, from which an input's saturation is mentioned
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a controller is to reach and to hold.
+
+    Attributes:
+        at: positions by the name of their coordinate [rad or m]; angles count up to whole turns.
+        window: how far from them is near enough, by name; 0.2 rad of angles that have none.
+        hold: how long they are held at the end of a run [s].
+        limits: smallest and largest position of coordinates that must not leave them, by name.
+    """
+
+    at: Mapping[str, float]
+    window: Mapping[str, float] = field(default_factory=dict)
+    hold: float = 5.0
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def check(self, channels: Channels) -> None:
+        """Raises unless it is a goal of a system with such coordinates.
+
+        Raises:
+            InputError: no position, an unknown coordinate, a linear one without a window, limits
+                or durations out of order.
+        """
+        names = [c.name for c in channels.coordinates]
+        for name in (*self.at, *self.window, *self.limits):
+            if name not in names:
+                raise InputError("goal", f"'{name}'", f"one of {', '.join(names)}")
+        if not self.at:
+            raise InputError("goal", "no position", f"a position of {' or '.join(names)}")
+        linear = [c for c in channels.coordinates if c.kind == "linear" and c.name in self.at]
+        for c in linear:
+            if c.name not in self.window:
+                raise InputError(
+                    "goal", f"no window of '{c.name}'", f"how near is near enough [{c.unit}]"
+                )
+        if not (all(w > 0 for w in self.window.values()) and self.hold > 0):
+            raise InputError("goal", "a window or a duration of 0", "positive numbers")
+        for name, (low, high) in self.limits.items():
+            if not low < high:
+                raise InputError("goal", f"limits {low:g}..{high:g} of {name}", "lower first")
+
+    def errors(self, channels: Channels, q: Float[np.ndarray, "n n_q"]) -> dict[str, Vector]:
+        """Distances from the positions that are to be held, angles wrapped, by name, (n,)."""
+        errors = {}
+        for j, c in enumerate(channels.coordinates):
+            if c.name in self.at:
+                error = q[:, j] - self.at[c.name]
+                if c.kind == "angular":
+                    error = (error + np.pi) % (2 * np.pi) - np.pi
+                errors[c.name] = np.abs(error)
+        return errors
+
+    def is_near(self, errors: Mapping[str, Vector]) -> Bool[np.ndarray, " n"]:
+        """Whether all distances are within their windows, (n,)."""
+        return np.all([e <= self.window.get(name, _WINDOW) for name, e in errors.items()], axis=0)
+
+    def outside(self, channels: Channels, q: Vector) -> str:
+        """The first coordinate that is beyond its limits, "" for none."""
+        for j, c in enumerate(channels.coordinates):
+            if c.name in self.limits:
+                low, high = self.limits[c.name]
+                if not low <= q[j] <= high:
+                    return c.name
+        return ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a goal.
+
+    Attributes:
+        end: `held` where it was met; else why not, in a word.
+        sentence: what happened, where and when.
+        worst: largest distance from each position during the last seconds, by coordinate [rad or
+            m]; of a run that ended early, at its end.
+        energy: sum of the squared inputs times the period [squares of their units, s].
+        time_to_reach: from when on it was held to the end [s], None where it was not.
+        saturated: share of the samples at which an input was at its limit.
+    """
+
+    end: End
+    sentence: str
+    worst: Mapping[str, float]
+    energy: float
+    time_to_reach: float | None
+    saturated: float
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the goal was held for as long as it was to be."""
+        return self.end == "held"
+
+
+@dataclass(frozen=True)
+class ClosedLoopResult:
+    """A run of a closed loop; shorter than it was to be where it diverged or left its limits.
+
+    Attributes:
+        dt: sampling period [s].
+        states: true states at all samples, (n + 1, n_x of the plant).
+        measurements: what the encoders read, (n + 1, n_q).
+        estimates: what the estimator made of that, (n + 1, n_x of the model).
+        inputs: what the controller commanded from each sample to the next, (n, n_u).
+        outcome: what became of the goal, None where there was none.
+    """
+
+    dt: float
+    states: Float[np.ndarray, "samples n_x"]
+    measurements: Float[np.ndarray, "samples n_q"]
+    estimates: Float[np.ndarray, "samples n_e"]
+    inputs: Float[np.ndarray, "steps n_u"]
+    outcome: Outcome | None
+
+    @property
+    def is_success(self) -> bool:
+        """Whether a goal was met."""
+        return self.outcome is not None and self.outcome.is_success
+
+
+def closed_loop(
+    plant: Plant,
+    controller: Controller,
+    estimator: Estimator,
+    steps: int,
+    start: Vector,
+    seed: int = 0,
+    goal: Goal | None = None,
+    channels: Channels | None = None,
+) -> ClosedLoopResult:
+    """Runs a controller on a plant, by what an estimator makes of the encoders.
+
+    At each sample the encoders are read, the state is estimated, and the inputs until the next
+    sample are computed. That takes no time; a delay belongs to the plant (`PlantOptions.delay`).
+
+    Args:
+        plant: the plant.
+        controller: the controller.
+        estimator: the estimator.
+        steps: how many periods.
+        start: positions at the start, where the plant is at rest, (n_q,).
+        seed: of all that is random in the plant.
+        goal: what is to be reached, None for nothing.
+        channels: the plant's coordinates, where it does not have them itself.
+
+    Returns:
+        The states, measurements, estimates and inputs, and whether the goal was met.
+
+    Raises:
+        InputError: fewer than one step, or a goal of other coordinates.
+    """
+    if steps < 1:
+        raise InputError("closed_loop", f"{steps} steps", "one or more")
+    channels = channels or getattr(plant, "channels", None)
+    if goal is not None:
+        if channels is None:
+            raise InputError("closed_loop", "a goal, and a plant without channels", "its channels")
+        goal.check(channels)
+    plant.reset(np.asarray(start, np.float64), seed)
+    controller.reset()
+    y = plant.measure()
+    x = estimator.reset(y)
+    states, measurements, estimates = [plant.state], [y], [x]
+    inputs: list[Vector] = []
+    outside = ""
+    for k in range(steps):
+        u = controller.inputs(k, x)
+        plant.apply(u)
+        y = plant.measure()
+        inputs.append(np.array(u, np.float64))
+        states.append(plant.state)
+        if not math.isfinite(plant.state.sum()):
+            measurements.append(y)
+            estimates.append(x)
+            break
+        x = estimator.update(y, u)
+        measurements.append(y)
+        estimates.append(x)
+        if not math.isfinite(x.sum()):
+            break
+        if goal is not None and goal.limits and channels is not None:
+            outside = goal.outside(channels, plant.state)
+            if outside:
+                break
+    arrays = map(np.stack, (states, measurements, estimates, inputs))
+    result = ClosedLoopResult(plant.dt, *arrays, outcome=None)
+    if goal is None or channels is None:
+        return result
+    outcome = _judge(goal, channels, result, steps, outside)
+    return ClosedLoopResult(
+        result.dt, result.states, result.measurements, result.estimates, result.inputs, outcome
+    )
+
+
+def _judge(
+    goal: Goal, channels: Channels, result: ClosedLoopResult, steps: int, outside: str
+) -> Outcome:
+    """What became of a goal in a run of so many periods, or fewer where it ended early."""
+    q, dt = result.states[:, channels.position], result.dt
+    end = (len(q) - 1) * dt
+    errors = goal.errors(channels, q)
+    near = goal.is_near(errors)
+    last = max(1, round(goal.hold / dt))
+    since = len(near) - int(np.argmin(near[::-1])) if not near.all() else 0
+    reached = _first_stay(near, max(1, round(min(_REACHED, goal.hold) / dt)))
+    held: float | None = None
+    kind: End
+    if len(q) <= steps and not outside:
+        kind, sentence = "diverged", f"diverged at {end:.2f} s"
+    elif outside:
+        low, high = goal.limits[outside]
+        kind, sentence = "left its limits", f"{outside} left {low:g}..{high:g} at {end:.2f} s"
+    elif len(near) - since > last:
+        kind, sentence, held = "held", f"held from {since * dt:.2f} s on", since * dt
+    elif near[-1] and (reached is None or reached >= since):
+        kind = "reached too late"
+        sentence = f"reached at {since * dt:.2f} s of {end:.2f}, too late to hold {goal.hold:g} s"
+    elif reached is not None:
+        lost = reached + int(np.argmin(near[reached:]))
+        kind = "lost"
+        sentence = f"reached at {reached * dt:.2f} s and lost at {lost * dt:.2f} s"
+    else:
+        closest = ", ".join(f"{name} came to {e.min():.2g}" for name, e in errors.items())
+        kind, sentence = "never reached", f"never reached: {closest} from where it is to be"
+    ended_early = kind in ("diverged", "left its limits")
+    worst = {n: float(e[-1] if ended_early else e[-last:].max()) for n, e in errors.items()}
+    saturated = _saturated(result.inputs)
+    if kind != "held" and saturated > _OFTEN:
+        sentence += f", inputs at their limits {100 * saturated:.0f} % of the time"
+    with np.errstate(over="ignore"):
+        energy = float(np.sum(result.inputs**2) * dt)
+    return Outcome(
+        end=kind,
+        sentence=sentence,
+        worst=worst,
+        energy=energy,
+        time_to_reach=held,
+        saturated=saturated,
+    )
+
+
+def _first_stay(near: Bool[np.ndarray, " n"], length: int) -> int | None:
+    """The first sample from which so many in a row are near."""
+    totals = np.cumsum(np.r_[0, near])
+    stays = np.flatnonzero(totals[length:] - totals[:-length] == length)
+    return int(stays[0]) if len(stays) else None
+
+
+def _saturated(u: Float[np.ndarray, "n n_u"]) -> float:
+    """The share of samples at which an input has an extreme value that it has more than once.
+
+    What is limited repeats its limit to the last digit, which no feedback does by chance.
+    """
+    at_limit = np.zeros(len(u), bool)
+    for column in u.T:
+        low, high = column.min(), column.max()
+        for value in (low, high):
+            here = column == value
+            if low < high and here.sum() > 1:
+                at_limit |= here
+    return float(at_limit.mean())

@@ -1,0 +1,301 @@
+"""The design of a controller on a model: where, feedback, planned motion, estimator."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.control.closed_loop import Goal
+from tustinnet.control.controller import Controller
+from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.cost import Cost
+from tustinnet.control.dynamics import Limits, controlled, input_limits
+from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
+from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
+from tustinnet.control.ilqr import ilqr, make_cost
+from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
+from tustinnet.control.margins import Margins, margins
+from tustinnet.control.plan import Plan
+from tustinnet.control.weights import Deviations
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import FilterNoise
+from tustinnet.simulate.range import ExtrapolationPoint, Range
+
+Vector = Float[np.ndarray, " _"]
+
+_SWINGS = 6.0  # periods of the slowest oscillation about its start that a motion lasts by default
+_SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
+_LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
+_WINDOW = 0.2  # rad, in which angles count as held
+_WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
+_WINDOW_LENGTH = 0.05  # m, where that range is not known
+
+
+@dataclass(frozen=True)
+class ControlTask:
+    """What a controller is to do.
+
+    Attributes:
+        at: positions to hold, by the name of their coordinate [rad or m].
+        start: positions, at rest, from which a planned motion leads there; None for no motion. What
+            is not named is as near to 0 as an equilibrium allows.
+        seconds: duration of the motion; None for one by the model's own oscillations.
+        deviations: acceptable deviations of states, inputs and integrals by name, see `lqr`.
+        integral: names of coordinates with integral action.
+        delay: samples from when an input is computed to when it acts.
+        limits: limits of inputs by name, instead of those that the model declares.
+        within: limits of states by name, which a motion keeps.
+        trust_beyond: whether a motion may leave the range of the training records.
+    """
+
+    at: Mapping[str, float]
+    start: Mapping[str, float] | None = None
+    seconds: float | None = None
+    deviations: Deviations = field(default_factory=dict)
+    integral: Sequence[str] = ()
+    delay: int = 0
+    limits: Limits | None = None
+    within: Limits | None = None
+    trust_beyond: bool = False
+
+
+@dataclass(frozen=True)
+class ControlDesign:
+    """A controller with its estimator, and what is known of both.
+
+    Attributes:
+        model: the model.
+        task: what it is to do.
+        point: the equilibrium that is held.
+        start: the equilibrium from which the motion begins, None without a motion.
+        gains: the feedback, along the plan where there is one.
+        margins: of the loop about the equilibrium.
+        noise: the noise of the estimator.
+        consistency: tests of the estimator along records, None without records.
+        cost: what the plan minimises, or would.
+        goal: what counts as success.
+        beyond: where the plan leaves the range of the training records, None where it does not.
+    """
+
+    model: Model
+    task: ControlTask
+    point: OperatingPoint
+    start: OperatingPoint | None
+    gains: Feedback | Tracking
+    margins: Margins
+    noise: FilterNoise
+    consistency: FilterConsistency | None
+    cost: Cost
+    goal: Goal
+    beyond: ExtrapolationPoint | None
+
+    @property
+    def plan(self) -> Plan | None:
+        """The planned motion, None without one."""
+        return self.gains.plan if isinstance(self.gains, Tracking) else None
+
+    @property
+    def feedback(self) -> Feedback:
+        """The feedback about the equilibrium."""
+        return self.gains.final if isinstance(self.gains, Tracking) else self.gains
+
+    @property
+    def steps(self) -> int:
+        """The periods of a run that shows whether the goal is met: the motion, and the hold."""
+        planned = 0 if self.plan is None else len(self.plan.u)
+        # without a plan, as long again to get there
+        settling = 0.2 * self.goal.hold if planned else self.goal.hold
+        return planned + round((self.goal.hold + settling) / self.model.dt)
+
+    @property
+    def first_positions(self) -> Vector:
+        """The positions from which a run begins, (n_q,)."""
+        point = self.point if self.start is None else self.start
+        return point.x[self.model.channels.position]
+
+    def make_controller(self) -> Controller:
+        """A new controller."""
+        if isinstance(self.gains, Tracking):
+            return TrackingFeedback(self.gains)
+        return LinearFeedback(self.gains)
+
+
+def design_controller(
+    model: Model,
+    task: ControlTask,
+    *,
+    range: Range | None = None,
+    records: Sequence[Experiment] = (),
+    on_message: Callable[[str], None] = lambda _: None,
+) -> ControlDesign:
+    """Designs feedback, a motion and an estimator on a model.
+
+    Args:
+        model: a model that steps from sample to sample, with the values of one group.
+        task: what the controller is to do.
+        range: the range of its training records, which a model file has.
+        records: records of the system, by which the noise of the estimator is found; without them
+            it follows from the range and from the encoders.
+        on_message: receives a line at each step of the design.
+
+    Raises:
+        InputError: no equilibrium under the limits; an input without limits; a mode that does not
+            decay and that the inputs do not move or the encoders do not show; a motion whose
+            planning did not converge, or that leaves the range of the records; names that the model
+            does not have.
+    """
+    bounds = input_limits(model, task.limits)
+    on_message("equilibrium")
+    point = find_equilibrium(model, task.at, task.limits)
+    for mode in point.modes:
+        if not mode.observable and not mode.is_stable:
+            raise InputError(
+                "--at", f"{mode} cannot be observed from the encoders and does not decay",
+                "encoders that show it", "measure another coordinate, or choose another point",
+            )  # fmt: skip
+    on_message("feedback")
+    feedback = lqr(
+        model, point.x, point.u, deviations=task.deviations, range=range, integral=task.integral,
+        delay=task.delay, limits=task.limits,
+    )  # fmt: skip
+    loop_margins = margins(model, feedback)
+    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    cost = make_cost(
+        controlled(model, task.delay), bounds, point.x, point.u, deviations=own, range=range,
+        within=task.within,
+    )  # fmt: skip
+    goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
+    start, beyond, gains = None, None, feedback
+    if task.start is not None:
+        on_message("motion")
+        start = find_equilibrium(model, task.start, task.limits)
+        plan = _plan_motion(model, task, start, point, range)
+        beyond = None if range is None else range.extrapolation_point(
+            model.channels, plan.x[:-1], plan.u
+        )  # fmt: skip
+        if beyond is not None and beyond.signal and not task.trust_beyond:
+            low, high = beyond.recorded
+            raise InputError(
+                "the motion", f"after {beyond.sample * model.dt:.3g} s it leaves the range of the "
+                f"training records: {beyond.signal} reaches {beyond.value:.4g}",
+                f"recorded {low:.4g} to {high:.4g}",
+                "record such motions, limit it (--within, --limits), or add --trust-beyond",
+            )  # fmt: skip
+        final = feedback
+        if task.integral:
+            # along the plan errors are not integrated; from its end on they are
+            final = lqr(
+                model, point.x, point.u, deviations=own, range=range, delay=task.delay,
+                limits=task.limits,
+            )  # fmt: skip
+        gains = time_varying_lqr(model, plan, final, deviations=own, range=range)
+        gains = replace(gains, final=feedback)
+    on_message("estimator")
+    noise = find_noise(model, records) if records else usual_noise(model, range)
+    consistency = check_filter(model, records, noise) if records else None
+    return ControlDesign(
+        model, task, point, start, gains, loop_margins, noise, consistency, cost, goal, beyond
+    )
+
+
+def _plan_motion(
+    model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint,
+    range: Range | None,
+) -> Plan:  # fmt: skip
+    """A motion from a start to the equilibrium that is held.
+
+    Raises:
+        InputError: no plan arrives; it says what the best one reached.
+    """
+    channels = model.channels
+    way = np.abs(point.x - start.x)[channels.position]
+    moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
+    usual = _usual_duration(start, moved)
+    durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
+    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    best = None
+    for seconds in durations:
+        plan = ilqr(
+            model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
+            deviations=own, range=range, within=task.within, limits=task.limits, delay=task.delay,
+        )  # fmt: skip
+        if plan.reached:
+            return plan
+        best = plan if best is None or plan.cost < best.cost else best
+    assert best is not None
+    reached = ", ".join(
+        f"{c.name} = {value:.3g} {c.unit}"
+        for c, value in zip(channels.coordinates, best.x[-1][channels.position], strict=True)
+    )
+    wanted = ", ".join(
+        f"{c.name} = {value:.3g}"
+        for c, value in zip(channels.coordinates, best.goal[channels.position], strict=True)
+    )
+    end = "does not arrive" if best.converged else "did not converge"
+    raise InputError(
+        "the motion", f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
+        wanted, "give it more time (--seconds), wider limits, or other weights (--weight)",
+    )  # fmt: skip
+
+
+def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
+    """A duration by the oscillations about the start of the coordinates that move most [s]."""
+    swinging = [m for m in start.modes if m.frequency > 0]
+    own = [m for m in swinging if m.states[0] in moved] or swinging
+    slowest = max((2 * np.pi / m.frequency for m in own), default=0.0)
+    return float(np.clip(_SWINGS * slowest, _SHORTEST, _LONGEST))
+
+
+def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict[str, float]:
+    """How near to a position counts as held, by name."""
+    windows = {}
+    for j, c in enumerate(model.channels.coordinates):
+        if c.name not in at:
+            continue
+        span = 0.0 if range is None else float(np.ptp(range.states[j]))
+        if c.kind == "angular":
+            windows[c.name] = _WINDOW
+        else:
+            windows[c.name] = _WINDOW_SHARE * span if span > 0 else _WINDOW_LENGTH
+    return windows
+
+
+def _position_limits(model: Model, task: ControlTask) -> dict[str, tuple[float, float]]:
+    """The limits of positions that end a run where they are left."""
+    names = [c.name for c in model.channels.coordinates]
+    return {name: pair for name, pair in (task.within or {}).items() if name in names}
+
+
+def find_rest(
+    model: Model, at: Mapping[str, float], limits: Limits | None = None
+) -> dict[str, float]:
+    """Positions of the stable equilibrium where a swing-up begins: named angles half a turn on.
+
+    Args:
+        model: the model.
+        at: the positions to swing up to.
+        limits: limits of inputs by name.
+
+    Returns:
+        The positions by name.
+
+    Raises:
+        InputError: no named angle, or no stable equilibrium there.
+    """
+    channels = model.channels
+    angles = [c.name for c in channels.coordinates if c.kind == "angular" and c.name in at]
+    for turned in [*[[a] for a in angles], angles]:
+        positions = {n: v + np.pi * (n in turned) for n, v in at.items()}
+        try:
+            point = find_equilibrium(model, positions, limits)
+        except InputError:
+            continue
+        if not point.stability.startswith("unstable"):
+            return positions
+    raise InputError(
+        "--swing-up", f"no stable equilibrium half a turn from {', '.join(at)}",
+        "an angle that hangs at rest there", "name the start and the goal: --from and --at",
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Controllers in forms that run without this package: C, gains, scripts of solvers."""

@@ -1,0 +1,187 @@
+"""A controller with its estimator and model as C99, and a program that closes their loop."""
+
+import csv
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
+from tustinnet.export.c_text import Code, constant_array
+from tustinnet.export.source import Source
+from tustinnet.export.target import Files
+from tustinnet.export.words import fill_template
+from tustinnet.models.contract import Model
+from tustinnet.program.reading import read
+from tustinnet.simulate.filtering import FilterNoise
+
+TEMPLATES = Path(__file__).parent / "templates"
+SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
+
+_SCRIPTS = {
+    "step.casadi": "a step of the model for CasADi",
+    "problem.py": "the control problem in CasADi, solved by ipopt",
+    "acados_problem.py": "the problem for acados, which generates a solver in C",
+    "do_mpc_controller.py": "a predictive controller by do-mpc",
+}
+
+Vector = Float[np.ndarray, " _"]
+
+
+def make_code(
+    controller: Feedback | Tracking, source: Source, noise: FilterNoise, start: Vector, steps: int
+) -> Files:
+    """The files in C, and a Makefile.
+
+    Args:
+        controller: the controller.
+        source: the model, with a causal layout of its inputs.
+        noise: the noise of the estimator.
+        start: the state from which the loop in software begins, (n_x,).
+        steps: the periods that it lasts.
+    """
+    return {
+        **make_model_files(source),
+        **_estimator_files(source, noise),
+        **_controller_files(controller, source),
+        "main.c": _main(source, start, steps),
+        "Makefile": fill_template("Makefile", TEMPLATES),
+    }
+
+
+def _estimator_files(source: Source, noise: FilterNoise) -> Files:
+    """`estimator.h` and `estimator.c`."""
+    channels, code = source.channels, Code()
+    code.add("start_state", read(
+        lambda y: {"x": _state_at_rest(source.model, y)}, {"y": channels.n_q}, "the start"
+    ))  # fmt: skip
+    deviations = [
+        constant_array("start_noise", np.asarray(noise.start)),
+        constant_array("process_noise", np.asarray(noise.process)),
+        constant_array("measurement_noise", np.asarray(noise.measured)),
+    ]
+    filter_code = make_filter_code(
+        "estimator.h", channels.angular.tolist(), math_helpers(wrap=bool(channels.angular.any()))
+    )
+    return {
+        "estimator.h": fill_template("estimator.h", TEMPLATES, inputs=channels.n_u),
+        "estimator.c": filter_code + fill_template(
+            "estimator.c", TEMPLATES, noise="".join(deviations), start=code.text()
+        ),
+    }  # fmt: skip
+
+
+def _state_at_rest(model: Model, y: Array) -> Array:
+    """The state at some positions, at rest, with the internal states that the model expects."""
+    measured = jnp.concatenate([y, jnp.zeros_like(y)])
+    return model.initial_state(measured, jnp.zeros(model.channels.n_u))
+
+
+def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
+    """`controller.h` and `controller.c`."""
+    tracking = controller if isinstance(controller, Tracking) else None
+    final = controller if isinstance(controller, Feedback) else controller.final
+    n_x, n_i = len(final.x0), len(final.integral)
+    # integrals last, so that the gains of a plan, which has none, are in the same order
+    order = [*range(n_x), *range(n_x + n_i, final.gain.shape[1]), *range(n_x, n_x + n_i)]
+    numbers = {
+        "gain": final.gain[:, order],
+        "x0": final.x0,
+        "u0": final.u0,
+        "lower": final.lower,
+        "upper": final.upper,
+        "before": tracking.plan.before if tracking else final.u0,
+        "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
+        "plan_u": tracking.plan.u if tracking else np.zeros(0),
+        "plan_gain": tracking.gains if tracking else np.zeros(0),
+    }
+    indices = {"integrated": final.integral, "periodic": final.periodic}
+    tables = [
+        *(_index_table(name, values) for name, values in indices.items()),
+        *(constant_array(name, v if v.size else np.zeros(1)) for name, v in numbers.items()),
+    ]
+    return {
+        "controller.h": fill_template(
+            "controller.h", TEMPLATES, inputs=source.channels.n_u, integrals=n_i,
+            previous=final.previous, periodic=len(final.periodic),
+            steps=len(tracking.plan.u) if tracking else 0,
+        ),
+        "controller.c": fill_template(
+            "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
+        ),
+    }  # fmt: skip
+
+
+def _index_table(name: str, values: Sequence[int]) -> str:
+    """The definition of a table of indices."""
+    text = ", ".join(str(i) for i in values or (0,))
+    return f"static const int {name}[{max(len(values), 1)}] = {{{text}}};\n"
+
+
+def _main(source: Source, start: Vector, steps: int) -> str:
+    """`main.c`."""
+    tables = [
+        constant_array("start", start),
+        constant_array("resolution", source.channels.resolution),
+    ]
+    return fill_template(
+        "main.c", TEMPLATES, precision=fill_template("precision.c"), steps=steps,
+        tables="".join(tables), header=_c_string(csv_header(source)),
+    )  # fmt: skip
+
+
+def csv_header(source: Source) -> str:
+    """The names of the columns that the loop in software prints."""
+    estimates = [f"estimated_{name}" for name in source.states]
+    line = StringIO()
+    inputs = [i.name for i in source.channels.inputs]
+    csv.writer(line, lineterminator="").writerow(["time", *source.states, *estimates, *inputs])
+    return line.getvalue()
+
+
+def _c_string(text: str) -> str:
+    """A text as a string of C; other bytes than letters and digits of ASCII by their numbers."""
+    plain = set(b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-., ")
+    return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
+
+
+def make_readme(
+    controller: Feedback | Tracking, source: Source, scripts: Sequence[str], notes: Sequence[str]
+) -> str:
+    """`README.md` of the folder.
+
+    Args:
+        controller: the controller.
+        source: the model.
+        scripts: the files for solvers that are in the folder.
+        notes: remarks.
+    """
+    final = controller if isinstance(controller, Feedback) else controller.final
+    kind = "linear feedback about the goal"
+    if isinstance(controller, Tracking):
+        kind = f"a plan of {len(controller.plan.u)} periods with feedback along it, then {kind}"
+    states = [
+        f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} | {x0:.6g} |"
+        for i, (name, unit, x0) in enumerate(
+            zip(source.states, source.units, final.x0.tolist(), strict=True)
+        )
+    ]
+    limits = zip(final.lower.tolist(), final.upper.tolist(), final.u0.tolist(), strict=True)
+    inputs = [
+        f"| `u[{i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} "
+        f"| {lower:.6g} | {upper:.6g} | {u0:.6g} |"
+        for i, (channel, (lower, upper, u0)) in enumerate(
+            zip(source.channels.inputs, limits, strict=True)
+        )
+    ]
+    return fill_template(
+        "readme.md", TEMPLATES, title="A controller in C99", period=float(source.channels.dt),
+        kind=kind, positions=source.channels.n_q, states="\n".join(states),
+        inputs="\n".join(inputs),
+        scripts="\n".join(f"| `{name}` | {_SCRIPTS[name]} |" for name in scripts),
+        notes="\n".join(f"- {note}" for note in notes) or "None.",
+    )  # fmt: skip

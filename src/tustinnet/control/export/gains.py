@@ -1,0 +1,174 @@
+"""Controllers as files of numbers: JSON, and MAT files for MATLAB and scipy."""
+
+import json
+from collections.abc import Callable, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tustinnet.channels import Channels
+from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.plan import Plan
+from tustinnet.errors import InputError, convert_errors
+from tustinnet.export.mat import mat_cells, mat_file
+from tustinnet.store.files import to_json
+
+JSON, MAT = "controller.json", "controller.mat"
+_FORM = "tustinnet-controller"  # what a file says first
+
+Reader = Callable[..., np.ndarray]  # of the name and the shape of an array
+
+
+def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
+    """A controller as JSON, with the names of its coordinates and inputs."""
+    return to_json({
+        "form": _FORM,
+        "period": _feedback(controller).dt,
+        "coordinates": [c.name for c in channels.coordinates],
+        "inputs": [i.name for i in channels.inputs],
+        **_to_lists(_content(controller)),
+    })  # fmt: skip
+
+
+def controller_mat(controller: Feedback | Tracking, channels: Channels) -> bytes:
+    """A controller as a MAT file: structures `feedback` and `plan`, and `gains`.
+
+    Vectors are columns; `gains` of a plan is (steps, inputs, states). Indices count from 0.
+    """
+    content = {
+        name: {key: _column(v) for key, v in part.items()} if isinstance(part, dict) else part
+        for name, part in _content(controller).items()
+    }
+    return mat_file({
+        "form": _FORM,
+        "period": _feedback(controller).dt,
+        "coordinates": mat_cells([c.name for c in channels.coordinates]),
+        "inputs": mat_cells([i.name for i in channels.inputs]),
+        **content,
+    })  # fmt: skip
+
+
+def read_controller(path: str | Path) -> Feedback | Tracking:
+    """The controller of an exported folder, or of its JSON or MAT file.
+
+    Args:
+        path: the folder, or the file.
+
+    Returns:
+        The feedback, or the tracking of a plan, with the numbers that were exported.
+
+    Raises:
+        InputError: there is no such file, it is no exported controller, or an entry is missing, of
+            another shape or not finite.
+    """
+    file = Path(path) / JSON if Path(path).is_dir() else Path(path)
+    expected = f"{JSON} or {MAT} of an exported controller"
+    if file.suffix not in (".json", ".mat"):
+        raise InputError(file, f"ending '{file.suffix}'", expected)
+    with convert_errors(file, "cannot be read", expected):
+        raw = file.read_bytes()
+        content = json.loads(raw) if file.suffix == ".json" else _read_mat(raw)
+    if not isinstance(content, dict) or content.get("form") != _FORM:
+        raise InputError(file, "no exported controller", expected)
+    feedback, plan = content.get("feedback"), content.get("plan")
+    if not isinstance(feedback, dict) or not isinstance(plan, dict | None):
+        raise InputError(file, "a controller without its feedback", expected)
+    period = _array_reader(file, content, "")("period", ())
+    final = _read_feedback(_array_reader(file, feedback, "feedback."), float(period))
+    if plan is None:
+        return final
+    read = _array_reader(file, plan, "plan.")
+    n_u, n_x = len(final.u0), len(final.x0)
+    u = read("u", (None, n_u))
+    x = read("x", (len(u) + 1, n_x))
+    cost, converged, iterations = (read(k, ()) for k in ("cost", "converged", "iterations"))
+    motion = Plan(
+        x=x, u=u, cost=float(cost), converged=bool(converged), iterations=int(iterations),
+        dt=float(period), goal=read("goal", (n_x,)), before=read("before", (n_u,)),
+        delay=final.delay,
+    )  # fmt: skip
+    n_z = n_x + final.previous * n_u
+    gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
+    return Tracking(plan=motion, gains=gains, final=final)
+
+
+def _feedback(controller: Feedback | Tracking) -> Feedback:
+    """The feedback about the equilibrium: all of it, or what follows a plan."""
+    return controller.final if isinstance(controller, Tracking) else controller
+
+
+def _content(controller: Feedback | Tracking) -> dict[str, Any]:
+    """The numbers of a controller by name, as arrays."""
+    f = _feedback(controller)
+    feedback = {
+        "gain": f.gain, "x0": f.x0, "u0": f.u0, "lower": f.lower, "upper": f.upper,
+        "integral": np.array(f.integral, int), "periodic": np.array(f.periodic, int),
+        "delay": f.delay,
+    }  # fmt: skip
+    if isinstance(controller, Feedback):
+        return {"feedback": feedback}
+    p = controller.plan
+    plan = {
+        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "iterations": p.iterations,
+        "goal": p.goal, "before": p.before,
+    }  # fmt: skip
+    return {"feedback": feedback, "plan": plan, "gains": controller.gains}
+
+
+def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Content with lists in the place of arrays."""
+    return {
+        name: _to_lists(value) if isinstance(value, dict)
+        else value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        for name, value in content.items()
+    }  # fmt: skip
+
+
+def _column(value: Any) -> Any:
+    """A vector as a column, as MATLAB has it; other values as they are."""
+    return value[:, None] if np.ndim(value) == 1 else value
+
+
+def _read_mat(raw: bytes) -> dict[str, Any]:
+    """The variables of a MAT file, structures as dictionaries."""
+    from scipy.io import loadmat
+
+    return loadmat(BytesIO(raw), simplify_cells=True)
+
+
+def _array_reader(file: Path, content: Mapping[str, Any], place: str) -> Reader:
+    """A function that reads an array of a shape from a part of a file's content."""
+
+    def read(name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        where = f"{place}{name}"
+        if name not in content:
+            raise InputError(file, f"no entry '{where}'", "an exported controller")
+        wanted = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
+        with convert_errors(file, f"entry '{where}'", f"numbers, {wanted}"):
+            array = np.array(content[name], np.float64)
+        free = sum(n is None for n in shape)
+        known = int(np.prod([n for n in shape if n is not None]))
+        # a MAT file keeps no axes of length 1, and has vectors as columns
+        if array.size % known == 0 if free else array.size == known:
+            array = array.reshape([-1 if n is None else n for n in shape])
+        else:
+            raise InputError(file, f"entry '{where}' of shape {array.shape}", wanted)
+        if not np.isfinite(array).all():
+            raise InputError(file, f"entry '{where}' is not finite", f"finite numbers, {wanted}")
+        return array
+
+    return read
+
+
+def _read_feedback(read: Reader, period: float) -> Feedback:
+    """The feedback that a file holds."""
+    x0, u0 = read("x0", (None,)), read("u0", (None,))
+    integral = tuple(int(i) for i in read("integral", (None,)))
+    return Feedback(
+        gain=read("gain", (len(u0), None)), x0=x0, u0=u0,
+        lower=read("lower", (len(u0),)), upper=read("upper", (len(u0),)),
+        integral=integral, periodic=tuple(int(i) for i in read("periodic", (None,))),
+        delay=int(read("delay", ())), dt=period,
+    )  # fmt: skip

@@ -1,0 +1,61 @@
+/* u = u0 - gain z within limits. z has the errors of the states, the commands before as differences
+   from those of the goal, the latest first, and the integrals of errors. While a plan lasts, goal,
+   u0 and gain are its own, without integrals. Tables of what is not used hold a 0. */
+#include "controller.h"
+
+@helpers@
+enum {
+    X = MODEL_STATES,
+    U = CONTROLLER_INPUTS,
+    P = CONTROLLER_PREVIOUS,
+    I = CONTROLLER_INTEGRALS,
+    A = CONTROLLER_PERIODIC
+};
+
+@tables@
+void controller_reset(controller *c)
+{
+    c->step = 0;
+    for (int i = 0; i < P * U; i++)
+        c->previous[i] = before[i % U];
+    for (int i = 0; i < I; i++)
+        c->integral[i] = R(0.0);
+}
+
+void controller_inputs(controller *c, const model_real x[], model_real u[])
+{
+    const int k = c->step, planned = k < CONTROLLER_STEPS;
+    const int size = planned ? X + P * U : X + P * U + I;
+    const model_real *goal = planned ? plan_x + k * X : x0;
+    const model_real *feed = planned ? plan_u + k * U : u0;
+    const model_real *row = planned ? plan_gain + k * U * size : gain;
+    model_real z[X + P * U + I];
+    int limited = 0;
+    for (int i = 0; i < X; i++)
+        z[i] = x[i] - goal[i];
+    for (int i = 0; i < A; i++)
+        z[periodic[i]] = wrapped(z[periodic[i]]);
+    for (int j = 0; j < P; j++) {
+        const int then = k - 1 - j; /* the step of the plan at which it was commanded */
+        const model_real *reference = !planned ? u0 : then < 0 ? before : plan_u + then * U;
+        for (int i = 0; i < U; i++)
+            z[X + j * U + i] = c->previous[j * U + i] - reference[i];
+    }
+    for (int i = 0; i < I; i++)
+        z[X + P * U + i] = c->integral[i];
+    for (int i = 0; i < U; i++, row += size) {
+        u[i] = feed[i];
+        for (int j = 0; j < size; j++)
+            u[i] -= row[j] * z[j];
+        limited = limited || u[i] < lower[i] || u[i] > upper[i];
+        u[i] = u[i] < lower[i] ? lower[i] : u[i] > upper[i] ? upper[i] : u[i];
+    }
+    if (!planned && !limited)
+        for (int i = 0; i < I; i++)
+            c->integral[i] += MODEL_PERIOD * z[integrated[i]];
+    for (int i = P * U - 1; i >= U; i--)
+        c->previous[i] = c->previous[i - U];
+    for (int i = 0; i < U && P > 0; i++)
+        c->previous[i] = u[i];
+    c->step = planned ? k + 1 : k;
+}

@@ -1,0 +1,33 @@
+/* A controller: inputs from the estimated state, at every sample. README.md has what x and u are. */
+#ifndef CONTROLLER_H
+#define CONTROLLER_H
+
+#include "model.h"
+
+#define CONTROLLER_INPUTS @inputs@
+#define CONTROLLER_INTEGRALS @integrals@ /* of errors of positions */
+#define CONTROLLER_PREVIOUS @previous@ /* samples of commands before, on which it depends */
+#define CONTROLLER_PERIODIC @periodic@ /* angles whose errors are wrapped */
+#define CONTROLLER_STEPS @steps@ /* of the plan that is followed first; 0 without a plan */
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct controller {
+    int step; /* of the plan */
+    model_real integral[CONTROLLER_INTEGRALS + 1];
+    model_real previous[CONTROLLER_PREVIOUS * CONTROLLER_INPUTS + 1];
+} controller;
+
+/* Begins anew: with the plan, where there is one. */
+void controller_reset(controller *c);
+
+/* The inputs u that are commanded at this sample, from the estimated state x. */
+void controller_inputs(controller *c, const model_real x[], model_real u[]);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

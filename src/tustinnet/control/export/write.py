@@ -1,0 +1,191 @@
+"""Writing a controller as a folder: C, gains, and scripts of solvers, compared with Python."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.cost import Cost
+from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
+from tustinnet.control.export.code import make_code, make_readme
+from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
+from tustinnet.control.export.scripts import make_scripts
+from tustinnet.control.input_history import find_causal_layout
+from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.errors import InputError
+from tustinnet.export.source import Source, make_source
+from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import FilterNoise
+from tustinnet.simulate.range import Range
+from tustinnet.store.exported import CARD, make_card, require_export_folder, write_export
+from tustinnet.store.header import read_header
+
+_AFTER = 300  # periods of the loop in software, after the plan where there is one
+_COUNTS = 10  # of an encoder: how far from the goal the loop begins without a plan
+_DISPLACEMENT = 0.01  # rad or m, where the resolution is not known
+_SAME_PERIOD = 1e-6  # relative
+
+Vector = Float[np.ndarray, " _"]
+
+
+@dataclass(frozen=True)
+class ControllerExport:
+    """A controller that was exported.
+
+    Attributes:
+        folder: the folder of its files.
+        files: their names.
+        checked: how the loop in C compares with that in Python.
+        notes: remarks for those who use it.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    checked: LoopCheck
+    notes: tuple[str, ...]
+
+
+def export_controller(
+    model: Model,
+    controller: Feedback | Tracking,
+    noise: FilterNoise,
+    out: str | Path,
+    *,
+    cost: Cost | None = None,
+    start: Vector | None = None,
+    file: str | Path | None = None,
+    groups: Mapping[str, str] | None = None,
+    overwrite: bool = False,
+) -> ControllerExport:
+    """Writes a controller with its estimator and model as C, as gains, and as scripts of solvers.
+
+    The loop that the C code closes in software is compared with that of Python before anything is
+    written.
+
+    Args:
+        model: the model on which the controller was designed, for the estimator.
+        controller: the feedback, or the feedback along a plan.
+        noise: the noise of the estimator, see `find_noise`.
+        out: the folder, which is empty or has an earlier export.
+        cost: what the plan minimises, see `make_cost`, for the scripts that solve the problem
+            anew. Without it there are no such scripts.
+        start: the state from which the loop in software begins, (n_x,); by default the beginning
+            of the plan, or ten encoder counts beside the goal.
+        file: the model's file. From it the card takes data and scores.
+        groups: for models with values by group: which to take, as `{"payload": "1kg"}`.
+        overwrite: whether an export that is there may be replaced.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: a folder that holds something else, or an export that may not be replaced; a
+            controller of other sizes than the model's; a plan that did not converge; a closed loop
+            that diverges, or differs in C. Nothing is written then.
+    """
+    folder = Path(out)
+    require_export_folder(folder, overwrite=overwrite)
+    header = {} if file is None else read_header(file)
+    source = make_source(model, Range.from_header(header, model), groups, header)
+    final = controller.final if isinstance(controller, Tracking) else controller
+    source = replace(source, layout=find_causal_layout(source.model, final.delay))
+    noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
+    _require_fit(controller, source)
+    if start is None:
+        start = _default_start(controller, source)
+    elif np.shape(start) != (source.n_x,) or not np.isfinite(start).all():
+        raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
+    steps = _AFTER + (len(controller.plan.u) if isinstance(controller, Tracking) else 0)
+    code = make_code(controller, source, noise, start, steps)
+    own = (
+        TrackingFeedback(controller) if isinstance(controller, Tracking)
+        else LinearFeedback(controller)
+    )  # fmt: skip
+    check = check_loop(code, own, source, noise, start, steps)
+    notes, scripts = [*source.notes], {}
+    if check.note:
+        notes.append(check.note)
+    if cost is None:
+        notes.append("no cost was given: no scripts for CasADi, acados and do-mpc")
+    elif find_spec("casadi") is None:
+        notes.append(
+            "casadi is not installed (pip install 'tustinnet[casadi]'): no scripts for CasADi, "
+            "acados and do-mpc"
+        )
+    else:
+        scripts = make_scripts(controller, source, cost, start)
+        if len(source.input_layout.offsets) > 1:
+            notes.append(
+                "a step of the model depends on inputs before its sample: the scripts for CasADi, "
+                "acados and do-mpc hold the input of the sample instead"
+            )
+    files = {
+        **code,
+        JSON: controller_json(controller, source.channels),
+        MAT: controller_mat(controller, source.channels),
+        **scripts,
+        "README.md": make_readme(controller, source, tuple(scripts), notes),
+    }
+    checked = {
+        "steps": check.steps, "difference": check.difference, "bound": BOUND, "note": check.note,
+    }  # fmt: skip
+    write_export(folder, {CARD: make_card(source, "controller", files, checked, file), **files})
+    return ControllerExport(folder, (*files, CARD), check, tuple(notes))
+
+
+def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
+    """The beginning of the plan; without one a state near the goal."""
+    if isinstance(controller, Tracking):
+        return controller.plan.x[0]
+    resolution = source.channels.resolution
+    start = np.array(controller.x0, np.float64)
+    start[source.channels.position] += np.where(
+        resolution > 0, _COUNTS * resolution, _DISPLACEMENT
+    )
+    return start
+
+
+def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
+    """Raises unless a controller has the sizes and the period of a model.
+
+    Raises:
+        InputError: other sizes or another period, a plan that did not converge.
+    """
+    final = controller.final if isinstance(controller, Tracking) else controller
+    n_x, n_u = source.n_x, source.channels.n_u
+    shapes = {"x0": (n_x,), "u0": (n_u,), "lower": (n_u,), "upper": (n_u,)}
+    for name, shape in shapes.items():
+        value = np.asarray(getattr(final, name))
+        if value.shape != shape or not np.isfinite(value).all():
+            raise InputError(
+                f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers"
+            )
+    previous = len(source.input_layout.offsets) - 1
+    n_z = n_x + len(final.integral) + previous * n_u
+    if np.shape(final.gain) != (n_u, n_z) or not np.isfinite(final.gain).all():
+        raise InputError(
+            "gain of the controller", f"shape {np.shape(final.gain)}",
+            f"finite numbers, ({n_u}, {n_z}): {n_x} states, {len(final.integral)} integrals, "
+            f"{previous} samples of previous commands",
+        )  # fmt: skip
+    if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
+        raise InputError(
+            "the controller", f"period {final.dt:g} s", f"that of the model, {source.channels.dt:g} s"
+        )
+    if isinstance(controller, Tracking):
+        plan, steps = controller.plan, len(controller.plan.u)
+        if not plan.converged:
+            raise InputError(
+                "the plan", f"it did not converge in {plan.iterations} iterations",
+                "a plan that did", "plan it with more iterations, more time or other weights",
+            )  # fmt: skip
+        for name, value, shape in (
+            ("x of the plan", plan.x, (steps + 1, n_x)), ("u of the plan", plan.u, (steps, n_u)),
+            ("gains along the plan", controller.gains, (steps, n_u, n_x + previous * n_u)),
+        ):  # fmt: skip
+            if np.shape(value) != shape or not np.isfinite(value).all():
+                raise InputError(name, f"shape {np.shape(value)}", f"finite numbers, {shape}")

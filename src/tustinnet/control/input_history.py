@@ -1,0 +1,66 @@
+"""Inputs that are applied one after the other, as the steps of a model take them."""
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.export.source import InputLayout, find_input_layout
+from tustinnet.models.contract import Model
+
+Vector = Float[np.ndarray, " _"]
+
+
+class InputHistory:
+    """What the steps of a model take of the inputs up to now, delays of its inputs included.
+
+    Inputs are held from sample to sample. A step that takes samples to come is given those of now.
+
+    Args:
+        model: the model.
+
+    Attributes:
+        shape: the shape of a step's inputs.
+        samples: how many samples a step depends on.
+    """
+
+    def __init__(self, model: Model) -> None:
+        layout = find_causal_layout(model)
+        n_u, self.shape = model.channels.n_u, layout.shape
+        self.samples = len(layout.offsets)
+        is_plain = self.samples == 1 and np.array_equal(layout.matrix, np.eye(n_u))
+        self._matrix = None if is_plain else layout.matrix
+        self._size = self.samples * n_u
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins anew; before the first sample inputs are taken to be 0."""
+        self._past = np.zeros(self._size)
+
+    def add(self, u: Vector) -> Vector:
+        """The inputs of the step that begins now, flattened.
+
+        Args:
+            u: the inputs from now to the next sample, (n_u,).
+        """
+        if self._matrix is None:
+            return u
+        self._past = np.concatenate([u, self._past[: self._size - len(u)]])
+        return self._matrix @ self._past
+
+
+def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
+    """The input samples on which steps depend where inputs are held, delays of them included.
+
+    They are those of now, of a sample before, and so on. Samples to come are taken to be those of
+    now.
+
+    Args:
+        model: the model.
+        delay: samples by which all inputs act late, beside the delays that the model's inputs have.
+    """
+    channels = model.channels
+    layout = find_input_layout(model, [(i.delay or 0.0) / channels.dt for i in channels.inputs])
+    n_u, lags = channels.n_u, [delay + max(0, -offset) for offset in layout.offsets]
+    matrix = np.zeros((len(layout.matrix), (max(lags) + 1) * n_u))
+    for i, lag in enumerate(lags):
+        matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]
+    return InputLayout(tuple(-lag for lag in range(max(lags) + 1)), matrix, layout.shape)

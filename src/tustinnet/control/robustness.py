@@ -1,0 +1,175 @@
+"""Robustness of a controller: closed loops over variants of the model and many starts."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.control.closed_loop import Goal, Outcome, closed_loop
+from tustinnet.control.controller import Controller
+from tustinnet.control.estimator import Estimator
+from tustinnet.control.variants import VariantKind
+from tustinnet.errors import InputError
+
+Vector = Float[np.ndarray, " _"]
+
+
+@dataclass(frozen=True)
+class RobustnessRow:
+    """Closed loops over the plants of one kind.
+
+    Attributes:
+        kind: the kind of variant.
+        help: in which way its plants differ from the model.
+        outcomes: what became of the goal from each start.
+    """
+
+    kind: str
+    help: str
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def successes(self) -> int:
+        """How many runs met the goal."""
+        return sum(outcome.is_success for outcome in self.outcomes)
+
+    @property
+    def share(self) -> float:
+        """The share of runs that met the goal, 0..1."""
+        return self.successes / len(self.outcomes)
+
+    @property
+    def worst(self) -> Mapping[str, float]:
+        """Largest distance from each position that is held, over all runs [rad or m]."""
+        names = self.outcomes[0].worst
+        return {name: max(outcome.worst[name] for outcome in self.outcomes) for name in names}
+
+    @property
+    def energy(self) -> float:
+        """Mean over the runs of the energy of the inputs, see `Outcome.energy`."""
+        return float(np.mean([outcome.energy for outcome in self.outcomes]))
+
+    @property
+    def time_to_reach(self) -> float | None:
+        """Median over the successful runs of the time from which the goal is held [s]."""
+        times = [o.time_to_reach for o in self.outcomes if o.time_to_reach is not None]
+        return float(np.median(times)) if times else None
+
+    def as_plain(self) -> dict[str, Any]:
+        """The row as plain values, for JSON."""
+        return {
+            "kind": self.kind,
+            "help": self.help,
+            "runs": len(self.outcomes),
+            "successes": self.successes,
+            "worst": dict(self.worst),
+            "energy": self.energy,
+            "time_to_reach": self.time_to_reach,
+            "failures": self.failures,
+        }
+
+    @property
+    def failures(self) -> str:
+        """How runs failed, and the first of these in a sentence; "" where all met the goal."""
+        failed = [outcome for outcome in self.outcomes if not outcome.is_success]
+        if not failed:
+            return ""
+        counts = Counter(outcome.end for outcome in failed).most_common()
+        return ", ".join(f"{n} {end}" for end, n in counts) + f" (first: {failed[0].sentence})"
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What a controller does on plants that differ from its model.
+
+    Attributes:
+        goal: what it was to reach.
+        rows: a row for each kind of variant.
+    """
+
+    goal: Goal
+    rows: tuple[RobustnessRow, ...]
+
+    def __getitem__(self, kind: str) -> RobustnessRow:
+        """The row of a kind."""
+        return next(row for row in self.rows if row.kind == kind)
+
+    @property
+    def share(self) -> float:
+        """The share of all runs that met the goal, 0..1."""
+        return float(np.mean([row.share for row in self.rows]))
+
+    @property
+    def worst_kind(self) -> RobustnessRow:
+        """The row of which fewest runs met the goal."""
+        return min(self.rows, key=lambda row: row.share)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence."""
+        worst = self.worst_kind
+        if worst.share == 1:
+            return f"every run of all {len(self.rows)} kinds meets the goal"
+        return (
+            f"{100 * self.share:.0f} % of the runs meet the goal; fewest where {worst.help}: "
+            f"{worst.successes} of {len(worst.outcomes)}, {worst.failures}"
+        )
+
+
+def draw_starts(
+    centre: Sequence[float] | Vector,
+    spread: float | Sequence[float] | Vector,
+    count: int = 20,
+    seed: int = 0,
+) -> Float[np.ndarray, "count n_q"]:
+    """Positions at rest, drawn evenly about a centre, from which runs start, (count, n_q).
+
+    Args:
+        centre: the centre, (n_q,) [rad or m].
+        spread: the largest distance from it, (n_q,) or one for all.
+        count: how many.
+        seed: of the draw.
+    """
+    middle = np.asarray(centre, np.float64)
+    return middle + spread * np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(middle)))
+
+
+def assess_robustness(
+    variants: Sequence[VariantKind],
+    controller: Controller,
+    estimator: Estimator,
+    starts: Float[np.ndarray, "count n_q"],
+    goal: Goal,
+    steps: int,
+    seed: int = 0,
+) -> Robustness:
+    """Plays a controller on all plants of all kinds, one from each start.
+
+    Args:
+        variants: the kinds of plants, as `make_variants` makes them.
+        controller: the controller.
+        estimator: the estimator.
+        starts: positions at rest, (count, n_q), as many as there are plants of a kind.
+        goal: what is to be reached and held.
+        steps: periods of a run.
+        seed: of encoders and noise; each run has its own, the same one in every kind.
+
+    Raises:
+        InputError: another number of starts than of plants, or a goal of other coordinates.
+    """
+    rows = []
+    for kind in variants:
+        if len(kind.plants) != len(starts):
+            raise InputError(
+                "assess_robustness", f"{len(starts)} starts",
+                f"as many as there are plants of the kind '{kind.name}', {len(kind.plants)}",
+            )  # fmt: skip
+        runs = (
+            closed_loop(plant, controller, estimator, steps, start, seed + i, goal).outcome
+            for i, (plant, start) in enumerate(zip(kind.plants, starts, strict=True))
+        )
+        rows.append(RobustnessRow(kind.name, kind.help, tuple(o for o in runs if o is not None)))
+    return Robustness(goal, tuple(rows))

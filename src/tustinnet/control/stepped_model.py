@@ -1,0 +1,122 @@
+"""Steps of a model as machine code that serves all values of its physical parameters."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.control.input_history import InputHistory
+from tustinnet.engine.equations import Equations, Formula
+from tustinnet.engine.runs import evaluate, make_step
+from tustinnet.errors import InputError
+from tustinnet.export.source import require_stepping
+from tustinnet.models.contract import Model, with_dtype
+from tustinnet.models.lagrangian import LagrangianModel
+
+Vector = Float[np.ndarray, " _"]
+
+
+class SteppedModel:
+    """A model that is stepped sample by sample, with values of its parameters from run to run.
+
+    It is compiled once. The parameters are those of the equations of motion in it: of a grey box,
+    or of the physics of a hybrid. Networks have none. Its steps use memory of their own, so each
+    thread needs one of its own.
+
+    Args:
+        model: the model, discretised if it is a continuous one.
+
+    Attributes:
+        model: the model.
+        nominal: the values of its parameters, by name.
+
+    Raises:
+        InputError: a continuous model, or JAX in single precision.
+    """
+
+    def __init__(self, model: Model) -> None:
+        require_stepping(model)
+        self.model = model
+        folded = with_dtype(model, np.float64).simplify()
+        equations = equations_in(folded)
+        values = {} if equations is None else equations.values
+        self.nominal = {name: float(values[name]) for name in sorted(values)}
+        names, shape = tuple(self.nominal), self.history().shape
+        n_w, n_x = int(np.prod(shape)), model.state_size
+        n_m, n_u = model.channels.measured.stop, model.channels.n_u
+
+        def step(x: Array, w: Array, p: Any, c: Any) -> Array:
+            variant = with_values(folded, dict(zip(names, w[n_w:], strict=True)))
+            return variant.step(x, w[:n_w].reshape(shape))
+
+        def start(point: Array) -> Array:
+            variant = with_values(folded, dict(zip(names, point[n_m + n_u :], strict=True)))
+            return variant.initial_state(point[:n_m], point[n_m : n_m + n_u])
+
+        where = f"the model ({type(model).__name__})"
+        n_p = len(names)
+        self._step = make_step(Equations(step, n_x, n_w + n_p, continuous=False, where=where))
+        self._start = Formula(start, n_m + n_u + n_p, where=where)
+
+    def history(self) -> InputHistory:
+        """A new history of inputs, from which the inputs of steps follow."""
+        return InputHistory(self.model)
+
+    def vector(self, values: Mapping[str, float]) -> Vector:
+        """Values of parameters as `step` takes them; nominal where there are none.
+
+        Raises:
+            InputError: a parameter that the model does not have, or a value that is not finite.
+        """
+        for name, value in values.items():
+            if name not in self.nominal or not np.isfinite(value):
+                raise InputError(
+                    f"a {type(self.model).__name__}", f"the parameter {name} = {value}",
+                    f"finite values of {', '.join(self.nominal) or '(it has no parameters)'}",
+                )  # fmt: skip
+        return np.array([values.get(name, value) for name, value in self.nominal.items()], float)
+
+    def start(self, q: Vector, v: Vector, values: Vector) -> Vector:
+        """The state at positions and velocities, internal states as the model expects, (n_x,)."""
+        point = np.concatenate([q, v, np.zeros(self.model.channels.n_u), values])
+        return evaluate(self._start, point[None])[0]
+
+    def step(self, x: Vector, inputs: Vector, values: Vector) -> Vector:
+        """The state at the next sample, (n_x,).
+
+        Args:
+            x: the state, (n_x,).
+            inputs: the inputs of the step, as `InputHistory.add` returns them.
+            values: the parameters, as `vector` returns them.
+        """
+        return self._step(x, np.concatenate([inputs, values]) if len(values) else inputs)
+
+
+def _is_equations(node: Any) -> bool:
+    """Whether a part of a model are equations of motion; those of committees are many in one."""
+    return isinstance(node, LagrangianModel) and all(
+        np.ndim(value) == 0 for value in node.values.values()
+    )
+
+
+def equations_in(model: Model) -> LagrangianModel | None:
+    """The first equations of motion in a model, None where there are none."""
+    nodes = jax.tree.leaves(model, is_leaf=_is_equations)
+    return next((node for node in nodes if _is_equations(node)), None)
+
+
+def with_equations(model: Model, equations: LagrangianModel) -> Model:
+    """A model with others in the place of its first equations of motion."""
+    leaves, structure = jax.tree.flatten(model, is_leaf=_is_equations)
+    place = next(i for i, leaf in enumerate(leaves) if _is_equations(leaf))
+    return jax.tree.unflatten(structure, [*leaves[:place], equations, *leaves[place + 1 :]])
+
+
+def with_values(model: Model, values: Mapping[str, Any]) -> Model:
+    """A model with some other values of the parameters of its equations of motion."""
+    equations = equations_in(model)
+    if equations is None or not values:
+        return model
+    return with_equations(model, LagrangianModel(equations.system, equations.values | dict(values)))

@@ -1,0 +1,87 @@
+"""Trials of a design: closed loops on plants that differ from its model."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
+from tustinnet.control.design import ControlDesign
+from tustinnet.control.estimator import ExtendedKalmanFilter
+from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
+from tustinnet.control.sampled_plant import Plant
+from tustinnet.control.variants import VariantKind, make_variants
+from tustinnet.simulate.range import Range
+
+_SPREAD = 0.05  # of the places where runs begin: rad of an angle, share of the range of a length
+_NOMINAL = "model"  # the run that is shown first
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Closed loops of a design.
+
+    Attributes:
+        robustness: what became of the goal on plants of every kind.
+        runs: whole runs to be shown, by label: on the model, and on another plant if there is one.
+    """
+
+    robustness: Robustness
+    runs: Mapping[str, ClosedLoopResult]
+
+
+def try_design(
+    design: ControlDesign,
+    header: Mapping[str, Any] | None = None,
+    *,
+    plants: Mapping[str, Plant] | None = None,
+    variants: bool = True,
+    count: int = 20,
+    seed: int = 0,
+) -> Trial:
+    """Plays a controller on variants of its model, and on other plants.
+
+    Args:
+        design: the controller.
+        header: the header of the model's file, with the errors of its parameters.
+        plants: other plants by name.
+        variants: whether variants of the model are played.
+        count: runs on the plants of each kind.
+        seed: of all draws.
+    """
+    kinds = list(
+        make_variants(design.model, design.noise, header, count=count, seed=seed)
+        if variants else ()
+    )  # fmt: skip
+    others = {f"plant {name}": plant for name, plant in (plants or {}).items()}
+    kinds += [
+        VariantKind(name, "another plant than the model", (plant,) * count)
+        for name, plant in others.items()
+    ]
+    training_range = None if header is None else Range.from_header(dict(header), design.model)
+    places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
+    controller = design.make_controller()
+    estimator = ExtendedKalmanFilter(design.model, design.noise)
+    robustness = assess_robustness(
+        kinds, controller, estimator, places, design.goal, design.steps, seed
+    )
+    shown = {_NOMINAL: kinds[0].plants[0]} if variants else {}
+    runs = {
+        label: closed_loop(
+            plant, controller, estimator, design.steps, places[0], seed, design.goal,
+            design.model.channels,
+        )
+        for label, plant in (shown | others).items()
+    }  # fmt: skip
+    return Trial(robustness, runs)
+
+
+def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.ndarray, " n_q"]:
+    """How far from where it is designed for a run may begin, for each coordinate."""
+    spread = np.full(design.model.channels.n_q, _SPREAD)
+    if training_range is not None:
+        recorded = np.ptp(training_range.states, axis=1)[design.model.channels.position]
+        spread = np.where(design.model.channels.angular, spread, _SPREAD * recorded)
+    return spread

@@ -1,0 +1,236 @@
+"""Tables and figures of a controller: where, margins, robustness, closed loops."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tustinnet.channels import Channels
+from tustinnet.control.closed_loop import ClosedLoopResult
+from tustinnet.control.design import ControlDesign
+from tustinnet.control.export.write import ControllerExport
+from tustinnet.control.robustness import Robustness
+from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
+from tustinnet.report.tables import Table
+
+
+def point_table(design: ControlDesign) -> Table:
+    """The equilibrium: values of all states and inputs, and the gains of the feedback there."""
+    point, feedback = design.point, design.feedback
+    channels = design.model.channels
+    units = [c.unit for c in channels.coordinates] + [f"{c.unit}/s" for c in channels.coordinates]
+    units += [""] * (len(point.names) - len(units))
+    inputs = [i.name for i in channels.inputs]
+    rows = [
+        [name, f"{value:.4g}", unit, *(f"{g:.4g}" for g in feedback.gain[:, j])]
+        for j, (name, value, unit) in enumerate(zip(point.names, point.x, units, strict=True))
+    ]
+    n_x = len(point.names)
+    integrals = [channels.coordinates[i].name for i in feedback.integral]
+    extra = [f"integral of {name}" for name in integrals]
+    extra += [
+        f"{i.name}, {k + 1} samples ago" if k else f"{i.name}, a sample ago"
+        for k in range(feedback.previous) for i in channels.inputs
+    ]  # fmt: skip
+    rows += [
+        [name, "0", "", *(f"{g:.4g}" for g in feedback.gain[:, n_x + j])]
+        for j, name in enumerate(extra)
+    ]
+    return Table(
+        ["state", "value", "unit", *(f"gain of {name}" for name in inputs)], rows,
+        title="The equilibrium, and the feedback about it",
+    )  # fmt: skip
+
+
+def margins_table(design: ControlDesign) -> Table:
+    """Gain, phase and delay margins of the loop at each input."""
+    rows = [
+        [
+            m.input, _factor(m.gain_down), _factor(m.gain_up),
+            f"{np.degrees(m.phase):.3g} deg" if np.isfinite(m.phase) else "any",
+            f"{1e3 * m.delay:.3g} ms" if np.isfinite(m.delay) else "any",
+            f"{m.crossover / (2 * np.pi):.3g} Hz" if np.isfinite(m.crossover) else "–",
+        ]
+        for m in design.margins.inputs
+    ]  # fmt: skip
+    peak = design.margins.sensitivity_peak
+    return Table(
+        ["loop at", "gain from", "gain to", "phase", "delay", "crossover"], rows,
+        title=f"Margins with all states known; peak of the sensitivity {peak:.3g}",
+    )  # fmt: skip
+
+
+def _factor(value: float) -> str:
+    return "any" if value in (0.0, np.inf) else f"{value:.3g}"
+
+
+def robustness_table(robustness: Robustness, channels: Channels) -> Table:
+    """What the controller does on plants of every kind."""
+    units = {c.name: c.unit for c in channels.coordinates}
+    names = list(robustness.rows[0].worst)
+    rows = []
+    for row in robustness.rows:
+        time = "–" if row.time_to_reach is None else f"{row.time_to_reach:.2f} s"
+        worst = [f"{row.worst[name]:.3g} {units[name]}" for name in names]
+        share = f"{row.successes} of {len(row.outcomes)}"
+        rows.append([row.kind, row.help, share, *worst, f"{row.energy:.3g}", time])
+    return Table(
+        ["plants", "how they differ from the model", "succeed",
+         *(f"worst {name}" for name in names), "energy", "held from"],
+        rows, title="The controller on plants that differ from the model",
+    )  # fmt: skip
+
+
+def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResult]) -> Figure:
+    """Positions and inputs of closed loops over time, with the plan where there is one.
+
+    Args:
+        design: the controller.
+        runs: closed loops by label, of which the first is drawn most prominently.
+    """
+    channels, plan = design.model.channels, design.plan
+    n_q, n_u = channels.n_q, channels.n_u
+    with figure_style():
+        figure = Figure(figsize=(7.0, 1.75 * n_q + 1.4 * n_u + 0.5), layout="constrained")
+        panels = figure.subplots(
+            n_q + n_u, 1, sharex=True, squeeze=False, height_ratios=(5,) * n_q + (4,) * n_u
+        )[:, 0]
+        for j, (axes, c) in enumerate(zip(panels[:n_q], channels.coordinates, strict=True)):
+            if plan is not None:
+                t = plan.dt * np.arange(len(plan.x))
+                plot_line(axes, t, plan.x[:, j], color="#b0b0b0", label="plan", linewidth=2.6)
+            if c.name in design.goal.at:
+                goal = design.point.x[j] if plan is None else plan.goal[j]
+                axes.axhline(goal, color=MEASURED, linewidth=0.8, linestyle=":", label="goal")
+            for i, (label, run) in reversed([*enumerate(runs.items())]):
+                t = run.dt * np.arange(len(run.states))
+                plot_line(
+                    axes, t, run.states[:, j], color=COLOURS[i % len(COLOURS)], label=label,
+                    linewidth=1.4 if i == 0 else 1.0,
+                )  # fmt: skip
+            axes.set_ylabel(f"{c.name} [{c.unit}]")
+        for j, (axes, i) in enumerate(zip(panels[n_q:], channels.inputs, strict=True)):
+            for k, (label, run) in reversed([*enumerate(runs.items())]):
+                t = run.dt * np.arange(len(run.inputs))
+                colour = INPUT if len(runs) == 1 else COLOURS[k % len(COLOURS)]
+                plot_line(axes, t, run.inputs[:, j], color=colour, label=label, linewidth=0.8,
+                          drawstyle="steps-post")  # fmt: skip
+            for end in (design.feedback.lower[j], design.feedback.upper[j]):
+                axes.axhline(end, color=MEASURED, linewidth=0.6, linestyle=":")
+            axes.set_ylabel(f"{i.name} [{i.unit}]" if i.unit else i.name)
+        panels[0].legend(ncols=4, fontsize=7.5, loc="upper right")
+        panels[-1].set_xlabel("time [s]")
+        return figure
+
+
+def robustness_figure(robustness: Robustness) -> Figure:
+    """Shares of the runs that met the goal, for plants of every kind."""
+    rows = robustness.rows
+    with figure_style():
+        figure = Figure(figsize=(7.0, 0.28 * len(rows) + 0.9), layout="constrained")
+        axes = figure.subplots()
+        places = np.arange(len(rows))
+        axes.barh(places, [row.share for row in rows], color=COLOURS[2], height=0.65)
+        for place, row in zip(places, rows, strict=True):
+            axes.text(0.01, place, f"{row.successes} of {len(row.outcomes)}", va="center",
+                      color="white" if row.share > 0.2 else "black", fontsize=7.5)  # fmt: skip
+        axes.set_yticks(places, [f"{row.kind}: {row.help}" for row in rows])
+        axes.invert_yaxis()
+        axes.set_xlim(0, 1)
+        axes.set_xlabel("share of the runs that reach and hold the goal")
+        axes.grid(visible=False, axis="y")
+        return figure
+
+
+def sentences(design: ControlDesign) -> list[str]:
+    """What is known of a controller, in a few sentences."""
+    point, channels = design.point, design.model.channels
+    place = ", ".join(
+        f"{c.name} = {x:.4g} {c.unit}"
+        for c, x in zip(channels.coordinates, point.x[channels.position], strict=True)
+    )
+    inputs = ", ".join(
+        f"{i.name} = {u:.4g} {i.unit}".rstrip()
+        for i, u in zip(channels.inputs, point.u, strict=True)
+    )
+    lines = [
+        f"equilibrium: {place}, with {inputs}",
+        f"it is {point.stability}; {point.controllable}; {point.observable}",
+    ]
+    if (plan := design.plan) is not None:
+        largest = np.abs(plan.u).max(axis=0)
+        used = ", ".join(
+            f"{i.name} up to {u:.3g} {i.unit}".rstrip()
+            for i, u in zip(channels.inputs, largest, strict=True)
+        )
+        lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {plan.iterations} iterations")
+    if design.beyond is not None:
+        lines.append(f"motion: {_beyond(design)}")
+    if design.consistency is None:
+        lines.append("estimator: no records were given (--data): its noise is a rough guess")
+    else:
+        lines += [f"estimator: {line}" for line in design.consistency.sentences]
+    return lines
+
+
+def _beyond(design: ControlDesign) -> str:
+    point = design.beyond
+    assert point is not None
+    time = point.sample * design.model.dt
+    if not point.signal:
+        return (
+            f"from {time:.3g} s on in combinations of positions, velocities and inputs that no "
+            "record has"
+        )
+    low, high = point.recorded
+    return (
+        f"from {time:.3g} s on beyond the training records: {point.signal} reaches "
+        f"{point.value:.4g}, recorded {low:.4g} to {high:.4g}"
+    )
+
+
+def summarise(
+    design: ControlDesign, robustness: Robustness, export: ControllerExport
+) -> dict[str, Any]:
+    """A controller and its tests as plain values."""
+    point, plan = design.point, design.plan
+    inputs = [i.name for i in design.model.channels.inputs]
+    return {
+        "at": dict(design.task.at),
+        "equilibrium": {
+            "states": dict(zip(point.names, point.x.tolist(), strict=True)),
+            "inputs": dict(zip(inputs, point.u.tolist(), strict=True)),
+            "stability": point.stability,
+            "controllable": point.controllable,
+            "observable": point.observable,
+        },
+        "margins": {
+            "inputs": [asdict(m) for m in design.margins.inputs],
+            "sensitivity_peak": design.margins.sensitivity_peak,
+            "peak_frequency": design.margins.peak_frequency,
+        },
+        "motion": None if plan is None else {
+            "seconds": len(plan.u) * plan.dt,
+            "iterations": plan.iterations,
+            "cost": plan.cost,
+            "largest_inputs": dict(zip(inputs, np.abs(plan.u).max(axis=0).tolist(), strict=True)),
+        },
+        "estimator": {
+            "process": np.asarray(design.noise.process).tolist(),
+            "measured": np.asarray(design.noise.measured).tolist(),
+            "tests": [] if design.consistency is None else list(design.consistency.sentences),
+        },
+        "robustness": [
+            {
+                "kind": row.kind, "help": row.help, "runs": len(row.outcomes),
+                "successes": row.successes, "worst": dict(row.worst), "energy": row.energy,
+                "time_to_reach": row.time_to_reach, "failures": row.failures,
+            }
+            for row in robustness.rows
+        ],
+        "verdict": robustness.sentence,
+        "check": {"steps": export.checked.steps, "difference": export.checked.difference},
+        "files": list(export.files),
+    }  # fmt: skip

@@ -1,0 +1,154 @@
+"""The verb that designs a controller, on the small pendulum."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_verbs import tustinnet
+
+import tustinnet as tn
+
+LIMITS = ("--limits", "torque=-6:6")  # of 10 / 2 that hold it level
+
+
+@pytest.fixture
+def model(identified) -> Path:
+    return identified / "model.safetensors"
+
+
+def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
+    out = tmp_path / "held"
+    code, text, messages = tustinnet(
+        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 5, "--out", out
+    )
+    assert code == 0, messages
+    assert "unstable" in text
+    assert "controllable; observable" in text
+    assert "no records were given (--data)" in text
+    nominal = next(line for line in text.splitlines() if line.strip().startswith("nominal"))
+    assert "5 of 5" in nominal
+    names = {path.name for path in out.iterdir()}
+    assert {"controller.c", "estimator.c", "model.c", "main.c", "controller.json", "design.json",
+            "closed_loop.png", "robustness.png"} <= names  # fmt: skip
+    design = json.loads((out / "design.json").read_text())
+    assert design["motion"] is None
+    # the model's own balance of torques there
+    assert abs(design["equilibrium"]["states"]["angle"] - np.pi) < 0.1
+
+
+def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, tmp_path, capsys):
+    out = tmp_path / "swung"
+    code, text, messages = tustinnet(
+        capsys, "control", model, "--at", f"angle={np.pi}", "--swing-up", "--seconds", 4, *LIMITS,
+        "--data", folder, "--card", folder / "dataset.toml", "--follow-links", "--weight",
+        "angle=20deg", "--weight", "torque=3", "--within", "der_angle=-20:20", "--delay", 1,
+        "--trust-beyond", "--system", system, "--plant", system, "--json", "--quiet", "--starts", 3,
+        "--out", out,
+    )  # fmt: skip
+    assert code == 0, messages
+    assert "designing" not in messages
+    design = json.loads(text)
+    assert design == json.loads((out / "design.json").read_text())
+    assert design["motion"]["seconds"] == pytest.approx(4.0)
+    assert design["estimator"]["tests"]
+    plant = design["robustness"][-1]
+    assert plant["kind"] == "plant"
+    assert plant["runs"] == 3
+    assert design["robustness"][0]["successes"] == 3
+    assert isinstance(tn.control.read_controller(out), tn.control.Tracking)
+
+
+def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_path, capsys):
+    out = tmp_path / "held"
+    arguments = (
+        "control",
+        model,
+        "--at",
+        "angle=0",
+        *LIMITS,
+        "--integral",
+        "angle",
+        "--starts",
+        1,
+        "--out",
+        out,
+    )
+    assert tustinnet(capsys, *arguments)[0] == 0
+    first = (out / "controller.json").read_bytes()
+    code, _, messages = tustinnet(capsys, *arguments)
+    assert code == 1
+    assert "--overwrite" in messages
+    code, text, _ = tustinnet(capsys, *arguments, "--overwrite")
+    assert code == 0
+    assert "integral of angle" in text
+    assert (out / "controller.json").read_bytes() == first
+
+
+def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
+    out = tmp_path / "moved"
+    code, text, messages = tustinnet(
+        capsys, "control", model, "--at", "angle=0", "--to", "angle=0.4", *LIMITS, "--out", out,
+        "--trust-beyond", "--starts", 1,
+    )  # fmt: skip
+    assert code == 0, messages
+    assert "motion:" in text
+    plan = tn.control.read_controller(out).plan
+    assert plan.x[0, 0] == pytest.approx(0.0, abs=0.1)
+    assert plan.x[-1, 0] == pytest.approx(0.4, abs=0.05)
+
+
+def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
+    out = tmp_path / "held"
+    assert tustinnet(
+        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 1, "--out", out
+    )[0] == 0  # fmt: skip
+    subprocess.run(["make", "-s"], cwd=out, check=True)
+    rows = subprocess.run(["./main"], cwd=out, check=True, capture_output=True, text=True).stdout
+    angle = float(rows.splitlines()[-1].split(",")[1])
+    assert abs(angle - np.pi) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (("--at", "elbow=0", *LIMITS), "elbow"),
+        (("--at", "angle"), "--at"),
+        (("--at", "angle=1.5", "--limits", "torque=-1:1"), "nearest"),
+        (("--at", "angle=0", "--limits", "torque=6:-6"), "--limits"),
+        (("--at", "angle=0", "--limits", "force=-6:6"), "force"),
+        (("--at", "angle=0", *LIMITS, "--seconds", 1), "--seconds"),
+        (("--at", "angle=0", *LIMITS, "--trust-beyond"), "--trust-beyond"),
+        (("--at", "angle=0", *LIMITS, "--within", "angle=-1:1"), "--within"),
+        (("--at", "angle=0", *LIMITS, "--card", "x.toml"), "--card"),
+        (("--at", "angle=0", *LIMITS, "--weight", "angle=fast"), "--weight"),
+        (("--at", "angle=0", *LIMITS, "--weight", "elbow=1"), "elbow"),
+        (("--at", "angle=0", *LIMITS, "--integral", "elbow"), "elbow"),
+        (("--at", "angle=0", *LIMITS, "--group", "payload=1kg"), "group"),
+        (("--at", "angle=0", *LIMITS, "--plant", "nothing.fmu"), "nothing.fmu"),
+        (("--at", "angle=0", *LIMITS, "--swing-up", "--to", "angle=1"), "--swing-up"),
+        (("--at", "angle=3.14159", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),
+         "reached"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said_in_a_line_and_nothing_is_written(
+    model, tmp_path, capsys, arguments, names
+):
+    out = tmp_path / "none"
+    code, text, messages = tustinnet(capsys, "control", model, *arguments, "--out", out)
+    assert code == 1
+    errors = [line for line in messages.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert names in errors[0]
+    assert not text
+    assert not out.exists()
+
+
+def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
+    code, _, messages = tustinnet(
+        capsys, "control", model, "--at", "angle=0", "--out", tmp_path / "none"
+    )
+    assert code == 1
+    assert "torque" in messages
+    assert "limits" in messages
