@@ -51,10 +51,10 @@ FollowLinks = Annotated[
 System = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME|FILE.py",
+        metavar="NAME|FILE",
         autocompletion=completion.system,
-        help=f"System, that is equations of motion: {', '.join(SYSTEMS.places)}, or a Python file "
-        "that defines SYSTEM (the file is executed).",
+        help=f"System, that is equations of motion: {', '.join(SYSTEMS.places)}, a Python file "
+        "that defines SYSTEM (the file is executed), or a robot: FILE.urdf, or FILE.xml of MuJoCo.",
     ),
 ]
 _RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."

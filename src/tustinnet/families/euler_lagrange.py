@@ -89,7 +89,8 @@ class EulerLagrangeFamily(IdentifiedFamily):
                 f"add --system {file} (in Python: load_model(path, system=...))",
             )
         if system is not None:
-            loaded = load_system(system)
+            channels = Channels.from_header(header)
+            loaded = load_system(system).for_channels(channels.coordinates, channels.inputs, where)
         elif made := _made_for_records(name):
             channels = Channels.from_header(header)
             terms = [Parameter(*fields) for fields in header["terms"]]
@@ -230,6 +231,8 @@ def _describe_parameters(system: LagrangianSystem, names: Iterable[str]) -> list
 
 def _file_name(system: LagrangianSystem) -> str:
     """The name of the file that a system is written in, empty where it is in none."""
+    if system.source is not None:
+        return system.source.path.name
     try:
         return Path(inspect.getsourcefile(inspect.unwrap(system.kinetic)) or "").name
     except TypeError:

@@ -1,9 +1,11 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
 import inspect
-from collections.abc import Callable, Collection, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -83,6 +85,22 @@ class Memory:
         return self.force(q, v, z, u, p) if self.force_needs_inputs else self.force(q, v, z, p)
 
 
+@dataclass(frozen=True)
+class Inertia:
+    """Mass matrix and Coriolis forces of a kinetic energy, where a recursion gives them.
+
+    Without them they are second derivatives of `LagrangianSystem.kinetic`, whose programs grow with
+    the cube of the number of links of a chain.
+
+    Attributes:
+        mass_matrix: `M(q, p)`, d2T/dv2, (n_q, n_q) [kg m^2, kg m or kg].
+        coriolis: `C(q, v, p)`, dT/dq - (d2T/dv dq) v, (n_q,) [N m or N].
+    """
+
+    mass_matrix: Callable[[Coordinates, Values], Any]
+    coriolis: Callable[[Coordinates, Coordinates, Values], Any]
+
+
 def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
     """Whether a function of a system takes the inputs u beside other arguments.
 
@@ -108,6 +126,22 @@ def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
     raise TypeError(f"the arguments {signature}; expected {forms}")
 
 
+class ChannelSource(ABC):
+    """A file by which a system can be made for coordinates and inputs of any order.
+
+    Attributes:
+        path: the file.
+    """
+
+    path: Path
+
+    @abstractmethod
+    def for_channels(
+        self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
+    ) -> "LagrangianSystem":
+        """The system with these coordinates and inputs, see `LagrangianSystem.for_channels`."""
+
+
 @dataclass(frozen=True)
 class LagrangianSystem:
     """A mechanical system written as energies and forces.
@@ -127,6 +161,10 @@ class LagrangianSystem:
         sensors: names of parameters of sensor errors, see `models.sensors.with_sensor_errors`.
         added: names of forces that were added, see `models.added.with_forces`.
         links: its links, by which it is drawn; none if unknown.
+        inertia: mass matrix and Coriolis forces of `kinetic` by a recursion, which must agree with
+            it; None to derive them from it.
+        source: the file of a robot from which it was made, and from which it can be made with
+            coordinates and inputs in another order; None if its functions know no names.
     """
 
     name: str
@@ -141,6 +179,8 @@ class LagrangianSystem:
     sensors: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
     links: tuple[Link, ...] = ()
+    inertia: Inertia | None = None
+    source: "ChannelSource | None" = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -193,6 +233,25 @@ class LagrangianSystem:
         """The names of the internal states."""
         return self.memory.names if self.memory else ()
 
+    def for_channels(
+        self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
+    ) -> "LagrangianSystem":
+        """The system with coordinates and inputs in the order of records.
+
+        Only a system with a `source` can be rearranged; another one is returned as it is.
+
+        Args:
+            coordinates: coordinates of the records.
+            inputs: inputs of the records.
+            where: what has them, for messages.
+
+        Raises:
+            InputError: coordinates or inputs that the source does not know, or some are missing.
+        """
+        if self.source is None:
+            return self
+        return self.source.for_channels(coordinates, inputs, where)
+
     def model(self, values: Values) -> "LagrangianModel":
         """The equations of motion with the values of all parameters, by name.
 
@@ -226,6 +285,10 @@ class LagrangianSystem:
             functions.append(("dissipation", self.dissipation, (q, v, p), q.shape))
         if self.input_map:
             functions.append(("input_map", self.input_map, (q, v, u, p), q.shape))
+        if self.inertia:
+            square = (*q.shape, *q.shape)
+            functions.append(("mass_matrix", self.inertia.mass_matrix, (q, p), square))
+            functions.append(("coriolis", self.inertia.coriolis, (q, v, p), q.shape))
         functions += self._memory_functions(q, v, z, u, p)
         for name, function, arguments, shape in functions:
             where = f"system '{self.name}', {name}"
@@ -375,6 +438,8 @@ class LagrangianModel(ContinuousModel):
 
     def mass_matrix(self, q: Coordinates) -> Float[Array, "n_q n_q"]:
         """`M(q)`, (n_q, n_q) [kg m^2, kg m or kg]."""
+        if self.system.inertia:
+            return jnp.asarray(self.system.inertia.mass_matrix(q, self.values))
         at_rest = jnp.zeros_like(q)
         return jax.hessian(self.system.kinetic, argnums=1)(q, at_rest, self.values)
 
@@ -387,9 +452,12 @@ class LagrangianModel(ContinuousModel):
     def conservative(self, q: Coordinates, v: Coordinates) -> Coordinates:
         """`dT/dq - dV/dq - (d2T/dv dq) v`: forces without actuators and losses, (n_q,)."""
         s, p = self.system, self.values
-        momentum = jax.grad(s.kinetic, argnums=1)
-        _, rate = jax.jvp(lambda position: momentum(position, v, p), (q,), (v,))
-        force = jax.grad(s.kinetic)(q, v, p) - rate
+        if s.inertia:
+            force = jnp.asarray(s.inertia.coriolis(q, v, p))
+        else:
+            momentum = jax.grad(s.kinetic, argnums=1)
+            _, rate = jax.jvp(lambda position: momentum(position, v, p), (q,), (v,))
+            force = jax.grad(s.kinetic)(q, v, p) - rate
         return force - jax.grad(s.potential)(q, p) if s.potential else force
 
     def applied(self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector) -> Coordinates:

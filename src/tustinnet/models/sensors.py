@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Input
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Values
+from tustinnet.models.lagrangian import Inertia, LagrangianSystem, Parameter, Values
 
 _NEUTRAL = {"bias": 0.0, "gain": 1.0}
 
@@ -71,6 +71,12 @@ def with_sensor_errors(
     def potential(q: Any, p: Values) -> Any:
         return physical(lambda q, v, p: system.potential and system.potential(q, p))(q, q, p)
 
+    def mass_matrix(q: Any, p: Values) -> Any:
+        gain = values(system.coordinates, "gain", p)
+        inertia = system.inertia and system.inertia.mass_matrix
+        by_physical = physical(lambda q, v, p: inertia and inertia(q, p))(q, q, p)
+        return jnp.asarray(by_physical) / gain / gain[:, None]
+
     memory = system.memory
     return replace(
         system,
@@ -88,6 +94,8 @@ def with_sensor_errors(
             and physical(memory.initial, has_inputs=memory.initial_needs_inputs),
         ),
         sensors=tuple(s.name for s in sensors),
+        inertia=system.inertia
+        and Inertia(mass_matrix, physical(system.inertia.coriolis, is_force=True)),
     )
 
 

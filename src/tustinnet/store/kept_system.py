@@ -1,6 +1,6 @@
 """The copy of a system file that a run keeps, and which copies the user trusts.
 
-A copy is Python code, and a run folder may come from anybody. The SHA-256 of each copy
+A copy of a Python file is code, and a run folder may come from anybody. The SHA-256 of each copy
 that the user has consented to is kept, a file of that name in the user's configuration folder.
 """
 
@@ -15,9 +15,9 @@ from tustinnet.data.declaration import read_source
 from tustinnet.errors import InputError
 from tustinnet.store.files import write_into
 from tustinnet.store.header import read_header
-from tustinnet.systems.files import SystemFile
+from tustinnet.systems.files import ROBOT_ENDINGS, SystemFile
 
-COPY = "system.py"  # what the copy is called in a run folder
+COPY = "system"  # what the copy is called in a run folder, before the ending of the file
 CANDIDATES = "candidates"  # the folder of a selection that has one for each candidate
 HEADER = "system_copy"  # its key in the header of a model
 CONFIG_VARIABLE = "TUSTINNET_CONFIG"  # names another configuration folder
@@ -25,7 +25,7 @@ CONFIG_VARIABLE = "TUSTINNET_CONFIG"  # names another configuration folder
 
 def system_header(system: SystemFile | None) -> dict[str, Any]:
     """The entry in the model files of a run on the copy that the run keeps."""
-    return {} if system is None else {HEADER: {"file": COPY, "sha256": system.sha256}}
+    return {} if system is None else {HEADER: {"file": _copy_name(system), "sha256": system.sha256}}
 
 
 def write_system_copy(system: SystemFile, folder: Path) -> None:
@@ -34,7 +34,7 @@ def write_system_copy(system: SystemFile, folder: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    write_into(folder, COPY, system.text)
+    write_into(folder, _copy_name(system), system.text)
 
 
 def require_copy_fits(
@@ -49,10 +49,12 @@ def require_copy_fits(
             names is theirs.
 
     Raises:
-        InputError: another `system.py` is there.
+        InputError: another file of the copy's name is there.
     """
-    path = folder / COPY
-    if system is None or not path.exists() or (text := _read_copy(path)) == system.text:
+    if system is None:
+        return
+    path = folder / _copy_name(system)
+    if not path.exists() or (text := _read_copy(path)) == system.text:
         return
     digest = SystemFile(path, text).sha256.encode()
     if not any(digest in file.read_bytes() for file in replaced if file.is_file()):
@@ -72,9 +74,10 @@ def find_system_copy(model: Path) -> SystemFile | None:
     """
     if HEADER not in read_header(model):
         return None
-    for path in (folder / COPY for folder in _run_folders(model.parent)):
-        if path.exists():
-            return SystemFile(path, _read_copy(path))
+    for folder in _run_folders(model.parent):
+        for path in (folder / f"{COPY}{ending}" for ending in (".py", *ROBOT_ENDINGS)):
+            if path.exists():
+                return SystemFile(path, _read_copy(path))
     return None
 
 
@@ -88,8 +91,8 @@ def _run_folders(folder: Path) -> Iterator[Path]:
 
 
 def is_trusted(system: SystemFile) -> bool:
-    """Whether the user has consented to run just this text."""
-    return (_trusted_folder() / system.sha256).is_file()
+    """Whether the user has consented to run just this text; a robot file runs nothing."""
+    return not system.is_code or (_trusted_folder() / system.sha256).is_file()
 
 
 def trust(system: SystemFile) -> None:
@@ -101,10 +104,14 @@ def trust(system: SystemFile) -> None:
     write_into(_trusted_folder(), system.sha256, f"{system.path.resolve()}\n")
 
 
+def _copy_name(system: SystemFile) -> str:
+    return f"{COPY}{system.path.suffix}"
+
+
 def _trusted_folder() -> Path:
     folder = os.environ.get(CONFIG_VARIABLE)
     return Path(folder or platformdirs.user_config_dir("tustinnet")) / "trusted-systems"
 
 
 def _read_copy(path: Path) -> str:
-    return read_source(path, "the Python file that was kept with the model")
+    return read_source(path, "the system file that was kept with the model")

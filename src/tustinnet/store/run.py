@@ -3,7 +3,7 @@
 folder/model.safetensors              the model, of several members the best one's
 folder/summary.json                   the account: every member and the spread
 folder/question.json                  the specification: recipe, records, system
-folder/system.py                      a copy of the system's file, where one was given
+folder/system.py, .urdf or .xml       a copy of the system's file, where one was given
 folder/report.html                    the page of it, written by the command when all else is there
 folder/log.jsonl                      of identifications: one line an iteration and a stage
 folder/seed-0/model.safetensors       of trainings: the best weights of that seed

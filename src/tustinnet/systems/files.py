@@ -21,6 +21,7 @@ from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, tracing_remedy
 from tustinnet.registry import SYSTEMS
 
+ROBOT_ENDINGS = (".urdf", ".xml", ".mjcf")
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
@@ -43,6 +44,11 @@ class SystemFile:
     def sha256(self) -> str:
         """SHA-256 of the text in UTF-8."""
         return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @property
+    def is_code(self) -> bool:
+        """Whether it is Python code, which is run; a robot file is only read."""
+        return self.path.suffix not in ROBOT_ENDINGS
 
 
 class SystemTemplate(ABC):
@@ -80,22 +86,39 @@ def find_system(which: str | Path) -> SystemFile | str:
     path = Path(which)
     if str(which) in SYSTEMS:
         return str(which)
+    if path.suffix in ROBOT_ENDINGS:
+        return _find_robot(path)
     if path.suffix != ".py":
         raise InputError(
             f"system '{which}'",
             "no such system",
-            f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py",
+            f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py, FILE.urdf or FILE.xml",
         )
     return SystemFile(path, read_source(path, "a Python file that defines SYSTEM"))
 
 
+def _find_robot(path: Path) -> SystemFile:
+    """The file of a robot, with what it includes."""
+    from tustinnet.systems.mjcf import include_files
+
+    text = read_source(path, "a robot file")
+    if path.suffix != ".urdf":
+        text = include_files(
+            text, path, lambda name: read_source(path.parent / name, "an included robot file")
+        )
+    return SystemFile(path, text)
+
+
 def load_system(which: AnySystem) -> LagrangianSystem:
-    """A system by its packaged name, or the `SYSTEM` of a Python file, which is run.
+    """A system by its packaged name, of a robot file, or the `SYSTEM` of a Python file.
+
+    A Python file is run. A robot file (URDF, or MuJoCo's format) is only read; see `load_robot` for
+    joints that are locked and inputs that are currents.
 
     Args:
         which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
-            `qube-servo2-rubbing`, `qube-servo2-turned`), or a file, as `arm.py`; a
-            system is returned as it is.
+            `qube-servo2-rubbing`, `qube-servo2-turned`), or a file, as `arm.py`,
+            `arm.urdf` or `robot.xml`; a system is returned as it is.
 
     Raises:
         InputError: no such name or file, a file that fails or has no `SYSTEM`, a system that is
@@ -119,6 +142,10 @@ def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTempla
     if isinstance(file, str):
         return SYSTEMS[file]
     path, text = file.path, file.text
+    if not file.is_code:
+        from tustinnet.systems.robots import RobotFile
+
+        return RobotFile(text, path).load()
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     with _errors_with_place(path):

@@ -42,6 +42,8 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
     where = f"system '{system.name}', kinetic"
 
     def at_rest_and_moving(q: Array) -> Array:
+        if system.inertia:  # it does not depend on the velocity
+            return jnp.stack([model.mass_matrix(q)] * 2).ravel()
         both = [hessian(q, jnp.full_like(q, speed), model.values) for speed in (0.0, 1.0)]
         return jnp.stack(both).ravel()
 

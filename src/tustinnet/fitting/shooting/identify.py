@@ -174,6 +174,8 @@ def _make_problem(
     assert system is not None
     records = list(roles.train)
     system = system.for_records(records) if isinstance(system, SystemTemplate) else system
+    first = records[0]
+    system = system.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
     system = _with_open_holds(system, records[0].inputs)
     system.channels.require_same(
         records[0].channels, records[0].name, f"the system '{system.name}'"

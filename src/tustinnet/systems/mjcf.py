@@ -1,0 +1,286 @@
+"""Robots from files in MuJoCo's format (MJCF), compiled by MuJoCo.
+
+Defaults, orientations in a dozen notations and inertias of shapes are MuJoCo's to resolve. Meshes,
+textures and whatever else is only seen or touched is taken out before, so no file of them is read.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from tustinnet.errors import InputError, convert_errors, require_package
+from tustinnet.systems.robot import (
+    LinkInertia,
+    Mimic,
+    Robot,
+    RobotActuator,
+    RobotJoint,
+    RobotLink,
+    parse_xml,
+    without_rounding,
+)
+
+_EXPECTED = "a robot in MuJoCo's format (MJCF)"
+_WORLD = 0  # the body that everything stands on
+# sections of a file that no equation of motion needs, and that may name files
+_SEEN = (
+    "meshes", "hfields", "skins", "flexes", "materials", "textures", "sensors", "keys", "pairs",
+    "excludes", "cameras", "lights",
+)  # fmt: skip
+_READS_FILES = ("model", "attach", "flexcomp", "plugin")
+# numbers of a compiled model that stand for forces without equations here, by what they are
+_UNSUPPORTED = {
+    "body_gravcomp": "gravity compensation", "dof_dampingpoly": "damping that is not linear",
+    "jnt_stiffnesspoly": "springs that are not linear", "actuator_damping": "damping of actuators",
+}  # fmt: skip
+# of an actuator's gain and bias, by MuJoCo's numbers
+_FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS = 0, 0, 1
+_AT_JOINTS = (0, 1)  # transmissions: at a joint, and at one in its parent's frame
+
+
+def include_files(text: str, where: object, read: Callable[[str], str]) -> str:
+    """The text of a file with what it includes in the place of <include file="..."/>.
+
+    Args:
+        text: the text.
+        where: the file, for messages.
+        read: gives the text of an included file by its name.
+
+    Raises:
+        InputError: no XML, a file that cannot be read, or one that is included twice.
+    """
+    root, included = parse_xml(text, where, _EXPECTED), set[str]()
+    if root.find(".//include") is None:
+        return text
+    while True:
+        parents = {child: parent for parent in root.iter() for child in parent}
+        include = root.find(".//include")
+        if include is None:
+            return ET.tostring(root, "unicode")
+        name = include.get("file", "")
+        if not name or name in included:
+            raise InputError(
+                where, f"includes '{name}'" + (" twice" if name else ""), "each file once"
+            )
+        included.add(name)
+        content = parse_xml(read(name), name, _EXPECTED)
+        parent = parents[include]
+        place = list(parent).index(include)
+        parent[place : place + 1] = list(content)
+
+
+def read_mjcf(text: str, where: object) -> Robot:
+    """The robot of a file in MuJoCo's format.
+
+    Args:
+        text: the file's text, without includes.
+        where: the file, for messages.
+
+    Raises:
+        InputError: MuJoCo is not installed or refuses the file; joints, actuators or forces without
+            equations here; a body whose inertia is that of a mesh.
+    """
+    root = parse_xml(text, where, _EXPECTED)
+    if root.tag != "mujoco":
+        raise InputError(where, f"the root element <{root.tag}>", "<mujoco>", "is it a MJCF file?")
+    for tag in _READS_FILES:
+        if root.find(f".//{tag}") is not None:
+            raise InputError(
+                where, f"<{tag}>, which stands for other files", _EXPECTED,
+                "write its content into the file",
+            )  # fmt: skip
+    require_package("mujoco", "robots", where)
+    mujoco = import_module("mujoco")  # no types are known
+    with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
+        spec = mujoco.MjSpec.from_string(text)
+    _remove_seen(mujoco, spec, where)
+    with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
+        model = spec.compile()
+    has_shape = {body.name for body in spec.bodies if body.geoms}
+    return _robot_of(mujoco, model, has_shape, where)
+
+
+def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
+    """Takes out what is only seen or touched; shapes stay where inertias are computed of them.
+
+    Raises:
+        InputError: an inertia would be computed of a mesh.
+    """
+    by_shape = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    shapes = {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF}
+    groups = range(spec.compiler.inertiagrouprange[0], spec.compiler.inertiagrouprange[1] + 1)
+    for body in spec.bodies:
+        needs_shapes = _moves(body) and (by_shape or not body.explicitinertial)
+        for geom in list(body.geoms):
+            geom.material = ""
+            if geom.type not in shapes and not geom.meshname:
+                continue
+            has_mass = geom.mass != 0 and geom.density != 0 and geom.group in groups
+            if needs_shapes and has_mass:
+                raise InputError(
+                    f"{where}, body '{body.name}'", "no <inertial>: its inertia would be that of a "
+                    "mesh, which is not read", "mass, centre and inertia",
+                    'add <inertial pos="..." mass="..." fullinertia="..."/>',
+                )  # fmt: skip
+            spec.delete(geom)
+    for name in _SEEN:
+        for element in list(getattr(spec, name, ())):
+            spec.delete(element)
+
+
+def _moves(body: Any) -> bool:
+    while body is not None and body.id != _WORLD:
+        if body.joints:
+            return True
+        body = body.parent
+    return False
+
+
+def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Robot:
+    """The description of a compiled model."""
+    _require_supported(mujoco, model, where)
+    links, joints = [], []
+    for i in range(model.nbody):
+        body = model.body(i)
+        is_frame = body.name not in has_shape
+        links.append(RobotLink(body.name, _inertia_of(mujoco, model, i), is_frame))
+        if i == _WORLD:
+            continue
+        parent = model.body(model.body_parentid[i]).name
+        rotation, position = _matrix(mujoco, model.body_quat[i]), model.body_pos[i].copy()
+        first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+        if not count:
+            joints.append(RobotJoint(
+                body.name, "fixed", parent, body.name, rotation, position, np.zeros(3), np.zeros(3)
+            ))  # fmt: skip
+        for k in range(first, first + count):
+            is_last = k == first + count - 1
+            child = body.name if is_last else f"{body.name}@{model.joint(k).name}"
+            if not is_last:
+                links.append(RobotLink(child, None, is_frame=True))
+            joints.append(_joint_of(mujoco, model, k, parent, child, rotation, position, where))
+            # further joints of a body begin where the one before ends
+            parent, rotation, position = child, np.eye(3), np.zeros(3)
+    x, y, z = (float(g) for g in model.opt.gravity)
+    return Robot(
+        _name_of(model) or "robot", tuple(links), tuple(joints), _actuators_of(model, where),
+        (x, y, z),
+    )  # fmt: skip
+
+
+def _require_supported(mujoco: Any, model: Any, where: object) -> None:
+    """Raises for constraints and forces that a file may have and the equations here have not."""
+    for name, what in _UNSUPPORTED.items():
+        if np.any(getattr(model, name, 0)):
+            raise InputError(where, what, "forces that are linear, and gravity", "leave it out")
+    if model.opt.density or model.opt.viscosity:
+        raise InputError(where, "a fluid around the robot", "none", "leave density, viscosity out")
+    for tendon in range(model.ntendon):
+        if model.tendon_stiffness[tendon] or model.tendon_damping[tendon]:
+            name = model.tendon(tendon).name
+            raise InputError(where, f"a spring or damper in the tendon '{name}'", "at joints")
+    for i in range(model.neq):
+        kind = mujoco.mjtEq(model.eq_type[i])
+        if model.eq_active0[i] and kind != mujoco.mjtEq.mjEQ_JOINT:
+            raise InputError(
+                where, f"a loop: the equality constraint '{model.equality(i).name}'",
+                "a tree, of joints that follow others at most",
+                "write a closed chain down: docs/how-to/add-a-system.md",
+            )  # fmt: skip
+
+
+def _joint_of(
+    mujoco: Any, model: Any, k: int, parent: str, child: str, rotation: np.ndarray,
+    position: np.ndarray, where: object,
+) -> RobotJoint:  # fmt: skip
+    """The joint of index k."""
+    name, kind = model.joint(k).name, mujoco.mjtJoint(model.jnt_type[k])
+    place = f"{where}, joint '{name}'"
+    if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        is_free = kind == mujoco.mjtJoint.mjJNT_FREE
+        raise InputError(
+            place, "a free joint: the base floats" if is_free else "a ball joint",
+            "a base that stands, joints of the types hinge and slide",
+            "leave it out" if is_free else "write it as three hinges",
+        )  # fmt: skip
+    if not name:
+        raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")
+    dof, zero = int(model.jnt_dofadr[k]), float(model.qpos0[model.jnt_qposadr[k]])
+    return RobotJoint(
+        name, "angular" if kind == mujoco.mjtJoint.mjJNT_HINGE else "linear", parent, child,
+        rotation, position, without_rounding(model.jnt_axis[k]), model.jnt_pos[k].copy(),
+        zero=zero,
+        mimic=_mimic_of(model, k, place),
+        armature=float(model.dof_armature[dof]),
+        viscous=float(np.ravel(model.dof_damping[dof])[0]),
+        coulomb=float(model.dof_frictionloss[dof]),
+        stiffness=float(np.ravel(model.jnt_stiffness[k])[0]),
+        spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
+    )  # fmt: skip
+
+
+def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
+    """The joint that a joint follows by an equality constraint."""
+    for i in np.flatnonzero(model.eq_active0 & (model.eq_obj1id == k)):
+        other, (constant, slope, *higher) = int(model.eq_obj2id[i]), model.eq_data[i, :5].tolist()
+        if other < 0 or any(higher):
+            raise InputError(
+                place, f"the equality constraint '{model.equality(i).name}'",
+                "that it follows another joint at a fixed ratio", "lock it, or leave it out",
+            )  # fmt: skip
+        own, leading = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (k, other))
+        return Mimic(model.joint(other).name, slope, own + constant - slope * leading)
+    return None
+
+
+def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
+    """The actuators, of which each must be at a joint and linear."""
+    actuators = []
+    for i in range(model.nu):
+        name, joint = model.actuator(i).name, int(model.actuator_trnid[i, 0])
+        place = f"{where}, actuator '{name or i}'"
+        if model.actuator_trntype[i] not in _AT_JOINTS:
+            raise InputError(place, "not at a joint", 'joint="..."', "leave it out")
+        if (
+            model.actuator_dyntype[i]
+            or model.actuator_gaintype[i] != _FIXED_GAIN
+            or model.actuator_biastype[i] not in (_NO_BIAS, _AFFINE_BIAS)
+        ):
+            raise InputError(
+                place, "states of its own, or forces that are not linear",
+                "a motor, or a servo without a lag",
+                "write it as a motor and add a lag: [model] forces = [\"lag\"]",
+            )  # fmt: skip
+        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
+        bias, by_position, by_speed = model.actuator_biasprm[i, :3].tolist()
+        if model.actuator_biastype[i] == _NO_BIAS:
+            bias = by_position = by_speed = 0.0
+        joint_name = model.joint(joint).name
+        actuators.append(RobotActuator(
+            name or joint_name, joint_name, gear * gain, gear**2 * by_position,
+            gear**2 * by_speed, gear * bias,
+        ))  # fmt: skip
+    return tuple(actuators)
+
+
+def _inertia_of(mujoco: Any, model: Any, i: int) -> LinkInertia | None:
+    mass = float(model.body_mass[i])
+    if not mass:
+        return None
+    rotation = _matrix(mujoco, model.body_iquat[i])
+    tensor = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
+    return LinkInertia(mass, model.body_ipos[i].copy(), tensor)
+
+
+def _matrix(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, quaternion)
+    return without_rounding(rotation.reshape(3, 3))
+
+
+def _name_of(model: Any) -> str:
+    """The model's name, with which the names of a compiled model begin."""
+    return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")

@@ -1,0 +1,187 @@
+"""A robot as its file describes it: links, joints and actuators, whatever the file's format."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Literal
+from xml.parsers import expat
+
+import numpy as np
+
+from tustinnet.errors import InputError, describe_error
+from tustinnet.models.chains import Vector3
+
+JointKind = Literal["angular", "linear", "fixed"]
+
+
+@dataclass(frozen=True)
+class LinkInertia:
+    """The inertia of a link in its own frame.
+
+    Attributes:
+        mass: mass [kg].
+        center: centre of mass, (3,) [m].
+        tensor: rotational inertia about the centre, along the axes of the link's frame, (3, 3)
+            [kg m^2].
+    """
+
+    mass: float
+    center: np.ndarray
+    tensor: np.ndarray
+
+
+@dataclass(frozen=True)
+class RobotLink:
+    """A rigid link.
+
+    Attributes:
+        name: its name.
+        inertia: its inertia, None where the file has none.
+        is_frame: whether it is but a frame without a shape, which needs no inertia.
+    """
+
+    name: str
+    inertia: LinkInertia | None
+    is_frame: bool
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """The joint that another one follows: `travel = ratio travel_of_joint + offset`.
+
+    Attributes:
+        joint: name of the joint that is followed.
+        ratio: its multiplier.
+        offset: position where that joint is at 0 [rad or m].
+    """
+
+    joint: str
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class RobotJoint:
+    """A joint between two links.
+
+    Attributes:
+        name: its name.
+        kind: whether it turns, slides or is fixed.
+        parent: name of the link that carries it.
+        child: name of the link that it carries.
+        rotation: from the child's frame to the parent's where the joint is at `zero`, (3, 3).
+        position: origin of the child's frame in the parent's there, (3,) [m].
+        axis: unit vector of its axis in the child's frame, (3,).
+        anchor: a point of its axis in the child's frame, (3,) [m].
+        zero: position of the joint at which the frames are so [rad or m].
+        mimic: the joint that it follows, None if it moves freely.
+        armature: inertia that it sees beside those of the links [kg m^2 or kg].
+        viscous: viscous friction [N m s/rad or N s/m].
+        coulomb: Coulomb friction [N m or N].
+        stiffness: stiffness of a spring at the joint [N m/rad or N/m].
+        spring_rest: position at which that spring is at rest [rad or m].
+        effort: largest force of its actuator [N m or N], None if unknown.
+        speed: largest speed [rad/s or m/s], None if unknown.
+    """
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    rotation: np.ndarray
+    position: np.ndarray
+    axis: np.ndarray
+    anchor: np.ndarray
+    zero: float = 0.0
+    mimic: Mimic | None = None
+    armature: float = 0.0
+    viscous: float = 0.0
+    coulomb: float = 0.0
+    stiffness: float = 0.0
+    spring_rest: float = 0.0
+    effort: float | None = None
+    speed: float | None = None
+
+
+@dataclass(frozen=True)
+class RobotActuator:
+    """An actuator at a joint: `force = gain u + by_position q + by_speed v + bias`.
+
+    Attributes:
+        name: its name, that of the input.
+        joint: name of the joint.
+        gain: force by input [N m or N, by the input's unit].
+        by_position: force by position [N m/rad or N/m].
+        by_speed: force by speed [N m s/rad or N s/m].
+        bias: force without input [N m or N].
+    """
+
+    name: str
+    joint: str
+    gain: float = 1.0
+    by_position: float = 0.0
+    by_speed: float = 0.0
+    bias: float = 0.0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot on a fixed base: a tree of links.
+
+    Attributes:
+        name: its name.
+        links: the links; each but the first is carried by a joint.
+        joints: the joints, each after those between its parent and the base.
+        actuators: the actuators; None where the file says nothing about them.
+        gravity: acceleration of gravity in the frame of the base [m/s^2].
+    """
+
+    name: str
+    links: tuple[RobotLink, ...]
+    joints: tuple[RobotJoint, ...]
+    actuators: tuple[RobotActuator, ...] | None
+    gravity: Vector3
+
+
+def parse_xml(text: str, where: object, expected: str) -> ET.Element:
+    """The root element of a text of XML without entities of its own.
+
+    Args:
+        text: the text.
+        where: its file, for messages.
+        expected: kind of file, for messages.
+
+    Raises:
+        InputError: it is not well formed, or declares a document type: entities are never read.
+    """
+
+    def refuse(*_: object) -> None:
+        raise InputError(
+            where, "a document type (<!DOCTYPE ...>), which may declare entities",
+            f"{expected} without one", "entities are never read: write what they stand for",
+        )  # fmt: skip
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+        return ET.fromstring(text)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(where, f"no well-formed XML ({describe_error(error)})", expected) from None
+
+
+def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The rotation about a unit vector by an angle [rad], (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return without_rounding(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def without_rounding(rotation: np.ndarray) -> np.ndarray:
+    """A rotation whose entries near 0, 1 and -1 are exactly that, so that programs leave them out.
+
+    A right angle in radians has a cosine of 6e-17.
+    """
+    nearest = np.round(rotation)
+    return np.where(np.abs(rotation - nearest) < 1e-15, nearest, rotation) + 0.0

@@ -1,0 +1,366 @@
+"""Robots from files: equations of motion as MuJoCo has them, messages about what is no robot."""
+
+from importlib import import_module
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robot_files import random_urdf
+
+import tustinnet as tn
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
+from tustinnet.errors import InputError
+from tustinnet.models.chains import DIAGONAL, inertial_parameters
+from tustinnet.models.kinematics import parent_indices
+from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.systems.qube_servo2 import SYSTEM as QUBE
+
+mujoco = import_module("mujoco")  # no types are known
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ROBOTS = EXAMPLES / "robots"
+PRECISION = 1e-10  # relative
+
+
+def terms_of(system: LagrangianSystem, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Mass matrix, and forces that keep a velocity, at points [q, v]."""
+    n = len(system.coordinates)
+    model = system.model({k: jnp.asarray(v) for k, v in system.nominal().items()})
+
+    def terms(x):
+        q, v = x[:n], x[n:]
+        return jnp.concatenate([model.mass_matrix(q).ravel(), -model.conservative(q, v)])
+
+    out = evaluate(Formula(terms, 2 * n), points)
+    return [(row[: n * n].reshape(n, n), row[n * n :]) for row in out]
+
+
+class InMuJoCo:
+    """A file as MuJoCo itself simulates it, without meshes."""
+
+    def __init__(self, text: str) -> None:
+        spec = mujoco.MjSpec.from_string(text)
+        for element in [*spec.geoms, *spec.meshes] if "<robot" in text else []:
+            spec.delete(element)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+
+    def place(self, joint: str) -> int:
+        index = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+        return int(self.model.jnt_dofadr[index])
+
+    def terms(self, q: dict[str, float], v: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Mass matrix and bias forces, in the order of the joints of q."""
+        places = [self.place(name) for name in q]
+        self.data.qpos[places], self.data.qvel[places] = list(q.values()), list(v.values())
+        mujoco.mj_forward(self.model, self.data)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        return full[np.ix_(places, places)], self.data.qfrc_bias[places]
+
+
+def points(system: LagrangianSystem, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(3, 2 * len(system.coordinates))) * 1.5
+
+
+def assert_near(actual: np.ndarray, expected: np.ndarray) -> None:
+    size = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=PRECISION * size)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_equations_of_random_chains_are_those_of_mujoco(seed, tmp_path):
+    text = random_urdf(seed)
+    (file := tmp_path / "random.urdf").write_text(text)
+    system, there = tn.load_system(file), InMuJoCo(text)
+    names = [c.name for c in system.coordinates]
+    for x, (mass, bias) in zip(p := points(system), terms_of(system, p), strict=True):
+        q, v = np.split(x, 2)
+        expected = there.terms(dict(zip(names, q, strict=True)), dict(zip(names, v, strict=True)))
+        assert_near(mass, expected[0])
+        assert_near(bias, expected[1])
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
+    """By the equations of all joints and the constant ratios between them."""
+    text = random_urdf(seed, mimic=True)
+    (file := tmp_path / "random.urdf").write_text(text)
+    system, there = tn.load_system(file), InMuJoCo(text)
+    names = [c.name for c in system.coordinates]
+    source = system.source
+    assert source is not None
+    movers = source._assembly().moved_by
+    assert len(movers) > len(names)
+    ratios = np.array([[m.ratio * (m.joint == name) for name in names] for m in movers.values()])
+    offsets = np.array([m.offset for m in movers.values()])
+    for x, (mass, bias) in zip(p := points(system), terms_of(system, p), strict=True):
+        q, v = np.split(x, 2)
+        travel, speed = ratios @ q + offsets, ratios @ v
+        expected = there.terms(
+            dict(zip(movers, travel, strict=True)), dict(zip(movers, speed, strict=True))
+        )
+        assert_near(mass, ratios.T @ expected[0] @ ratios)
+        assert_near(bias, ratios.T @ expected[1])
+
+
+@pytest.mark.parametrize(
+    "name", ["arm7.urdf", "scara.urdf", "gripper.urdf", "double_pendulum.urdf"]
+)
+def test_recursions_agree_with_derivatives_of_the_energy(name):
+    """Kinetic energy by velocities, and the mass matrix by composite bodies."""
+    system = tn.load_system(ROBOTS / name)
+    n, p = len(system.coordinates), system.nominal()
+    x = points(system, 1)
+    energy = evaluate(Formula(lambda x: jnp.atleast_1d(system.kinetic(x[:n], x[n:], p)), 2 * n), x)
+    for state, (mass, _), e in zip(x, terms_of(system, x), energy, strict=True):
+        assert_near(e[0], state[n:] @ mass @ state[n:] / 2)
+
+
+def test_the_example_in_mujocos_format_is_the_packaged_system():
+    """Spring, damping, gear and back-EMF of the file; the link's thickness of 1e-7 m is not 0."""
+    robot = tn.load_system(EXAMPLES / "rotary_pendulum.xml")
+    robot = robot.for_channels(QUBE.coordinates, QUBE.inputs, "the packaged system")
+    assert robot.channels.coordinates == QUBE.channels.coordinates
+    # friction that the file has not
+    values = QUBE.nominal() | {"cable_quadratic": 0.0}
+    own = QUBE.model({k: jnp.asarray(v) for k, v in values.items()})
+    other = robot.model({k: jnp.asarray(v) for k, v in robot.nominal().items()})
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        x, u = jnp.asarray(rng.normal(size=4)), jnp.asarray(rng.normal(size=1))
+        np.testing.assert_allclose(other.derivative(x, u), own.derivative(x, u), rtol=1e-4)
+
+
+def test_a_robot_of_mujoco_moves_as_there():
+    text = (ROBOTS / "cart_pole.xml").read_text()
+    system = tn.load_system(ROBOTS / "cart_pole.xml")
+    assert [c.name for c in system.coordinates] == ["slide", "pole"]
+    assert [(i.name, i.unit) for i in system.inputs] == [("force", "N")]
+    parameters = system.nominal()
+    assert parameters["slide.armature"] == 0.2
+    assert parameters["pole.coulomb"] == 0.003
+    seen = text.replace('<mesh name="cart" file="cart.stl"/>', "")
+    there = InMuJoCo(seen.replace('<geom class="seen" mesh="cart"/>', ""))
+    for x, (mass, bias) in zip(p := points(system), terms_of(system, p), strict=True):
+        q, v = (dict(zip(("slide", "pole"), part, strict=True)) for part in np.split(x, 2))
+        expected = there.terms(q, v)
+        assert_near(mass, expected[0])
+        assert_near(bias, expected[1])
+
+
+def test_locked_joints_are_a_part_of_the_link_that_carries_them():
+    whole = tn.load_system(ROBOTS / "scara.urdf")
+    part = tn.load_robot(ROBOTS / "scara.urdf", locked={"lift": -0.1, "elbow": 0.7})
+    assert [c.name for c in part.coordinates] == ["shoulder", "roll"]
+    assert "outer_arm.mass" not in part.nominal()
+    assert part.nominal()["inner_arm.mass"] == pytest.approx(4.0 + 3.0 + 0.8)
+    (mass, _), (expected, _) = (
+        terms_of(system, np.array([[*q, *np.zeros(len(q))]]))[0]
+        for system, q in ((part, [0.4, 1.0]), (whole, [0.4, 0.7, -0.1, 1.0]))
+    )
+    assert_near(mass, expected[np.ix_([0, 3], [0, 3])])
+
+
+def test_a_current_drives_a_joint_by_its_motor_constant():
+    currents = tuple(tn.Input(f"current_{i}", "A") for i in ("shoulder",))
+    coordinates = tn.load_system(ROBOTS / "scara.urdf").coordinates
+    with pytest.raises(InputError, match=r"input 'current_shoulder' in A; expected N m; a current"):
+        tn.load_system(ROBOTS / "scara.urdf").for_channels(coordinates, currents, "the card")
+    system = tn.load_robot(ROBOTS / "scara.urdf", motor_constants={"shoulder": 2.5})
+    system = system.for_channels(coordinates[::-1], currents, "the card")
+    assert [c.name for c in system.coordinates] == ["roll", "lift", "elbow", "shoulder"]
+    assert system.input_map is not None
+    force = system.input_map(jnp.zeros(4), jnp.zeros(4), jnp.ones(1), system.nominal())
+    np.testing.assert_array_equal(force, [0, 0, 0, 2.5])
+
+
+def test_parameters_begin_at_the_files_values_within_ranges():
+    system = tn.load_system(ROBOTS / "arm7.urdf")
+    assert len(system.parameters) == 7 * 10 + 7 * 5
+    p = system.nominal()
+    assert p["shoulder.mass"] == 3.6
+    assert (p["joint1.viscous"], p["joint1.coulomb"]) == (0.6, 1.2)
+    assert p["flange.mass"] == pytest.approx(0.8), "the tool is fixed to it"
+    assert all(x.prior is not None for x in system.parameters if not x.fixed)
+
+
+def test_any_parameters_are_those_of_a_body():
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    tensor = sum(r @ r * np.eye(3) - np.outer(r, r) for r in points - points.mean(0))
+    values = inertial_parameters(5.0, points.mean(0), tensor)
+    assert min(values[name] for name in DIAGONAL) > 0
+    rod = inertial_parameters(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.0]))
+    assert min(rod[name] for name in DIAGONAL) == pytest.approx(1e-6)
+    with pytest.raises(ValueError, match="larger than the sum"):
+        inertial_parameters(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.3]))
+
+
+@pytest.mark.parametrize("name", ["arm7.urdf", "scara.urdf", "gripper.urdf"])
+def test_it_is_drawn_from_its_links(name):
+    """Ends of links where the joints of the next ones are, with all joints at 0."""
+    system = tn.load_system(ROBOTS / name)
+    assert [link.coordinate for link in system.links] == [c.name for c in system.coordinates]
+    ends: list[np.ndarray] = []
+    for link, parent in zip(system.links, parent_indices(system.links), strict=True):
+        begin = np.zeros(3) if parent is None else ends[parent]
+        assert link.at is not None
+        ends.append(begin + np.array(link.at))
+    if name == "arm7.urdf":
+        np.testing.assert_allclose(ends[-1], [0, 0, 1.24], atol=1e-9)
+
+
+BALL = "<mass value='1'/><inertia ixx='1' iyy='1' izz='1'/>"
+LINK = f"<link name='{{}}'><inertial>{BALL}</inertial></link>"
+JOINT = "<joint name='{0}' type='{3}'><parent link='{1}'/><child link='{2}'/></joint>"
+A, B, C = (LINK.format(name) for name in "abc")
+AB, BC, CA = (JOINT.format(x + y, x, y, "revolute") for x, y in ("ab", "bc", "ca"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"{A}{B}{C}{AB}{BC}{CA}", "a loop: the joints 'ab', 'bc', 'ca' carry one another"),
+        (
+            f"{A}{B}{C}{AB}{BC}{JOINT.format('ac', 'a', 'c', 'fixed')}",
+            "'bc' and 'ac' both carry the link 'c'",
+        ),
+        (f"{A}{B}{C}{AB}", "links that no joint carries: 'a', 'c'"),
+        (
+            f"{A}<link name='b'><visual/></link>{AB}",
+            "link 'b': moves by the joint 'ab' and has no inertia",
+        ),
+        (f"{A}<link name='b'/>{AB}", "link 'b': moves, and neither it nor what it carries has an"),
+        (
+            f"{A}{B}{JOINT.format('j', 'a', 'b', 'planar')}",
+            "joint 'j': the type 'planar'; expected one of revolute",
+        ),
+        (
+            f"{A}{B}{JOINT.format('j', 'a', 'd', 'fixed')}",
+            "joint 'j': no link 'd'; expected one of a, b",
+        ),
+        (
+            A + B + AB.replace("</joint>", "<axis xyz='0 0'/></joint>"),
+            "<axis xyz> '0 0'; expected 3 numbers",
+        ),
+        (
+            A + B + AB.replace("</joint>", "<mimic joint='ab'/></joint>"),
+            "follows 'ab', which follows it",
+        ),
+        (A + B.replace("ixx='1'", "ixx='3'") + AB, "link 'b': an inertia that no body has"),
+        (A + B.replace("value='1'", "value='-1'") + AB, "link 'b': a mass of -1 kg"),
+        (f"{A}{A}", "two links 'a'"),
+        (f"{A}{B}{JOINT.format('j', 'a', 'b', 'fixed')}", "no joint that moves"),
+        (f"{A}{B}", "links that no joint carries"),
+    ],
+)
+def test_what_is_no_robot_is_refused_in_one_line(text, message, tmp_path):
+    (file := tmp_path / "bad.urdf").write_text(f"<robot name='bad'>{text}</robot>")
+    with pytest.raises(InputError) as error:
+        tn.load_system(file)
+    assert message in str(error.value)
+    assert str(error.value).startswith(str(file))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("ending", ["urdf", "xml"])
+def test_entities_and_broken_files_are_refused(ending, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    root = "robot" if ending == "urdf" else "mujoco"
+    file = tmp_path / f"bad.{ending}"
+    for text, message in (
+        (f'<!DOCTYPE r [<!ENTITY x SYSTEM "{secret}">]><{root}>&x;</{root}>', "a document type"),
+        (f"<{root}><link></{root}>", "no well-formed XML"),
+        ("", "no well-formed XML"),
+        ("<html/>", "the root element <html>"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=message) as error:
+            tn.load_system(file)
+        assert "\n" not in str(error.value)
+
+
+BODY = (
+    '<body name="b"><joint name="j"/><inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/>{}</body>'
+)
+NAMELESS = BODY.format("").replace(' name="j"', "")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            '<worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody>',
+            "the base floats",
+        ),
+        (
+            '<worldbody><body name="b"><joint name="j" type="ball"/><geom size="1"/></body>'
+            "</worldbody>",
+            "a ball joint",
+        ),
+        (
+            '<asset><mesh name="m" file="m.stl"/></asset><worldbody><body name="b">'
+            '<joint name="j"/>'
+            '<geom type="mesh" mesh="m"/></body></worldbody>',
+            "body 'b': no <inertial>",
+        ),
+        (
+            f'<worldbody>{BODY.format("")}</worldbody><equality><connect name="e" '
+            'body1="b" body2="world" anchor="0 0 0"/></equality>',
+            "a loop: the equality constraint 'e'",
+        ),
+        (
+            f'<worldbody>{BODY.format("")}</worldbody><actuator><general name="a" joint="j" '
+            'dyntype="filter" dynprm="1"/></actuator>',
+            "actuator 'a': states of its own",
+        ),
+        (f"<worldbody>{NAMELESS}</worldbody>", "a joint without a name"),
+        ("<nonsense/>", "MuJoCo refuses it"),
+    ],
+)
+def test_what_mujoco_has_and_equations_here_have_not_is_refused(text, message, tmp_path):
+    (file := tmp_path / "bad.xml").write_text(f"<mujoco>{text}</mujoco>")
+    with pytest.raises(InputError, match=r"bad\.xml") as error:
+        tn.load_system(file)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_files_are_included_once(tmp_path):
+    body = f"<mujocoinclude>{BODY.format('')}</mujocoinclude>"
+    (tmp_path / "body.xml").write_text(body)
+    file = tmp_path / "scene.xml"
+    file.write_text('<mujoco><worldbody><include file="body.xml"/></worldbody></mujoco>')
+    assert [c.name for c in tn.load_system(file).coordinates] == ["j"]
+    (tmp_path / "body.xml").write_text(body.replace("</body>", '</body><include file="body.xml"/>'))
+    with pytest.raises(InputError, match=r"includes 'body.xml' twice"):
+        tn.load_system(file)
+
+
+def test_joints_and_columns_have_to_agree():
+    system = tn.load_system(ROBOTS / "gripper.urdf")
+    lift, turn, left = system.coordinates
+    for coordinates, message in (
+        (
+            [lift, turn],
+            r"no coordinate of the joint 'left' of gripper.urdf; .*locked=\{'left': 0.0\}",
+        ),
+        (
+            [lift, turn, left, tn.Coordinate("right", "linear")],
+            "'right': such a joint does not move by itself",
+        ),
+        (
+            [lift, turn, left, tn.Coordinate("wrist", "angular")],
+            "'wrist': such a joint is not there",
+        ),
+    ):
+        with pytest.raises(InputError, match=message):
+            system.for_channels(coordinates, system.inputs, "record 'one'")
+    with pytest.raises(InputError, match="'thrust': no such actuator"):
+        system.for_channels(system.coordinates, [tn.Input("thrust", "N")], "record 'one'")
+    # a joint without an input is not driven
+    passive = system.for_channels(system.coordinates, [tn.Input("tau_turn", "N m")], "record 'one'")
+    assert [i.name for i in passive.inputs] == ["tau_turn"]
