@@ -136,7 +136,8 @@ def read_text(
         *([NO_HEADER] if is_bare else []),
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    units = find_units_above(file.above, names) | found.units | dict.fromkeys(dates, "s")
+    units = {} if file.pairs is not None else find_units_above(file.above, names)
+    units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if file.pairs is None else file.pairs.clocks
     return Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
 
