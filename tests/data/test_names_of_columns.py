@@ -60,3 +60,12 @@ def test_joint_states_have_the_units_of_ros(tmp_path: Path) -> None:
     assert units["joint_states/position/shoulder"] == "rad"
     assert units["joint_states/effort/elbow"] == "N m"
     assert "command/data[0]" not in units
+
+
+def test_signals_in_the_rows_of_a_matrix_are_columns(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(300)
+    scipy.io.savemat(tmp_path / "log.mat", {"servo": np.stack([t, np.sin(t)]), "K": np.eye(3)})
+    columns = read_columns(tmp_path / "log.mat")
+    assert columns.names[:2] == ("servo[1]", "servo[2]")
+    np.testing.assert_array_equal(columns["servo[2]"], np.sin(t))
+    assert len(columns["K[1]"]) == 3

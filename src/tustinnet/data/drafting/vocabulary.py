@@ -50,7 +50,7 @@ _STRONG: dict[Quantity, str] = {
     "etat estado stato",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
     "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
-    "temperatura frottement 温度",
+    "temperatura frottement 温度 reward",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {

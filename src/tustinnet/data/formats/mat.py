@@ -19,6 +19,7 @@ from tustinnet.errors import InputError, convert_errors
 
 _NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_MOST_SIGNALS, _FEWEST_SAMPLES = 64, 200  # of a matrix whose rows are signals
 _DEEPEST = 20  # structs and cells in one another
 _OBJECT = 3  # `MATLAB_object_decode` of objects
 _UNNAMED = "None"  # the name that scipy gives objects
@@ -135,15 +136,24 @@ def _numbers(name: str, shape: Shape, load: Callable[[], Array]) -> MatVariable:
     return MatVariable(name, squeezed, lambda: load().reshape(squeezed))
 
 
+def _has_signals_in_rows(shape: Shape) -> bool:
+    """Whether a matrix is as `To File` of Simulink writes it: a signal a row, many samples each."""
+    return shape[0] <= _MOST_SIGNALS and shape[1] >= max(_FEWEST_SAMPLES, 20 * shape[0])
+
+
 def _oriented(variables: Iterable[MatVariable]) -> Iterator[MatVariable]:
-    """Variables with samples first: a timeseries may have `Data` of channels by samples."""
+    """Variables with samples first; a timeseries may have `Data` of channels by samples."""
     variables = list(variables)
     shapes = {v.name: v.shape for v in variables}
     for v in variables:
         times = (
             shapes.get(f"{v.name.removesuffix('Data')}Time") if v.name.endswith(".Data") else None
         )
-        if times and v.shape and len(v.shape) == 2 and v.shape[0] != times[0] == v.shape[1]:
+        is_turned = False
+        if v.shape is not None and len(v.shape) == 2:
+            rows, columns = v.shape
+            is_turned = rows != times[0] == columns if times else _has_signals_in_rows(v.shape)
+        if v.shape is not None and is_turned:
             yield v._replace(shape=v.shape[::-1], load=lambda load=v.load: load().T)
         else:
             yield v
