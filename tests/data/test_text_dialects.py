@@ -8,6 +8,7 @@ import pytest
 from lab_files import workbook
 
 import tustinnet as tn
+from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.file_inspection import inspect_file
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
@@ -207,3 +208,76 @@ def test_several_sheets_have_their_names_before_those_of_columns(tmp_path: Path)
     with pytest.raises(InputError, match=r"gap\.xlsx, sample 2 .*, x: 'off'; expected a number"):
         read_columns(path)["x"]
     assert read_columns(path)["y"].tolist() == [2, 3, 4]
+
+
+# --- exports of measuring programs ---
+
+LVM = """LabVIEW Measurement\t
+Separator\tTab
+Date\t2024/03/01
+***End_of_Header***\t
+\t
+Channels\t2\t\t
+Date\t2024/03/01\t2024/03/01\t
+Y_Unit_Label\tdeg\tVolts\t
+Delta_X\t0,01\t0,01\t
+***End_of_Header***\t\t\t
+X_Value\tWinkel\tMotor\tComment
+"""
+SCOPE = """Name;YT Scope Project
+Name;position;Name;torque
+Data-Type;REAL64;Data-Type;REAL64
+SampleTime[ms];10;SampleTime[ms];20
+Unit;mm;Unit;N m
+
+0;0,5;0;1,0
+10;1,5;20;2,0
+20;2,5;;
+30;3,5;;
+"""
+
+
+def test_settings_above_a_table_are_skipped_and_its_units_taken(tmp_path: Path) -> None:
+    samples = "".join(f"0,{k:02}\t{k},5\t1,0\t\n" for k in range(40))
+    columns = read(tmp_path, LVM + samples, "log.lvm")
+    assert columns.names == ("X_Value", "Winkel", "Motor", "Comment")
+    assert columns["Winkel"][:2].tolist() == [0.5, 1.5]
+    assert columns.units == {"Winkel": "deg", "Motor": "Volts"}
+    titled = "Test 3;;;;\nBy: me;;;;\nt;x;v;u;i\n" + 5 * "0;1,5;0;0;0\n"
+    assert read(tmp_path, titled).names == ("t", "x", "v", "u", "i")
+
+
+def test_columns_in_pairs_have_times_of_their_own(tmp_path: Path) -> None:
+    columns = read(tmp_path, SCOPE)
+    assert columns.names == ("position/time", "position", "torque/time", "torque")
+    np.testing.assert_allclose(columns["position/time"], [0.0, 0.01, 0.02, 0.03])
+    np.testing.assert_allclose(columns["torque/time"], [0.0, 0.02])
+    assert columns["torque"].tolist() == [1.0, 2.0]
+    assert columns.clocks["torque"] == "torque/time"
+    assert columns.units == {"position": "mm", "torque": "N m"}
+
+
+def test_names_of_several_words_stand_far_apart(tmp_path: Path) -> None:
+    table = "0.0  1.5\n0.1  2.5\n"
+    assert read(tmp_path, f"% time (s)   arm angle (rad)\n{table}").names == (
+        "time (s)", "arm angle (rad)",
+    )  # fmt: skip
+    assert read(tmp_path, f"time (s)   arm angle (rad)\n{table}").names == (
+        "time_(s)", "arm_angle_(rad)",
+    )  # fmt: skip
+
+
+def test_damaged_rows_are_refused_or_skipped_as_the_card_says(tmp_path: Path) -> None:
+    rows = [f"{10 * k},{np.sin(0.1 * k):.5f},{k % 9}" for k in range(300)]
+    rows[100], rows[200] = "1000,0.5", "millis,angle,u"
+    (tmp_path / "log.csv").write_text("boot\nready\nmillis,angle,u\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="row 104, u: an empty cell"):
+        read_columns(tmp_path / "log.csv")["u"]
+    draft = draft_card(tmp_path, ["log.csv"])
+    assert 'damaged_rows = "skip"' in draft.text
+    assert "log.csv: 2 damaged rows left out" in draft.notes
+    (tmp_path / "dataset.toml").write_text(draft.text)
+    assert sum(len(record) for record in tn.load(tmp_path)) == 300  # on a grid, without gaps
+    (tmp_path / "dataset.toml").write_text(draft.text.replace('"skip"', '"mend"'))
+    with pytest.raises(InputError, match="damaged_rows"):
+        tn.load(tmp_path)

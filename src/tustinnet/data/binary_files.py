@@ -35,7 +35,8 @@ def list_columns(path: Path, reader: Reader) -> Listing:
     places = _places(path, contents.arrays)
     return Listing(
         list(places), dict(contents.others), _by_column(places, contents.clocks),
-        _by_column(places, contents.units), dict(contents.parts), list(contents.notes),
+        _by_column(places, contents.units), _by_column(places, contents.labels),
+        dict(contents.parts), list(contents.notes),
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ class Listing:
         clocks: for columns whose samples have times of their own, the name of the column of these
             times [s], by name. A column of times is its own clock.
         units: units by the name of the column, where the file has them.
+        labels: what a file calls a column in a text beside it, by its name, where it does.
         parts: records among several in the file, by label.
         notes: remarks on how the file is read.
     """
@@ -37,6 +38,7 @@ class Listing:
     others: dict[str, str] = field(default_factory=dict)
     clocks: dict[str, str] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
     parts: dict[str, Part] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -52,6 +54,7 @@ class Columns:
         others: a description of everything in the file that is no column of numbers, by name.
         clocks: names of the columns of times [s] of those columns that have times of their own.
         units: units by the name of the column, where the file has them.
+        labels: what the file calls a column in a text beside it, by its name, where it does.
         parts: records among several in the file, by label: groups of HDF5, episodes.
     """
 
@@ -64,10 +67,12 @@ class Columns:
         others: Mapping[str, str] | None = None,
         clocks: Mapping[str, str] | None = None,
         units: Mapping[str, str] | None = None,
+        labels: Mapping[str, str] | None = None,
         parts: Mapping[str, Part] | None = None,
     ) -> None:
         self.names, self.notes, self.others = tuple(names), notes, others or {}
         self.clocks, self.units, self.parts = clocks or {}, units or {}, parts or {}
+        self.labels = labels or {}
         self._read, self._rows = read, rows
         self._columns: dict[str, Column] = {}
 
@@ -78,7 +83,8 @@ class Columns:
         """Columns of a listing, read by a function."""
         return cls(
             listing.names, read, notes=tuple(listing.notes), others=listing.others,
-            clocks=listing.clocks, units=listing.units, parts=listing.parts,
+            clocks=listing.clocks, units=listing.units, labels=listing.labels,
+            parts=listing.parts,
         )  # fmt: skip
 
     def place(self, sample: int) -> str:

@@ -301,6 +301,10 @@ class Table:
             return True
         return self.width > 2 and filled[-1] < (2 if self.width > 3 else 1)
 
+    def find_first_sample(self, rows: Sequence[Sequence[str]]) -> int:
+        """The first row that is a sample; 0 without one."""
+        return next((k for k, row in enumerate(rows) if self.is_sample(row)), 0)
+
     def count_rows_above(self, rows: Sequence[Sequence[str]]) -> int:
         """The number of rows above the header: titles and settings of a measurement.
 
@@ -310,8 +314,7 @@ class Table:
         Returns:
             The number; 0 where no header is found, so that a message names what does not fit.
         """
-        sample = next((k for k, row in enumerate(rows) if self.is_sample(row)), 0)
-        top = sample
+        top = sample = self.find_first_sample(rows)
         while top > 0 and not self.is_remark(rows[top - 1]):
             if top < sample and any(map(self.is_value, rows[top - 1])):
                 break

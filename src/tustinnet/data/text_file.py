@@ -25,6 +25,7 @@ from tustinnet.data.text_dialect import (
     is_comment,
     read_header,
 )
+from tustinnet.data.text_pairs import Pairs, find_pairs
 from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
@@ -76,7 +77,9 @@ def read_text(
         )
     numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
     found = Header(numbered, {}, 0)
-    if (not is_sample) if header is None else header:
+    if file.pairs is not None:
+        found = Header([*file.pairs.names], file.pairs.units, 0)
+    elif (not is_sample) if header is None else header:
         rows = [_texts(table, k) for k in range(min(_HEADER_ROWS, len(table)))]
         found = read_header(rows, dialect)
     elif header is None and (names := _names_in(file.comment, dialect, table.width)):
@@ -106,6 +109,9 @@ def read_text(
             # the cell that is no number is looked for as in any other file
             cells = _cells(path, _lines(plain.text.decode())[0], dialect)
         cells = cells.slice(found.rows)
+        if file.pairs is not None:
+            return [_of_pair(cells, index[name], file.pairs, path, dialect, rows)
+                    for name in requested]  # fmt: skip
         return [
             _numbers(
                 cells.to_series(index[name]), dialect, f"{path} row {{}}, {name}", rows,
@@ -117,6 +123,7 @@ def read_text(
     described = (
         dialect if delimiter is None else Dialect(",", dialect.decimal, dialect.thousands)
     ).describe()
+    is_in_comment = is_sample and found.names != numbered and file.pairs is None
     is_bare = header is None and is_sample and names == numbered
     notes = [
         *([file.remark] if file.remark else []),
@@ -124,12 +131,15 @@ def read_text(
         *([f"{file.skipped} rows before the header skipped"] if file.skipped else []),
         *([f"{file.damaged} {DAMAGED_ROWS}"] if file.damaged else []),
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
-        *(["names of the columns in a comment"] if is_sample and found.names != numbered else []),
+        *(["pairs of columns, times and values"] if file.pairs is not None else []),
+        *(["names of the columns in a comment"] if is_in_comment else []),
         *([NO_HEADER] if is_bare else []),
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    units = find_units_above(file.above, names) | found.units | dict.fromkeys(dates, "s")
-    return Columns(names, read, rows, tuple(notes), units=units)
+    units = {} if file.pairs is not None else find_units_above(file.above, names)
+    units = units | found.units | dict.fromkeys(dates, "s")
+    clocks = {} if file.pairs is None else file.pairs.clocks
+    return Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
 
 
 @dataclass(frozen=True)
@@ -145,6 +155,7 @@ class _FoundRows:
         skipped: number of rows above a header.
         above: the cells of these rows.
         damaged: number of rows that are no samples and are left out.
+        pairs: the names of columns in pairs, if they are.
         plain: the rows, where they can be read as numbers at once.
     """
 
@@ -156,6 +167,7 @@ class _FoundRows:
     skipped: int = 0
     above: Sequence[Sequence[str]] = ()
     damaged: int = 0
+    pairs: Pairs | None = None
     plain: "_PlainRows | None" = None
 
 
@@ -195,11 +207,13 @@ def _find_rows(
         raise InputError(path, "the file holds no samples", "rows of numbers")
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
-    skipped, above = 0, []
+    skipped, above, pairs = 0, [], None
     if header is not False:
         shape = find_table([dialect.split(line) for _, line in lines[-_LAST:]], dialect)
         first = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
-        skipped = shape.count_rows_above(first)
+        sample = shape.find_first_sample(first)
+        pairs = find_pairs(first[:sample], shape) if header is None else None
+        skipped = sample if pairs is not None else shape.count_rows_above(first)
         above = first[:skipped]
     lines = lines[skipped:]
     damaged = 0
@@ -215,7 +229,7 @@ def _find_rows(
         if not samples:
             raise InputError(path, "no row of numbers", "rows of samples")
     rows = [row for row, _ in lines]
-    return _FoundRows(lines, rows, comment, dialect, remark, skipped, above, damaged)
+    return _FoundRows(lines, rows, comment, dialect, remark, skipped, above, damaged, pairs)
 
 
 @dataclass(frozen=True)
@@ -396,7 +410,7 @@ def _numbers(
     numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
         numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
-    has_dates = is_date((cells[0] or "").strip())
+    has_dates = len(cells) > 0 and is_date((cells[0] or "").strip())
     if has_dates and numbers.null_count():
         numbers = read_dates(cells)
     if numbers.null_count():
@@ -412,6 +426,24 @@ def _numbers(
             "a date or time, as in the first row" if has_dates else "a number", remedy,
         )  # fmt: skip
     return numbers.to_numpy()
+
+
+def _of_pair(
+    table: "pl.DataFrame",
+    column: int,
+    pairs: Pairs,
+    path: Path,
+    dialect: Dialect,
+    rows: Sequence[int] | Int[np.ndarray, " n"],
+) -> Column:
+    """The numbers of a column of a pair, which may end before others; times in s if known."""
+    cells = table.to_series(column)
+    filled = np.flatnonzero((cells.str.strip_chars().fill_null("") != "").to_numpy())
+    cells = cells.head(int(filled[-1]) + 1 if len(filled) else 0)
+    numbers = _numbers(
+        cells, dialect, f"{path} row {{}}, {pairs.names[column]}", rows, has_header=True
+    )
+    return numbers if column % 2 or pairs.factor is None else numbers * pairs.factor
 
 
 def _plain(cells: "pl.Series", dialect: Dialect) -> "pl.Series":

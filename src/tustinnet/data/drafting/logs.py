@@ -49,6 +49,7 @@ class Log:
             where columns have no times of their own.
         units: units by column, where the file has them.
         has_damaged_rows: whether rows that are no samples are left out.
+        labels: what the file calls columns in texts beside them.
         clock_of: the column of the times of each column that has times of its own.
         spans: first and last time of each of these columns in the file [s].
     """
@@ -63,6 +64,7 @@ class Log:
     clocks: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     has_damaged_rows: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
     clock_of: Mapping[str, str] = field(default_factory=dict)
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -275,6 +277,7 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     has_header = NO_HEADER not in columns.notes if is_nameless else None
     return Log(
         file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units,
+        labels=columns.labels,
         clock_of={name: clocks[name] for name in values if clocks.get(name) in spans}, spans=spans,
     )  # fmt: skip
 
@@ -469,8 +472,10 @@ def _is_episode(columns: Sequence[Values]) -> bool:
 
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     """The readings of the names of all columns; `column 3` of a file without names says nothing."""
-    units = logs[0].units
+    units, labels = logs[0].units, logs[0].labels
     return {
-        name: read_name("" if name.startswith(NUMBERED) else name, units.get(name, ""))
+        name: read_name(
+            "" if name.startswith(NUMBERED) else labels.get(name, name), units.get(name, "")
+        )
         for name in logs[0].values
     }

@@ -3,7 +3,7 @@
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from tustinnet.channels import Kind
@@ -115,6 +115,7 @@ class NameReading:
     """The meaning of a column's name as far as its words say it.
 
     Attributes:
+        name: the name.
         words: its words in lower case, numbers included.
         unit: the unit in it as cards spell it, empty without one.
         in_brackets: whether the unit stands apart, as in `angle [deg]`.
@@ -125,6 +126,7 @@ class NameReading:
         object: the words that say of what it is the quantity.
     """
 
+    name: str
     words: tuple[str, ...]
     unit: str
     in_brackets: bool
@@ -146,7 +148,7 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if known is not None and known[0]:
         reading = read_name(f"{name} [{file_unit}]")
         if reading.unit == known[0]:
-            return reading
+            return replace(reading, name=name)
     plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
     plain = _ACCENTS.sub("", unicodedata.normalize("NFD", plain))
     plain = unicodedata.normalize("NFC", plain)
@@ -155,18 +157,24 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
+    pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
         quantities["control"], word["control"] = 8.0, "action"
+    if {"output", "ausgang"} & {*words} and {"pid", "controller", "regler"} & {*words}:
+        quantities["control"], word["control"] = 4.0, "output of a controller"
     if unit_quantity is not None:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
     qualifiers: list[Qualifier] = [mark for mark, texts in QUALIFIERS.items() if texts & {*words}]
     qualifier = qualifiers[0] if qualifiers else None
+    if pairs & {("input", "pos"), ("input", "position"), ("input", "vel"), ("input", "velocity")}:
+        qualifier = "command"  # of a controller, as drives have it
+        quantities.pop("control", None)
     if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(
-        tuple(words), unit, in_brackets, quantities, word, qualifier, _kind(words, unit),
+        name, tuple(words), unit, in_brackets, quantities, word, qualifier, _kind(words, unit),
         _object(words),
     )  # fmt: skip
 

@@ -14,6 +14,7 @@ _FEW_CHANGES = 0.2  # of samples: a column that changes less often is held at le
 _LEAST_LEVEL = 1 / 50  # of the range; usual change between levels
 _SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a sample
 _OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
+_SUPPLY = 0.1  # range over largest value, of a supply under load
 _FEWEST = 20  # values of a column that wraps
 
 # counts of encoders in a turn that are sold, and four times as many where edges are counted
@@ -62,6 +63,11 @@ class Numbers:
     def binary(self) -> bool:
         """Whether the column has two values only."""
         return self.distinct == 2
+
+    @property
+    def is_nearly_constant(self) -> bool:
+        """Whether it stays within a tenth of its value, far from zero."""
+        return self.range is not None and self.range[1] - self.range[0] < _SUPPLY * self.largest
 
     @property
     def smooth(self) -> bool:

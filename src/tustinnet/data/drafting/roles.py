@@ -90,12 +90,12 @@ def judge_columns(
     """
     verdicts: dict[str, Verdict] = {}
     for name in samples:
-        evidence = [*_name_evidence(readings[name]), *_number_evidence(numbers[name])]
+        evidence = _own_evidence(readings[name], numbers[name])
         verdicts[name] = _decide(numbers[name], evidence)
     for name in samples:
         if numbers[name].constant:
             continue
-        evidence = [*_name_evidence(readings[name]), *_number_evidence(numbers[name])]
+        evidence = _own_evidence(readings[name], numbers[name])
         slope_of = _find_integral(name, readings, numbers, verdicts, slopes)
         leads = _find_follower(name, readings, numbers, verdicts, samples)
         if slope_of is not None:
@@ -170,6 +170,14 @@ def _decide(numbers: Numbers, evidence: Sequence[Evidence]) -> Verdict:
 # --- each kind of evidence with its sentence ---
 
 
+def _own_evidence(reading: NameReading, numbers: Numbers) -> list[Evidence]:
+    """Evidence in the name and the numbers of a column."""
+    evidence = [*_name_evidence(reading), *_number_evidence(numbers)]
+    if reading.quantities.get("voltage", 0.0) >= 3 and numbers.is_nearly_constant:
+        evidence.append(Evidence("other", 12.0, "nearly constant, as the voltage of a supply"))
+    return evidence
+
+
 def _name_evidence(reading: NameReading) -> Iterator[Evidence]:
     """Evidence in the words and the unit of a name."""
     is_command = reading.qualifier == "command"
@@ -229,6 +237,8 @@ def _find_integral(
         return None
     if any(q in INPUTS and w >= 3 for q, w in reading.quantities.items()):
         return None  # a voltage may be nearly proportional to the speed
+    if reading.quantities.get("other", 0.0) >= 3:
+        return None  # as the electrical speed of a motor of some poles
     speaks = max(reading.quantities.get(q, 0.0) for q in ("velocity", "acceleration")) >= 1
     if reading.quantities.get("position", 0.0) >= 3 and not speaks:
         return None  # of a position, another one may be the slope by chance

@@ -50,7 +50,7 @@ _STRONG: dict[Quantity, str] = {
     "etat estado stato",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
     "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
-    "temperatura frottement 温度",
+    "temperatura frottement 温度 reward",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
@@ -80,13 +80,13 @@ _QUALIFIERS: dict[Qualifier, str] = {
     "model": "sim simulated model predicted pred",
 }
 _OTHERS = {
-    "angular": "angle angles winkel theta phi psi alpha beta gamma pitch roll yaw drehwinkel th "
+    "angle": "angle angles winkel theta phi psi alpha beta gamma pitch roll yaw drehwinkel th "
     "ang pole pendulum pendel joint gelenk shoulder elbow wrist hip knee schulter ellbogen encoder "
     "enc disc scheibe link drehgeber resolver azimuth elevation omega gyro tacho drehzahl rpm "
     "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment "
     "angulo angolo hoek vinkel kat uhel codeur couple coppia koppel 角度 角位移 関節角 角速度 转速 "
     "回転数 转矩 扭矩 トルク 力矩",
-    "linear": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
+    "length": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
     "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben "
     "stroke linear force kraft "
     "deplacement chariot desplazamiento carro deslocamento spostamento altura altezza fuerza forza "
@@ -100,6 +100,6 @@ _OTHERS = {
 STRONG: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRONG.items()}
 WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
-ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angular", "linear"))
+ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what

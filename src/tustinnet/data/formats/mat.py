@@ -6,7 +6,7 @@ A field of a struct is `log.q`, the third element of a cell array `logs{3}`, tha
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,10 +19,14 @@ from tustinnet.errors import InputError, convert_errors
 
 _NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_MOST_SIGNALS, _FEWEST_SAMPLES = 64, 200  # of a matrix whose rows are signals
 _DEEPEST = 20  # structs and cells in one another
 _OBJECT = 3  # `MATLAB_object_decode` of objects
 _UNNAMED = "None"  # the name that scipy gives objects
 OBJECT = "a MATLAB object (timeseries, timetable, table, ...)"
+_LABELS = ("name", "label", "signalname", "title")  # fields of a struct with what `Data` is
+_UNITS = ("unit", "units")
+_DESCRIBED = ("data", "values")
 _REMEDY = "save it as numbers: s = struct(ts), or t = ts.Time, x = ts.Data"
 
 
@@ -35,6 +39,8 @@ class MatVariable(NamedTuple):
         load: function that reads the array.
         other: description of a variable that is no such array.
         clock: name of the variable of its times, where it has times of its own.
+        label: what a text beside it calls it, as exports of dSPACE and Simulink have it.
+        unit: its unit, where a text beside it says it.
     """
 
     name: str
@@ -42,6 +48,8 @@ class MatVariable(NamedTuple):
     load: Callable[[], Array] = lambda: np.empty(0)
     other: str = ""
     clock: str = ""
+    label: str = ""
+    unit: str = ""
 
 
 def object_remedy() -> str:
@@ -63,6 +71,8 @@ def _contents(path: Path) -> Contents:
         [(v.name, v.shape) for v in variables if v.shape is not None],
         {v.name: v.other for v in variables if v.shape is None},
         {v.name: v.clock for v in variables if v.clock},
+        {v.name: v.unit for v in variables if v.unit},
+        {v.name: v.label for v in variables if v.label},
     )
 
 
@@ -126,15 +136,24 @@ def _numbers(name: str, shape: Shape, load: Callable[[], Array]) -> MatVariable:
     return MatVariable(name, squeezed, lambda: load().reshape(squeezed))
 
 
+def _has_signals_in_rows(shape: Shape) -> bool:
+    """Whether a matrix is as `To File` of Simulink writes it: a signal a row, many samples each."""
+    return shape[0] <= _MOST_SIGNALS and shape[1] >= max(_FEWEST_SAMPLES, 20 * shape[0])
+
+
 def _oriented(variables: Iterable[MatVariable]) -> Iterator[MatVariable]:
-    """Variables with samples first: a timeseries may have `Data` of channels by samples."""
+    """Variables with samples first; a timeseries may have `Data` of channels by samples."""
     variables = list(variables)
     shapes = {v.name: v.shape for v in variables}
     for v in variables:
         times = (
             shapes.get(f"{v.name.removesuffix('Data')}Time") if v.name.endswith(".Data") else None
         )
-        if times and v.shape and len(v.shape) == 2 and v.shape[0] != times[0] == v.shape[1]:
+        is_turned = False
+        if v.shape is not None and len(v.shape) == 2:
+            rows, columns = v.shape
+            is_turned = rows != times[0] == columns if times else _has_signals_in_rows(v.shape)
+        if v.shape is not None and is_turned:
             yield v._replace(shape=v.shape[::-1], load=lambda load=v.load: load().T)
         else:
             yield v
@@ -201,8 +220,12 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
     if isinstance(value, MatlabOpaque | MatlabObject | MatlabFunction):
         yield MatVariable(name, None, other=OBJECT)
     elif hasattr(value, "_fieldnames"):
-        for field in value._fieldnames:
-            yield from _mat5_value(f"{name}.{field}", getattr(value, field))
+        fields = {field: getattr(value, field) for field in value._fieldnames}
+        label, unit = (_text_of(fields, names) for names in (_LABELS, _UNITS))
+        for field, inner in fields.items():
+            for variable in _mat5_value(f"{name}.{field}", inner):
+                is_described = field.lower() in _DESCRIBED and variable.shape is not None
+                yield variable._replace(label=label, unit=unit) if is_described else variable
     elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
         elements = value.ravel(order="F")
         structs = all(hasattr(element, "_fieldnames") for element in elements)
@@ -215,6 +238,13 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
             yield _numbers(name, array.shape, lambda: array)
         else:
             yield MatVariable(name, None, other="text" if array.dtype.kind == "U" else "no numbers")
+
+
+def _text_of(fields: Mapping[str, Any], names: Sequence[str]) -> str:
+    """The first text that is not empty among some fields of a struct, by their small letters."""
+    small = {field.lower(): value for field, value in fields.items()}
+    texts = (small[name] for name in names if isinstance(small.get(name), str))
+    return next((text.strip() for text in texts if text.strip()), "")
 
 
 # --- version 7.3 ---

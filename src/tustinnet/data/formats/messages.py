@@ -23,6 +23,12 @@ _DEEPEST = 12  # messages in one another
 _LABELS = ("name", "names", "joint_names", "interface_names", "motor_names")
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+# units of joint states, of joints that turn and of joints that slide, and words for the latter
+_JOINT_UNITS = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}
+_LENGTHS = {
+    "prismatic", "slider", "slide", "linear", "lift", "rail", "cart", "carriage", "gripper",
+    "finger", "x", "y", "z",
+}  # fmt: skip
 _SAME_EPOCH = 86_400 * 10**9  # ns: header stamps further from the reception are of another clock
 
 Message = Any
@@ -61,7 +67,7 @@ def topic_contents(topics: Iterable[Topic], begin: int) -> Contents:
         topics: the topics.
         begin: time from which the times of columns count [ns].
     """
-    arrays, others, clocks, stamped, received = [], {}, {}, [], []
+    arrays, others, clocks, units, stamped, received = [], {}, {}, {}, [], []
     for topic in sorted(topics, key=lambda topic: topic.name):
         try:
             layout = _layout(topic)
@@ -77,6 +83,8 @@ def topic_contents(topics: Iterable[Topic], begin: int) -> Contents:
         times = dict.fromkeys(layout.clocks.values())
         arrays += [(name, (topic.count,)) for name in (*times, *layout.clocks)]
         clocks |= {**layout.clocks, **{time: time for time in times}}
+        if topic.kind.endswith("JointState"):
+            units |= {name: _joint_unit(name.removeprefix(layout.prefix)) for name in layout.clocks}
     notes = (
         [f"times count from {begin // 10**9}.{begin % 10**9:09} s of the recorder's clock"]
         if arrays
@@ -86,7 +94,8 @@ def topic_contents(topics: Iterable[Topic], begin: int) -> Contents:
         if names:
             more = ", ..." if len(names) > 8 else ""
             notes.append(f"times of {', '.join(names[:8])}{more} are {text}")
-    return Contents(arrays, others, clocks, dict.fromkeys(clocks.values(), "s"), notes=tuple(notes))
+    units |= dict.fromkeys(clocks.values(), "s")
+    return Contents(arrays, others, clocks, units, notes=tuple(notes))
 
 
 def topic_arrays(topics: Iterable[Topic], begin: int, names: set[str]) -> dict[str, Array]:
@@ -126,6 +135,13 @@ def topic_arrays(topics: Iterable[Topic], begin: int, names: set[str]) -> dict[s
             order = order[np.append(np.diff(t[order]) > 0, True)] if len(order) else order
             arrays[name] = (t if name in ticks else np.array(values[column]))[order]
     return arrays
+
+
+def _joint_unit(field: str) -> str:
+    """The unit of a field of a joint state by the convention of ROS (REP 103); empty if unknown."""
+    _, quantity, joint = (*re.split(r"[/[]", field, maxsplit=2), "", "")[:3]
+    is_length = bool(_LENGTHS & {*re.findall("[a-z]+", joint.lower())})
+    return _JOINT_UNITS.get(quantity, ("", ""))[is_length]
 
 
 def _is_near(stamp: int, begin: int) -> bool:

@@ -36,6 +36,7 @@ class Contents:
         clocks: for arrays whose samples have times of their own, the name of the array of these
             times [s], by name. An array of times is its own clock.
         units: units by the name of the array, where the file has them.
+        labels: what a file calls an array in a text beside it, by its name, where it does.
         parts: records among several in the file, by the label that follows the file's name.
         notes: remarks on how the file is read.
     """
@@ -44,6 +45,7 @@ class Contents:
     others: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, Part] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 

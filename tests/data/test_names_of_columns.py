@@ -1,0 +1,71 @@
+"""What names of columns say, in several languages, and how labels and conventions are read."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from lab_files import mcap_file
+
+from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.names import read_name
+from tustinnet.data.readers import read_columns
+
+# a name, its quantity, its unit and whether it is a command
+NAMES = [
+    ("Vitesse (mm/s)", "velocity", "mm/s", False),
+    ("Tension moteur (V)", "voltage", "V", False),
+    ("angulo_grados", "position", "deg", False),
+    ("voltaje", "voltage", "", False),
+    ("riferimento posizione", "position", "", True),
+    ("kąt [°]", "position", "deg", False),
+    ("目標位置[mm]", "position", "mm", True),
+    ("左輪角速度_rad_s", "velocity", "rad/s", False),
+    ("トルク(Nm)", "torque", "N m", False),
+    ("i1_cmd_mA", "current", "mA", True),
+    ("F_kN", "force", "kN", False),
+    ("axis0.controller.input_pos", "position", "", True),
+    ("pid.x.output", "control", "", False),
+    ("input torque", "control", "", False),
+]
+
+
+@pytest.mark.parametrize(("name", "quantity", "unit", "is_command"), NAMES)
+def test_words_and_units_of_a_name(name: str, quantity: str, unit: str, is_command: bool) -> None:
+    reading = read_name(name)
+    assert (reading.quantity, reading.unit) == (quantity, unit)
+    assert (reading.qualifier == "command") == is_command
+
+
+def test_labels_beside_the_numbers_of_a_mat_file_are_their_names(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(400)
+    u = np.sign(np.sin(t * 3))
+    signals = np.empty((1, 2), dtype=[(key, object) for key in ("Name", "Unit", "Data")])
+    signals[0, 0] = ("Motor angle", "rad", np.cumsum(np.cumsum(u))[None] * 1e-4)
+    signals[0, 1] = ("u_cmd", "V", u[None])
+    capture = {"X": {"Name": "", "Unit": "s", "Data": t[None]}, "Y": signals}
+    scipy.io.savemat(tmp_path / "log.mat", {"exp": capture})
+    columns = read_columns(tmp_path / "log.mat")
+    assert columns.labels == {"exp.Y(1).Data": "Motor angle", "exp.Y(2).Data": "u_cmd"}
+    assert columns.units["exp.Y(1).Data"] == "rad"
+    choice = draft_card(tmp_path, ["log.mat"]).choice
+    assert [(c.name, c.column, c.unit) for c in choice.coordinates] == [
+        ("Motor_angle", "exp.Y(1).Data", "rad")
+    ]
+    assert [(c.name, c.unit) for c in choice.inputs] == [("u_cmd", "V")]
+
+
+def test_joint_states_have_the_units_of_ros(tmp_path: Path) -> None:
+    units = read_columns(mcap_file(tmp_path / "log.mcap")).units
+    assert units["joint_states/position/shoulder"] == "rad"
+    assert units["joint_states/effort/elbow"] == "N m"
+    assert "command/data[0]" not in units
+
+
+def test_signals_in_the_rows_of_a_matrix_are_columns(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(300)
+    scipy.io.savemat(tmp_path / "log.mat", {"servo": np.stack([t, np.sin(t)]), "K": np.eye(3)})
+    columns = read_columns(tmp_path / "log.mat")
+    assert columns.names[:2] == ("servo[1]", "servo[2]")
+    np.testing.assert_array_equal(columns["servo[2]"], np.sin(t))
+    assert len(columns["K[1]"]) == 3
