@@ -133,3 +133,37 @@ def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> 
     copy = replace(records[0], name="fresh", split="test", sha256="")
     (found_copy,) = [f for f in check_records([*records, copy]) if f.is_serious]
     assert (found_copy.check, found_copy.severity) == ("copy", "severe")
+
+
+# --- records that hold little ---
+
+
+def poor_records() -> list[tuple[str, list[tn.Experiment]]]:
+    """Records without motion, of few samples, or of numbers at the ends of their range."""
+    still = np.zeros(300)
+    ramp = np.linspace(0.0, 1.0, 300)
+    huge = 1e99 * swing(300)
+    return [
+        ("two samples", [arm(np.array([0.0, 1.0]))]),
+        ("three of two samples", [arm(np.array([0.0, 1.0]), name=f"r{k}") for k in range(3)]),
+        ("six samples", [arm(swing(6), name=f"r{k}") for k in range(4)]),
+        ("constant", [arm(still, name=f"r{k}") for k in range(4)]),
+        ("constant with inputs", [arm(still, u=u, inputs={"u": "V"}) for u in (still, ramp)]),
+        ("constant velocity", [arm(ramp, np.full(300, 1.0), name=f"r{k}") for k in range(3)]),
+        ("zero velocity", [arm(swing(300), still)]),
+        ("huge", [arm(huge, u=huge, inputs={"u": "V"}, name=f"r{k}") for k in range(3)]),
+        ("tiny", [arm(1e-300 * swing(300), name=f"r{k}") for k in range(3)]),
+        ("one that moves", [arm(still), arm(still, name="b"), arm(swing(300), name="c")]),
+        ("mixed lengths", [arm(swing(n), name=f"r{n}") for n in (2, 5, 33, 300)]),
+    ]
+
+
+@pytest.mark.parametrize(("what", "records"), poor_records(), ids=lambda x: str(x)[:24])
+def test_records_that_hold_little_are_checked_without_an_error(
+    what: str, records: list[tn.Experiment]
+) -> None:
+    for finding in check_records(records):
+        assert finding.text
+        assert "nan" not in finding.text, what
+    for e in records:
+        check_record(e)

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_verbs import tustinnet
 
@@ -54,6 +55,21 @@ def test_records_are_those_that_the_model_was_not_fitted_to(model, folder, capsy
     assert told["fitted_to"] == fitted
     named = f"note: fitted to {len(fitted)} of the records, whose scores are optimistic: "
     assert f"{named}{', '.join(fitted)}" in err
+
+
+def test_a_copy_of_a_fitted_record_in_another_file_is_named(model, folder, capsys):
+    rows = np.loadtxt(folder / "fall1.csv", delimiter=",", skiprows=1)
+    rows[:, 0] += 100.0
+    np.savetxt(folder / "fresh.csv", rows, delimiter=",", header="time,angle,torque", comments="",
+               fmt="%.7g", newline="\r\n")  # fmt: skip
+    card = folder / "dataset.toml"
+    card.write_text(
+        card.read_text().replace("validation = [", 'test = ["fresh.csv"]\nvalidation = [')
+    )
+    content, err = printed(capsys, "evaluate", model, folder)
+    assert content["split"] == "test"
+    assert content["fitted_to"] == ["fresh"]
+    assert "fitted to all records, whose scores are optimistic: fresh" in err
 
 
 def test_a_test_split_comes_first(model, folder, capsys):

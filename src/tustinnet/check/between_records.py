@@ -48,6 +48,7 @@ _COMMON = 0.9  # of the usual residual, by which a delay in all records makes it
 _OTHER_MACHINE = 0.4  # of the residual, which other parameters leave
 _OTHER_FACTOR, _OTHER_RATIO = np.log(1.6), np.log(2.0)  # of forces, and between two of them
 _POORER = 3.0  # times the usual residual, at least, of a record of another machine
+_NOVEL, _NOVEL_MACHINE = 4.0, 2.0  # times the others' motion: farther out the model extrapolates
 _COARSE = 2  # times the stride of the fit: windows of a suspicion
 _GOLDEN = 8  # steps of the search for a number
 
@@ -351,9 +352,11 @@ def _judge(
         # energetic motion leaves more, whatever is right about its record
         allowed = max(_USUAL * usual, _CLEAR * before)
         drop = _GAIN_DROP if suspicion.check == "gain" else _DROP
+        # a size can be chosen so that motion beyond that of the others fits by chance
+        is_extrapolated = suspicion.has_number and model.novelty(changed, r) > _NOVEL
         if (
             after < drop * before and model.cost(changed, parameters) < allowed
-            and model.explained(changed, parameters) > _EXPLAINED
+            and model.explained(changed, parameters) > _EXPLAINED and not is_extrapolated
         ):  # fmt: skip
             verdicts.append(_Verdict(suspicion, size, before, after))
     if not verdicts:
@@ -489,6 +492,8 @@ def _other_machines(model: MotionModel, views: Sequence[RecordView]) -> Iterator
         if not (model.weights[r] > 0 and cost[r] > _POORER * usual):
             continue
         equations = model.equations[r]
+        if model.novelty(equations, r) > _NOVEL_MACHINE:
+            continue
         for word, kinds in (("friction", ["velocity"]), ("payload", forces)):
             parameters, factors = model.scale_groups(r, kinds)
             after = model.cost(equations, parameters)

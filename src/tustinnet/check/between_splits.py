@@ -13,10 +13,11 @@ from tustinnet.check.card_lines import file_line, without_record
 from tustinnet.check.finding import Finding, Severity
 from tustinnet.check.view import RecordView
 from tustinnet.data.experiment import Experiment
+from tustinnet.signals.stretches import stretch_keys
 
 _RUN = 16  # samples of a stretch that is looked up
 _CHANGES = 8  # of them, at least, in which something moves
-_FEWEST, _SHARE = 50, 0.05  # samples and share of the shorter record that are no chance
+_FEWEST, _SHARE = 50, 0.1  # samples in motion, and share of a record, that are no chance
 _DIGITS = 1e-6  # of the range: positions that differ by less are equal
 _ALIKE = 0.003  # of the deviation; two runs of one experiment differ by more
 _OVERLAP = 0.5  # of the shorter record
@@ -68,7 +69,9 @@ def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
         if a.source and a.source == b.source and a.sha256 == b.sha256:
             continue  # `overlapping_rows` says it
         shorter = min(len(a), len(b))
-        if length < max(_FEWEST, _SHARE * shorter):
+        stretch = np.concatenate([a.q, a.u], axis=1)[start : start + length]
+        changes = int(np.count_nonzero(np.any(np.diff(stretch, axis=0) != 0, axis=1)))
+        if changes < max(_FEWEST, _SHARE * shorter):
             continue
         found.add((i, j))
         shift = (other_start - start) * a.dt
@@ -104,7 +107,7 @@ def _equal_stretches(
     best: dict[tuple[int, int], tuple[int, int, int]] = {}
     for i, (e, x) in enumerate(zip(records, everything, strict=True)):
         steps = np.rint(np.diff(x, axis=0) / (extent * _DIGITS)).astype(np.int64)
-        keys = _stretch_keys(steps[:, e.channels.position])
+        keys = _moving_stretches(steps[:, e.channels.position])
         position = 0
         for k, key in keys:
             if k < position:
@@ -121,23 +124,14 @@ def _equal_stretches(
     return best
 
 
-def _stretch_keys(steps: Int[np.ndarray, "n c"]) -> list[tuple[int, int]]:
-    """Starts of short stretches in motion, every few samples, with a number of their content.
+def _moving_stretches(steps: Int[np.ndarray, "n c"]) -> list[tuple[int, int]]:
+    """Starts of short stretches in motion, every few samples, with the keys of their content.
 
     Starts are chosen by the content itself, so that a copy which begins elsewhere has them too.
     """
-    if len(steps) < _RUN:
-        return []
-    moves = np.any(np.abs(steps) > 1, axis=1)
-    enough = np.convolve(moves, np.ones(_RUN, int), "valid") >= _CHANGES
-    mixed = steps @ (2 * np.arange(1, steps.shape[1] + 1) + 1)
-    windows = np.lib.stride_tricks.sliding_window_view(mixed, _RUN)
-    weights = np.array([pow(1_000_003, k, 1 << 61) for k in range(_RUN)], dtype=np.uint64)
-    with np.errstate(over="ignore"):
-        keys = (windows.astype(np.uint64) * weights).sum(axis=1)
-    every = max(1, len(keys) // 20_000)  # of a long record some
-    chosen = enough & (keys % np.uint64(every) == 0)
-    return [(int(k), int(keys[k])) for k in np.flatnonzero(chosen)]
+    starts, keys = stretch_keys(steps, np.any(np.abs(steps) > 1, axis=1), _RUN, _CHANGES)
+    chosen = keys % np.uint64(max(1, len(steps) // 20_000)) == 0  # of a long record some
+    return list(zip(starts[chosen].tolist(), keys[chosen].tolist(), strict=True))
 
 
 def _extend(

@@ -198,7 +198,8 @@ def _fast_period(views: Sequence[RecordView], j: int) -> float:
     spectra = [welch(v.velocity[:, j], 1.0, segment) for v in views]
     frequency, power = spectra[0][0], np.mean([p for _, p in spectra], axis=0)
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
-    return 1 / float(frequency[max(1, int(np.searchsorted(share, 1 - _FAST_SHARE)))])
+    at = int(np.searchsorted(share, 1 - _FAST_SHARE))  # beyond the end where the power underflows
+    return 1 / float(frequency[np.clip(at, 1, len(frequency) - 1)])
 
 
 def _noise_share(views: Sequence[RecordView], half: int, moving: Sequence[int]) -> float:
@@ -252,6 +253,23 @@ class MotionModel:
         """Share of the accelerations' mean square that the model explains, at most 1."""
         total = float(np.mean(np.mean(equations.left**2, axis=0) / self.noise**2))
         return 1 - self.cost(equations, parameters) / max(total, 1e-300)
+
+    def novelty(self, equations: Equations, index: int) -> float:
+        """How far the motion of a record is from that of the others: 1 where it is alike.
+
+        It is the mean leverage of its windows under the regressors of all other records, in units
+        of their own. Where it is large the model extrapolates, and its failure says nothing.
+
+        Args:
+            equations: equations of the record, as they are or changed.
+            index: the record.
+        """
+        others = [e.right for r, e in enumerate(self.equations)
+                  if r != index and self.weights[r] > 0]  # fmt: skip
+        right, known = equations.right / self.scale, np.concatenate(others) / self.scale
+        gram = known.T @ known / len(known) + _RIDGE * np.eye(len(self.scale))
+        leverage = np.einsum("mp,pm->m", right, np.linalg.solve(gram, right.T))
+        return float(np.mean(leverage)) / len(self.scale)
 
     def scale_groups(
         self, index: int, kinds: Sequence[str]
@@ -386,4 +404,6 @@ def unexplained_share(
     residual = left - right @ np.linalg.solve(gram, right.T @ left)
     total = np.mean(left**2, axis=0)
     moving = total > 0
+    if not moving.any():  # squares of tiny accelerations underflow
+        return 1.0
     return float(np.mean(np.mean(residual**2, axis=0)[moving] / total[moving]))

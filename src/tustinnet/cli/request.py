@@ -394,7 +394,7 @@ def choose_free_runs(
     """
     from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.simulate.starts import default_start
-    from tustinnet.store.header import read_header, records_in_header
+    from tustinnet.store.header import find_fitted, read_header
     from tustinnet.store.judgement import judged_free_runs, usual_split
 
     headers = {path: read_header(path) for path in models}
@@ -416,8 +416,8 @@ def choose_free_runs(
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon
     records = _leave_out_short(records, start, names)
     notes = [f"default: {', '.join(defaults)}"] if defaults else []
-    checksums = {key for header in headers.values() for key in records_in_header(header)}
-    fitted = [e.name for e in records if e.sha256 in checksums]
+    known = {name for header in headers.values() for name in find_fitted(header, records)}
+    fitted = [e.name for e in records if e.name in known]
     if fitted:
         count = "all records" if len(fitted) == len(records) else f"{len(fitted)} of the records"
         more = ", ..." if len(fitted) > _MAX_NAMED else ""

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.fingerprint import make_fingerprint, step_quanta
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
@@ -295,12 +296,15 @@ class FitResult:
 
 
 def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
-    """The header entries on the records that a model was made from, with their checksums."""
+    """The header entries on the records of a model, by which they are recognised."""
+    quanta = step_quanta(records)
     return {
         "name": name,
+        "quanta": quanta,
         "records": [
-            {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256}
+            {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256,
+             "fingerprint": make_fingerprint(e, quanta)}
             | ({"groups": dict(e.groups)} if e.groups else {})
             for e in records
         ],
-    }
+    }  # fmt: skip

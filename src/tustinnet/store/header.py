@@ -4,7 +4,7 @@ Whatever is read from a header is declared here, or by the family in `families.d
 is checked when the file is read. A header that passes can be used by every verb as it is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,6 +12,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from tustinnet.data.declaration import declare
+from tustinnet.data.experiment import Experiment
+from tustinnet.data.fingerprint import FINGERPRINT, is_among
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.families.descriptions import Entries, check_description
 from tustinnet.families.summaries import summarise
@@ -118,6 +120,7 @@ class _Record(Entries):
     split: str | None = None
     source: str = ""
     groups: dict[str, str] = Field(default_factory=dict)
+    fingerprint: str = Field(default="", pattern=FINGERPRINT)
 
 
 class _Data(Entries):
@@ -125,6 +128,7 @@ class _Data(Entries):
 
     name: str
     records: list[_Record]
+    quanta: list[Annotated[float, Field(gt=0, le=_LARGEST)]] = Field(default_factory=list)
 
 
 class _Origin(Entries):
@@ -344,14 +348,48 @@ def records_in_header(header: Mapping[str, Any]) -> dict[str, str]:
     A fit trains with the records of `train`, a selection with all but those of `test`; a committee
     was made from the records of all its parts.
     """
-    listed = header.get("data", {}).get("records", ())
-    selected = "selection" in header
-    records = {
-        record["sha256"]: record["name"]
-        for record in listed
-        if record["sha256"]
-        and (record.get("split") != "test" if selected else record.get("split") == "train")
-    }
+    records = {r["sha256"]: r["name"] for r in _fitted_entries(header) if r["sha256"]}
     for part in header.get("files", ()):
         records |= records_in_header(part)
     return records | header.get(ORIGIN, {}).get("made_from", {})
+
+
+def find_fitted(header: Mapping[str, Any], records: Iterable[Experiment]) -> list[str]:
+    """Names of the records that a model was made from, among some.
+
+    A record is one of them where its file is identical, or where its samples are those of a copy:
+    with other times, line ends or digits, or a part of it. Records of a model that the fit began
+    with are known by their files only.
+
+    Args:
+        header: the header of the model's file.
+        records: the records.
+    """
+    checksums = records_in_header(header)
+    known = _fingerprints(header)
+    return [
+        e.name
+        for e in records
+        if (e.sha256 and e.sha256 in checksums)
+        or any(is_among(e, texts, quanta) for quanta, texts in known.items())
+    ]
+
+
+def _fitted_entries(header: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The entries of a header on records that its model was fitted to, without its parts."""
+    listed = header.get("data", {}).get("records", ())
+    if "selection" in header:
+        return [r for r in listed if r.get("split") != "test"]
+    return [r for r in listed if r.get("split") == "train"]
+
+
+def _fingerprints(header: Mapping[str, Any]) -> dict[tuple[float, ...], list[str]]:
+    """Different fingerprints of the records that a model was made from, by their units."""
+    fingerprints: dict[tuple[float, ...], list[str]] = {}
+    for part in (header, *header.get("files", ())):
+        quanta = tuple(part.get("data", {}).get("quanta", ()))
+        texts = [text for r in _fitted_entries(part) if (text := r.get("fingerprint"))]
+        if texts and quanta:
+            merged = dict.fromkeys([*fingerprints.get(quanta, ()), *texts])
+            fingerprints[quanta] = list(merged)
+    return fingerprints

@@ -25,7 +25,7 @@ from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.header import records_in_header
+from tustinnet.store.header import find_fitted, records_in_header
 
 _DIGITS = 12  # of a checksum
 
@@ -120,9 +120,8 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
 
 
 def trained_on(reported: ReportedModel, records: Sequence[Experiment]) -> list[str]:
-    """Names of those records that a model was fitted to, by their checksums."""
-    checksums = records_in_header(reported.header)
-    return [e.name for e in records if e.sha256 and e.sha256 in checksums]
+    """Names of those records that a model was fitted to."""
+    return find_fitted(reported.header, records)
 
 
 def describe_bands(results: Sequence[ModelResult]) -> str:
