@@ -1,27 +1,417 @@
 """Trajectories planned on a model by iterative LQR."""
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
+
+from tustinnet.control.cost import Cost
+from tustinnet.control.dynamics import (
+    ControlledModel,
+    InputLimits,
+    Limits,
+    controlled,
+    input_limits,
+    require_known,
+    require_vector,
+)
+from tustinnet.control.lqr import feedback_gain, loop_matrices, riccati_solution
+from tustinnet.control.plan import Plan
+from tustinnet.control.riccati import Policy, backward_pass
+from tustinnet.control.weights import Deviations, bryson_weights
+from tustinnet.engine.equations import Equations
+from tustinnet.engine.runs import Runs, simulate
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.simulate.range import Range
+
+_SHARES = np.array([1.0, 0.5, 0.2, 0.05])  # of the feedforward, tried side by side
+_ACCEPTED = 1e-4  # share of the expected decrease that has to come
+_CONVERGED = 1e-7  # expected decrease, as a share of the cost
+_STRONGER, _WEAKER = 8.0, 4.0  # factors of the damping
+_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8  # as shares of the weights of the inputs
+_PENALTY = 100.0  # of a deviation beyond a limit, as a multiple of its own weight
+_EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every so many iterations
+# random inputs of a first guess: for how long they last [s], their share of the limits' range
+_CORRELATED, _AMPLITUDE = 0.3, 0.3
+_BEGUN, _FINISHED = 20, 3  # iterations for every guess; guesses, the best so far, that are finished
+_HELD = 0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
 
 
-@dataclass(frozen=True)
-class Plan:
-    """States and inputs of a planned motion.
+class Motion(NamedTuple):
+    """A motion of a controlled model, and its cost.
 
     Attributes:
-        x: states at all samples, (N + 1, n_x).
-        u: inputs from each sample to the next, (N, n_u).
-        cost: the cost that was minimised.
-        converged: whether the search ended because nothing improved any more.
-        iterations: how many there were.
-        dt: sampling period [s].
+        z: states, (N + 1, n_z).
+        u: commands, (N, n_u).
+        cost: its cost.
     """
 
-    x: Float[np.ndarray, "samples n_x"]
+    z: Float[np.ndarray, "samples n_z"]
     u: Float[np.ndarray, "N n_u"]
     cost: float
-    converged: bool
-    iterations: int
-    dt: float
+
+
+@dataclass
+class Solver:
+    """Iterative LQR on a model with a cost; a plan and predictive control share it.
+
+    Attributes:
+        system: the model.
+        limits: limits of the inputs.
+        cost: the cost.
+    """
+
+    system: ControlledModel
+    limits: InputLimits
+    cost: Cost
+
+    def __post_init__(self) -> None:
+        self._equations = closed_loop_equations(self.system)
+
+    def roll_out(
+        self,
+        start: Float[np.ndarray, " n_z"],
+        reference: Motion,
+        policy: Policy,
+        shares: Float[np.ndarray, " runs"],
+        earlier: Int[np.ndarray, " runs"] | None = None,
+    ) -> Motion:
+        """The best of some motions from a start, by feedback about a reference.
+
+        Args:
+            start: the state at the beginning, (n_z,).
+            reference: the motion about which the feedback is.
+            policy: the feedback, and changes of the inputs.
+            shares: of these changes, a motion for each.
+            earlier: by how many samples each motion is ahead of the reference, whose end is held
+                then; by default 0.
+        """
+        count, n_u = policy.feedforward.shape
+        runs = len(shares)
+        first = np.zeros(runs, int) if earlier is None else earlier
+        rows = np.concatenate(
+            [
+                reference.u, policy.feedforward, policy.gain.reshape(count, -1), reference.z[:-1]
+            ], axis=1,
+        )  # fmt: skip
+        held = int(first.max())
+        drive = np.zeros((count + held + 1, 1, rows.shape[1]))
+        drive[:count, 0], drive[count:, 0] = rows, rows[-1]
+        parameters = np.empty((runs, 1 + 2 * n_u))
+        parameters[:, 0], parameters[:, 1:] = shares, np.concatenate(self.limits)
+        states = simulate(
+            self._equations,
+            Runs(
+                start=np.tile(start, (runs, 1)), parameters=parameters,
+                steps=np.full(runs, count), first=first, drive=drive,
+                periods=np.ones(len(drive)),
+            ),
+        ).reshape(runs, count + 1, -1)  # fmt: skip
+        at = np.minimum(np.arange(count) + first[:, None], count - 1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            errors = states[:, :-1] - reference.z[at]
+            u = reference.u[at] + shares[:, None, None] * policy.feedforward[at]
+            u = self.limits.clip(u + np.matmul(policy.gain[at], errors[..., None])[..., 0])
+            cost = self.cost.total(states, u)
+        best = int(np.argmin(cost))
+        return Motion(states[best], u[best], float(cost[best]))
+
+    def without_feedback(self, steps: int) -> Policy:
+        """The policy that keeps the inputs of a reference."""
+        n_z, n_u = self.system.size, self.system.n_u
+        return Policy(np.zeros((steps, n_u)), np.zeros((steps, n_u, n_z)), 0.0, 0.0)
+
+    def begin(self, start: Float[np.ndarray, " n_z"], u: Float[np.ndarray, "N n_u"]) -> Motion:
+        """The motion from a start under some inputs."""
+        still = Motion(np.zeros((len(u) + 1, self.system.size)), u, np.inf)
+        return self.roll_out(start, still, self.without_feedback(len(u)), np.ones(1))
+
+    def policy(self, motion: Motion, damping: float) -> Policy:
+        """The policy that improves a motion, to second order."""
+        derivatives = self.system.derivatives(motion.z[:-1], motion.u)
+        expansion = self.cost.expand(motion.z, motion.u)
+        room = self.limits.lower - motion.u, self.limits.upper - motion.u
+        return backward_pass(derivatives, expansion, room, damping * self.cost.inputs)
+
+    def improve(self, motion: Motion, policy: Policy) -> Motion | None:
+        """The motion after a line search, None where none is better enough."""
+        better = self.roll_out(motion.z[0], motion, policy, _SHARES)
+        return better if better.cost - motion.cost <= _ACCEPTED * policy.expected < 0 else None
+
+    def begin_earlier(self, motion: Motion, policy: Policy) -> Motion | None:
+        """The motion that leaves out a part of its beginning, None where that is no better.
+
+        Steps along the gradient move a motion that waits at its beginning by a sample each.
+        """
+        earlier = 2 ** np.arange(int(np.log2(len(motion.u))) + 1)[:_EARLIER]
+        kept = policy._replace(feedforward=np.zeros_like(policy.feedforward))
+        better = self.roll_out(motion.z[0], motion, kept, np.zeros(len(earlier)), earlier)
+        return better if better.cost < motion.cost + policy.expected else None
+
+    def minimise(self, motion: Motion, most: int) -> tuple[Motion, bool, int]:
+        """The motion of least cost near a first one, whether that is a minimum, and iterations."""
+        damping, iterations = 0.0, 0
+        if not np.isfinite(motion.cost):
+            return motion, False, 0
+        while iterations < most:
+            policy = self.policy(motion, damping)
+            if not np.isfinite(policy.expected):
+                return motion, False, iterations
+            small = -policy.expected <= _CONVERGED * abs(motion.cost)
+            if small and damping <= _WEAKER * _LEAST_DAMPING:
+                return motion, True, iterations
+            better = self.improve(motion, policy)
+            if iterations % _EVERY == 0:
+                better = self.begin_earlier(better or motion, policy) or better
+            if better is not None:
+                motion, iterations = better, iterations + 1
+                damping = damping / _WEAKER if damping > _LEAST_DAMPING else 0.0
+                continue
+            if damping >= _MOST_DAMPING:
+                # rounding is all that is left, where little was expected
+                return motion, -policy.expected <= _CONVERGED * abs(motion.cost), iterations
+            damping = max(damping * _STRONGER, _LEAST_DAMPING)
+        return motion, False, iterations
+
+
+def closed_loop_equations(system: ControlledModel) -> Equations:
+    """The model with feedback about a reference, as one step for the engine.
+
+    Its inputs are reference inputs, feedforward, gain and reference state; its parameters the share
+    of the feedforward, lower and upper limits.
+    """
+    n_z, n_u = system.size, system.n_u
+
+    def step(z: Array, row: Array, none: Array, parameters: Array) -> Array:
+        u, feedforward = row[:n_u], row[n_u : 2 * n_u]
+        gain = row[2 * n_u : 2 * n_u + n_u * n_z].reshape(n_u, n_z)
+        share, lower, upper = parameters[0], parameters[1 : 1 + n_u], parameters[1 + n_u :]
+        error = z - row[2 * n_u + n_u * n_z :]
+        command = u + share * feedforward + gain @ error
+        return system.function(z, jnp.minimum(jnp.maximum(command, lower), upper))
+
+    return Equations(
+        step, n_x=n_z, n_u=2 * n_u + n_u * n_z + n_z, n_c=1 + 2 * n_u, continuous=False,
+        where=system.where,
+    )  # fmt: skip
+
+
+def ilqr(
+    model: Model,
+    start: Float[Array | np.ndarray, " n_x"],
+    goal: Float[Array | np.ndarray, " n_x"],
+    steps: int,
+    *,
+    goal_inputs: Float[Array | np.ndarray, " n_u"] | None = None,
+    deviations: Deviations | None = None,
+    range: Range | None = None,
+    within: Limits | None = None,
+    limits: Limits | None = None,
+    end_weight: float = 100.0,
+    guesses: Sequence[Float[np.ndarray, "steps n_u"]] | int = 4,
+    turns: bool = True,
+    delay: int = 0,
+    iterations: int = 300,
+    seed: int = 0,
+) -> Plan:
+    """A motion from a start to a goal, planned by iterative LQR under the limits of the inputs.
+
+    It minimises the sum of squared errors from the goal and of inputs, each divided by its
+    acceptable deviation, and at the end the cost of holding the goal ever after by linear feedback.
+    Second derivatives are those of Gauss and Newton. The plan is the cheapest of those found from
+    several first guesses: inputs of the goal, and random ones.
+
+    Args:
+        model: a model that steps from sample to sample.
+        start: the state to begin in, (n_x,).
+        goal: the state to end in, (n_x,), an equilibrium.
+        steps: number of steps, N.
+        goal_inputs: the inputs that hold the goal, (n_u,); 0 by default.
+        deviations: acceptable deviations of states and inputs by name, as in `lqr`.
+        range: the range of the training records.
+        within: limits of states by name, `{"theta": (-2, 2)}`; what is beyond costs a hundred times
+            the weight of the state, or of half of these limits' range where that is more.
+        limits: limits of inputs by name, instead of those that the model declares.
+        end_weight: factor of the end's cost, so that the goal is reached rather than approached.
+        guesses: first guesses of the inputs, each (steps, n_u), as those of another plan; or how
+            many are made.
+        turns: whether angles may arrive at the goal by whole turns, where the model is the same.
+        delay: samples from when an input is computed to when it acts.
+        iterations: the most, for each guess.
+        seed: of random guesses.
+
+    Returns:
+        The plan. `converged` says whether the search came to an end, `reached` whether the motion
+        ends so near to the goal that feedback holds it, `miss` how far from it.
+
+    Raises:
+        InputError: an input without limits, other shapes, names that the model does not have, a
+            goal that no feedback can hold, a model that diverges under every guess.
+
+    References:
+        Tassa, Mansard and Todorov (2014), Control-limited differential dynamic programming, ICRA.
+    """
+    if steps < 1 or iterations < 1:
+        raise InputError("ilqr", f"{steps} steps, {iterations} iterations", "at least 1 of each")
+    system, bounds = controlled(model, delay), input_limits(model, limits)
+    x0 = require_vector(start, system.n_x, "ilqr, start")
+    x_end = require_vector(goal, system.n_x, "ilqr, goal")
+    u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
+    u_end = bounds.clip(require_vector(u_end, system.n_u, "ilqr, goal_inputs"))
+    cost = make_cost(
+        system, bounds, x_end, u_end, deviations=deviations, range=range, within=within,
+        end_weight=end_weight,
+    )  # fmt: skip
+    before = bounds.clip(np.zeros(system.n_u))
+    first = system.augment(x0, before)
+    begun = []
+    for target in _targets(system, x0, x_end) if turns else [x_end]:
+        solver = Solver(system, bounds, replace(cost, x=target))
+        for u in _first_guesses(guesses, steps, bounds, u_end, system.dt, seed):
+            few = min(iterations, _BEGUN)
+            begun.append((solver, *solver.minimise(solver.begin(first, u), few)))
+    finite = [search for search in begun if np.isfinite(search[1].cost)]
+    if not finite:
+        raise InputError(
+            "ilqr", f"{system.where} diverges under every first guess", "a motion to begin with",
+            "plan fewer steps, or give guesses",
+        )  # fmt: skip
+    finite.sort(key=lambda search: search[1].cost)
+    holding = _holding_gain(system, bounds, x_end, u_end, deviations, range)
+    plans: list[Plan] = []
+    for solver, motion, is_converged, count in finite:
+        if not is_converged and count < iterations:
+            motion, is_converged, more = solver.minimise(motion, iterations - count)
+            count += more
+        plan = Plan(
+            x=motion.z[:, : system.n_x], u=motion.u, cost=motion.cost, converged=is_converged,
+            reached=_is_held(holding, motion.z[-1], solver.cost, bounds), iterations=count,
+            dt=system.dt, goal=solver.cost.x, before=before, delay=delay,
+        )  # fmt: skip
+        plans.append(plan)
+        if len(plans) >= _FINISHED and any(p.reached and p.converged for p in plans):
+            break
+    return min(plans, key=lambda plan: (not plan.reached, not plan.converged, plan.cost))
+
+
+def _holding_gain(
+    system: ControlledModel, limits: InputLimits, x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"], deviations: Deviations | None, range: Range | None,
+) -> Float[np.ndarray, "n_u n_z"]:  # fmt: skip
+    """The gain of the linear feedback that holds a goal."""
+    weights = bryson_weights(system, limits, deviations, range)
+    matrices = loop_matrices(system, x, u)
+    return feedback_gain(matrices, riccati_solution(system, matrices, weights), weights)
+
+
+def _is_held(
+    gain: Float[np.ndarray, "n_u n_z"], end: Float[np.ndarray, " n_z"], cost: Cost,
+    limits: InputLimits,
+) -> bool:  # fmt: skip
+    """Whether feedback about the goal would need no more than a part of the inputs' limits."""
+    needed = np.abs(gain @ cost.end_error(end))
+    room = np.minimum(limits.upper - cost.u, cost.u - limits.lower)
+    return bool(np.all(needed <= _HELD * np.maximum(room, 0.0)))
+
+
+def make_cost(
+    system: ControlledModel,
+    limits: InputLimits,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    *,
+    deviations: Deviations | None,
+    range: Range | None,
+    within: Limits | None,
+    end_weight: float = 1.0,
+) -> Cost:
+    """The cost of motions to a goal, whose end costs what feedback needs to hold it ever after.
+
+    Args:
+        system: the model.
+        limits: limits of the inputs.
+        x: the goal, (n_x,).
+        u: the inputs that hold it, (n_u,).
+        deviations: acceptable deviations by name.
+        range: the range of the training records.
+        within: limits of states by name.
+        end_weight: factor of the end's cost.
+    """
+    weights = bryson_weights(system, limits, deviations, range)
+    require_known(within or {}, system.names, "within", "states")
+    lower, upper = np.full(system.n_x, -np.inf), np.full(system.n_x, np.inf)
+    penalty = np.zeros(system.n_x)
+    for name, (low, high) in (within or {}).items():
+        if not low < high:
+            raise InputError("within", f"{name} from {low} to {high}", "the smaller one first")
+        i = system.names.index(name)
+        lower[i], upper[i] = low, high
+        half = (high - low) / 2
+        own = 1 / half**2 if np.isfinite(half) else 0.0
+        penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
+    end = riccati_solution(system, loop_matrices(system, x, u), weights)
+    return Cost(
+        x, u, weights.states, weights.inputs, end_weight * end, lower, upper, penalty
+    )  # fmt: skip
+
+
+def _targets(
+    system: ControlledModel, start: Float[np.ndarray, " n_x"], goal: Float[np.ndarray, " n_x"]
+) -> list[Float[np.ndarray, " n_x"]]:
+    """The goal, each angle with the whole turns that are nearest to the start, from both sides."""
+    choices = []
+    for i, value in enumerate(goal):
+        turn = 2 * np.pi
+        if i not in system.periodic:
+            choices.append([value])
+            continue
+        below = value + turn * np.floor((start[i] - value) / turn)
+        # from where the start is nearly there, a whole turn is no way to it
+        near = [v for v in (below, below + turn) if abs(v - start[i]) <= np.pi * (1 + 1e-9)]
+        choices.append(near)
+    return [np.array(target) for target in itertools.product(*choices)]
+
+
+def _first_guesses(
+    guesses: Sequence[np.ndarray] | int, steps: int, limits: InputLimits,
+    rest: Float[np.ndarray, " n_u"], dt: float, seed: int,
+) -> list[Float[np.ndarray, "steps n_u"]]:  # fmt: skip
+    """Inputs to begin a search with: those given, or the goal's and random smooth ones."""
+    n_u = len(rest)
+    if not isinstance(guesses, int):
+        given = [np.asarray(g, np.float64) for g in guesses]
+        for g in given:
+            if g.shape != (steps, n_u) or not np.isfinite(g).all():
+                raise InputError("guesses", f"inputs of shape {g.shape}", f"({steps}, {n_u})")
+        return [limits.clip(g) for g in given]
+    generator = np.random.default_rng(seed)
+    made = [np.tile(rest, (steps, 1))]
+    span = max(1, round(_CORRELATED / dt))
+    for _ in itertools.repeat(None, guesses - 1):
+        knots = generator.uniform(-1, 1, (steps // span + 2, n_u))
+        knots = limits.clip(rest + _AMPLITUDE / 2 * (limits.upper - limits.lower) * knots)
+        at = np.arange(steps) / span
+        made.append(
+            np.stack([np.interp(at, np.arange(len(knots)), column) for column in knots.T], axis=1)
+        )
+    return made
+
+
+def shift(values: Float[np.ndarray, "n *rest"]) -> Float[np.ndarray, "n *rest"]:
+    """Rows one sample on; the last is repeated."""
+    return np.concatenate([values[1:], values[-1:]])
+
+
+def turns_to(
+    system: ControlledModel, x: Float[np.ndarray, " n_x"], near: Float[np.ndarray, " n_x"]
+) -> Float[np.ndarray, " n_x"]:
+    """Whole turns of angles to add to a state so that it comes nearest to another."""
+    turns = np.zeros(len(x))
+    for i in system.periodic:
+        turns[i] = -2 * np.pi * np.round((x[i] - near[i]) / (2 * np.pi))
+    return turns

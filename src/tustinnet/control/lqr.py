@@ -1,11 +1,30 @@
 """Linear-quadratic feedback: about an operating point, and along a plan."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+import scipy.linalg
+from jaxtyping import Array, Float
 
-from tustinnet.control.ilqr import Plan
+from tustinnet.control.dynamics import (
+    ControlledModel,
+    Limits,
+    controlled,
+    input_limits,
+    require_known,
+    require_vector,
+)
+from tustinnet.control.equilibrium import require_stabilisable
+from tustinnet.control.plan import Plan
+from tustinnet.control.weights import Deviations, Weights, bryson_weights
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.simulate.range import Range
+
+_SECONDS = 1.0  # for which a position may stay at its deviation, where its integral has no weight
+_TINY = 1e-9  # weight of states without one: no mode is without any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,9 +32,10 @@ class Feedback:
     """Linear feedback about an operating point, `u = u0 - gain z`, within the input limits.
 
     `z` has the errors of the states `x - x0`, then the integrals of the errors [s times their
-    units] of the coordinates in `integral`, then the previous inputs as differences from `u0`, the
-    latest first. There are previous inputs where inputs act late, and where a step of the model
-    depends on inputs before its sample.
+    units] of the coordinates in `integral`, then the previous commands as differences from `u0`,
+    the latest first. There are previous commands where inputs act late, and where a step of the
+    model depends on inputs before its sample. An integral grows by `dt` times the error after each
+    sample at which no input is at a limit.
 
     Attributes:
         gain: (n_u, n_z).
@@ -40,6 +60,12 @@ class Feedback:
     delay: int = 0
     periodic: tuple[int, ...] = ()
 
+    @property
+    def previous(self) -> int:
+        """How many samples of previous commands `z` has."""
+        n_u, n_z = self.gain.shape
+        return (n_z - len(self.x0) - len(self.integral)) // n_u
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -47,11 +73,202 @@ class Tracking:
 
     Attributes:
         plan: the plan.
-        gains: gains at every step, (N, n_u, n_z): `u = plan.u[k] - gains[k] z`, `z` as in
-            `Feedback`, errors and previous inputs counted from the plan.
+        gains: gains at every step, (N, n_u, n_z): `u = plan.u[k] - gains[k] z`, `z` the errors of
+            the states and the previous commands as differences from those of the plan.
         final: the feedback after the last step.
     """
 
     plan: Plan
     gains: Float[np.ndarray, "N n_u n_z"]
     final: Feedback
+
+
+class LoopMatrices(NamedTuple):
+    """Matrices of a feedback loop, `z[k+1] = a z[k] + b du[k]`, `z` as in `Feedback`.
+
+    Attributes:
+        a: (n_z, n_z).
+        b: (n_z, n_u).
+    """
+
+    a: Float[np.ndarray, "n_z n_z"]
+    b: Float[np.ndarray, "n_z n_u"]
+
+
+def lqr(
+    model: Model,
+    x: Float[Array | np.ndarray, " n_x"],
+    u: Float[Array | np.ndarray, " n_u"],
+    *,
+    deviations: Deviations | None = None,
+    range: Range | None = None,
+    integral: Sequence[str] = (),
+    delay: int = 0,
+    limits: Limits | None = None,
+) -> Feedback:
+    """Discrete linear-quadratic feedback about an operating point, mostly an equilibrium.
+
+    It minimises the sum of squared errors and inputs, each divided by its acceptable deviation.
+
+    Args:
+        model: a model that steps from sample to sample.
+        x: the state of the operating point, (n_x,), as `find_equilibrium` finds it.
+        u: the inputs there, (n_u,).
+        deviations: acceptable deviations of states and inputs by name, `{"theta": 0.1}`, and of
+            integrals as `integral_theta` [rad s]; what is not named follows from `range`, see the
+            reference.
+        range: the range of the training records, which a model file has.
+        integral: names of the coordinates whose errors are integrated.
+        delay: samples from when an input is computed to when it acts, beside the delays that the
+            inputs of the model have.
+        limits: limits of inputs by name, instead of those that the model declares.
+
+    Raises:
+        InputError: an input without limits; a mode that does not decay and that the inputs do not
+            move (its coordinates and eigenvalue); an integral that cannot be held at 0; names that
+            the model does not have.
+
+    References:
+        Anderson and Moore (1990), Optimal control: linear quadratic methods.
+    """
+    system, bounds = controlled(model, delay), input_limits(model, limits)
+    x0 = require_vector(x, system.n_x, "lqr, x")
+    u0 = require_vector(u, system.n_u, "lqr, u")
+    positions = [c.name for c in model.channels.coordinates]
+    require_known(dict.fromkeys(integral), positions, "integral", "coordinates")
+    if len(integral) > system.n_u:
+        raise InputError(
+            "integral", f"{len(integral)} coordinates", f"at most {system.n_u}, as there are inputs"
+        )
+    indices = tuple(positions.index(name) for name in integral)
+    own = {k: v for k, v in (deviations or {}).items() if not k.startswith("integral_")}
+    weights = bryson_weights(system, bounds, own, range)
+    sums = []
+    for name, i in zip(integral, indices, strict=True):
+        default = _SECONDS / np.sqrt(weights.states[i]) if weights.states[i] else _SECONDS
+        sums.append(1 / (deviations or {}).get(f"integral_{name}", default) ** 2)
+    known = {f"integral_{name}" for name in integral}
+    require_known(
+        dict.fromkeys(set(deviations or {}) - set(own)), sorted(known) or ["states"], "weights",
+        "integrals",
+    )  # fmt: skip
+    require_stabilisable(system, x0, u0, "lqr")
+    matrices = loop_matrices(system, x0, u0, indices)
+    value = riccati_solution(system, matrices, weights, sums)
+    gain = feedback_gain(matrices, value, weights)
+    return Feedback(
+        gain=gain, x0=x0, u0=u0, lower=bounds.lower, upper=bounds.upper, dt=system.dt,
+        integral=indices, delay=delay, periodic=system.periodic,
+    )  # fmt: skip
+
+
+def loop_matrices(
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    integral: Sequence[int] = (),
+) -> LoopMatrices:
+    """The linearised model with integrals of errors, in the order of `Feedback`."""
+    a, b = system.tangent(x, u)
+    n_x, n_i = system.n_x, len(integral)
+    sums = np.zeros((n_i, len(a)))
+    sums[np.arange(n_i), list(integral)] = system.dt
+    a = np.block([[a, np.zeros((len(a), n_i))], [sums, np.eye(n_i)]])
+    b = np.concatenate([b, np.zeros((n_i, system.n_u))])
+    # integrals stand between the states and the previous commands
+    order = [*range(n_x), *range(system.size, len(a)), *range(n_x, system.size)]
+    return LoopMatrices(a[np.ix_(order, order)], b[order])
+
+
+def riccati_solution(
+    system: ControlledModel, matrices: LoopMatrices, weights: Weights, sums: Sequence[float] = ()
+) -> Float[np.ndarray, "n_z n_z"]:
+    """The cost to go of linear-quadratic feedback without an end: `z' P z`.
+
+    Raises:
+        InputError: there is none: an integral that the inputs cannot hold at 0.
+    """
+    price = np.full(len(matrices.a), _TINY)
+    price[: system.n_x] += weights.states
+    price[system.n_x : system.n_x + len(sums)] += np.array(sums)
+    try:
+        return scipy.linalg.solve_discrete_are(
+            matrices.a, matrices.b, np.diag(price), np.diag(weights.inputs)
+        )
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise InputError(
+            "lqr", f"no feedback holds this point ({error})",
+            "inputs that move all states and integrals", "leave out integrals, or change weights",
+        ) from error  # fmt: skip
+
+
+def feedback_gain(
+    matrices: LoopMatrices, value: Float[np.ndarray, "n_z n_z"], weights: Weights
+) -> Float[np.ndarray, "n_u n_z"]:
+    """The gain whose cost to go one step later is `z' value z`, (n_u, n_z)."""
+    a, b = matrices
+    return np.linalg.solve(np.diag(weights.inputs) + b.T @ value @ b, b.T @ value @ a)
+
+
+def time_varying_lqr(
+    model: Model,
+    plan: Plan,
+    final: Feedback,
+    *,
+    deviations: Deviations | None = None,
+    range: Range | None = None,
+) -> Tracking:
+    """Time-varying linear-quadratic feedback along a plan, and the feedback that holds its end.
+
+    Args:
+        model: a model that steps from sample to sample.
+        plan: the plan.
+        final: the feedback about the plan's end, without integrals. Its limits and its delay hold
+            along the plan, too.
+        deviations: acceptable deviations of states and inputs by name, as in `lqr`.
+        range: the range of the training records.
+
+    Raises:
+        InputError: a plan of another model or period, names that the model does not have.
+    """
+    system = controlled(model, final.delay)
+    plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "time_varying_lqr")
+    bounds = input_limits(model, _limits_of(model, final))
+    weights = bryson_weights(system, bounds, deviations, range)
+    value = riccati_solution(system, loop_matrices(system, final.x0, final.u0), weights)
+    gains, _ = gains_along(system, plan, value, weights)
+    return Tracking(plan, gains, final)
+
+
+def gains_along(
+    system: ControlledModel,
+    plan: Plan,
+    value: Float[np.ndarray, "n_z n_z"],
+    weights: Weights,
+) -> tuple[Float[np.ndarray, "N n_u n_z"], Float[np.ndarray, "samples n_z n_z"]]:
+    """Linear-quadratic gains along a plan, and the costs to go at all of its samples.
+
+    Args:
+        system: the model.
+        plan: the plan.
+        value: the cost to go at its end.
+        weights: of states and inputs.
+    """
+    before = plan.previous_inputs(system.previous)
+    derivatives = system.derivatives(np.hstack([plan.x[:-1], before]), plan.u)
+    price = np.diag(np.concatenate([weights.states, np.zeros(system.size - system.n_x)]))
+    gains, values = [], [value]
+    for derivative in derivatives[::-1]:
+        matrices = LoopMatrices(derivative[:, : system.size], derivative[:, system.size :])
+        gain = feedback_gain(matrices, value, weights)
+        value = price + matrices.a.T @ value @ (matrices.a - matrices.b @ gain)
+        value = (value + value.T) / 2
+        gains.append(gain)
+        values.append(value)
+    return np.stack(gains[::-1]), np.stack(values[::-1])
+
+
+def _limits_of(model: Model, feedback: Feedback) -> Limits:
+    """The limits of a feedback by the names of the inputs."""
+    rows = zip(model.channels.inputs, feedback.lower, feedback.upper, strict=True)
+    return {i.name: (float(low), float(high)) for i, low, high in rows}

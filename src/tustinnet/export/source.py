@@ -109,15 +109,7 @@ class Source:
     @cached_property
     def function(self) -> StepFunction:
         """The step as a JAX function of two vectors, (n_x,) and (n_w,), in float64."""
-        model, layout = self.model, self.input_layout
-        is_held = layout.offsets == (0,) and layout.shape == (self.channels.n_u,)
-
-        def step(x: Array, w: Array) -> Array:
-            # from NumPy in here: an array of JAX made while a step is read would belong to that
-            u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
-            return model.step(x, u)
-
-        return step
+        return step_by_samples(self.model, self.input_layout)
 
     @cached_property
     def equations(self) -> Equations:
@@ -231,27 +223,27 @@ def require_stepping(model: object) -> None:
         )  # fmt: skip
 
 
-def find_input_layout(model: Model, delays: Sequence[float] = ()) -> InputLayout:
+def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> InputLayout:
     """The input samples on which a model's steps depend, from the responses to single samples.
 
     Args:
         model: the model.
-        delays: by how many periods each input acts late; by default none.
+        delays: how late each input acts [periods]; by default none does.
     """
     inputs = model.channels.inputs
     if not inputs:
         return InputLayout((0,), np.zeros((0, 0)), (0,))
+    late = [0.0] * len(inputs) if delays is None else list(delays)
     linear = ("first-order", "band-limited")
     holds: list[DeclaredHold] = [
         "first-order" if i.hold in linear else "zero-order" for i in inputs
     ]
 
     def step_inputs(samples: np.ndarray) -> np.ndarray:
-        signal: Excitation = excitation(samples, holds, delays or [0.0] * len(inputs))
+        signal: Excitation = excitation(samples, holds, late)
         return np.asarray(model.step_inputs(signal))
 
-    late = math.ceil(max(map(abs, delays), default=0.0))
-    reach = max((1, *map(abs, model.step_layout.taps))) + late
+    reach = max((1, *map(abs, model.step_layout.taps))) + math.ceil(max(map(abs, late)))
     blank = np.zeros((2 * reach + 2, len(inputs)))
     shape = step_inputs(blank)[reach].shape
     columns = {}
@@ -266,3 +258,15 @@ def find_input_layout(model: Model, delays: Sequence[float] = ()) -> InputLayout
     offsets = sorted(columns, key=lambda offset: (offset < 0, abs(offset)))
     matrix = np.concatenate([columns[offset] for offset in offsets], axis=1)
     return InputLayout(tuple(offsets), matrix, shape)
+
+
+def step_by_samples(model: Model, layout: InputLayout) -> StepFunction:
+    """The step of a model as a function of the state and of the samples of a layout, flattened."""
+    is_held = layout.offsets == (0,) and layout.shape == (model.channels.n_u,)
+
+    def step(x: Array, w: Array) -> Array:
+        # from NumPy in here: an array of JAX made while a step is read would belong to that
+        u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
+        return model.step(x, u)
+
+    return step

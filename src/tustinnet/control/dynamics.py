@@ -1,0 +1,230 @@
+"""A model as it is controlled: its step by the latest command, earlier commands in the state."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import compile_formula, evaluate
+from tustinnet.errors import InputError
+from tustinnet.export.source import find_input_layout, make_source, step_by_samples
+from tustinnet.models.contract import Model
+
+_RECENT = 8  # models whose steps are compiled and at hand
+_TURN_TOLERANCE = 1e-6  # of a state after a whole turn more of an angle
+
+Limits = Mapping[str, tuple[float, float]]
+
+
+class InputLimits(NamedTuple):
+    """Limits of the inputs.
+
+    Attributes:
+        lower: (n_u,).
+        upper: (n_u,).
+    """
+
+    lower: Float[np.ndarray, " n_u"]
+    upper: Float[np.ndarray, " n_u"]
+
+    def clip(self, u: Float[np.ndarray, "*rows n_u"]) -> Float[np.ndarray, "*rows n_u"]:
+        """Inputs within the limits; as `np.clip`, which takes longer for a few numbers."""
+        return np.minimum(np.maximum(u, self.lower), self.upper)
+
+
+class ControlledModel:
+    """A model whose state also has the earlier commands that a step depends on.
+
+    The state is `z = [x, previous commands]`, the latest first. A step takes inputs at samples
+    before its own where the model has taps there, where inputs act late (`Input.delay`), and where
+    the computer needs time (`delay`). Inputs at samples to come are the command of now, held.
+
+    Attributes:
+        model: the model, in its cheapest form.
+        delay: samples from when a command is computed to when it acts.
+        n_x: number of states of the model.
+        n_u: number of inputs.
+        previous: how many samples of commands stand in the state.
+        names: names of the model's states: `theta`, `der_theta`, internal states.
+    """
+
+    def __init__(self, model: Model, delay: int = 0) -> None:
+        source = make_source(model)
+        channels = source.channels
+        if not channels.n_u:
+            raise InputError("control", "a model without inputs", "an input to act with")
+        if delay < 0:
+            raise InputError("control", f"a delay of {delay} samples", "0 or more")
+        self.model, self.delay = source.model, delay
+        self.n_x, self.n_u, self.names = source.n_x, channels.n_u, source.states
+        self.dt = float(model.dt)
+        late = [(i.delay or 0.0) / self.dt for i in channels.inputs]
+        self._layout = find_input_layout(self.model, late)
+        # of each sample of the layout the place in [command now, previous commands]
+        self._places = [delay + max(0, -offset) for offset in self._layout.offsets]
+        self.previous = max(self._places)
+        self._step = step_by_samples(self.model, self._layout)
+
+    @property
+    def size(self) -> int:
+        """`n_z`: states and previous commands."""
+        return self.n_x + self.previous * self.n_u
+
+    @property
+    def where(self) -> str:
+        """The name of the model in messages."""
+        return f"the model ({type(self.model).__name__})"
+
+    def function(self, z: Array, u: Array) -> Array:
+        """The next state after a command, written with JAX."""
+        if not self.previous:
+            return self._step(z, jnp.concatenate([u] * len(self._places)))
+        x, n_u = z[: self.n_x], self.n_u
+        commands = jnp.concatenate([u, z[self.n_x :]])
+        samples = [commands[place * n_u : (place + 1) * n_u] for place in self._places]
+        kept = commands[: self.previous * n_u]
+        return jnp.concatenate([self._step(x, jnp.concatenate(samples)), kept])
+
+    @cached_property
+    def step_formula(self) -> Formula:
+        """The step at many points [z, u]."""
+        size = self.size
+        formula = Formula(
+            lambda point: self.function(point[:size], point[size:]), size + self.n_u,
+            where=self.where,
+        )  # fmt: skip
+        compile_formula(formula, derivatives=True)
+        return formula
+
+    def derivatives(
+        self, z: Float[np.ndarray, "n n_z"], u: Float[np.ndarray, "n n_u"]
+    ) -> Float[np.ndarray, "n n_z n_zu"]:
+        """Derivatives of the steps from many states, by the state and by the command."""
+        points = np.concatenate([z, u], axis=1)
+        rows = evaluate(self.step_formula, points, derivatives=True)
+        return rows.reshape(len(points), self.size, -1)
+
+    def steps(
+        self, z: Float[np.ndarray, "n n_z"], u: Float[np.ndarray, "n n_u"]
+    ) -> Float[np.ndarray, "n n_z"]:
+        """The states after steps from many states."""
+        return evaluate(self.step_formula, np.concatenate([z, u], axis=1))
+
+    @cached_property
+    def held_formula(self) -> Formula:
+        """The step of the model's own state at points [x, u], where all commands were `u`."""
+        n_x, count = self.n_x, len(self._places)
+        return Formula(
+            lambda point: self._step(point[:n_x], jnp.concatenate([point[n_x:]] * count)),
+            n_x + self.n_u, where=self.where,
+        )  # fmt: skip
+
+    def tangent(
+        self, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+    ) -> tuple[Float[np.ndarray, "n_z n_z"], Float[np.ndarray, "n_z n_u"]]:
+        """Derivatives of the step about a point, by the state and by the command: `A`, `B`.
+
+        Raises:
+            InputError: they are not finite there.
+        """
+        jacobian = self.derivatives(self.augment(x, u)[None], u[None])[0]
+        if not np.isfinite(jacobian).all():
+            raise InputError(
+                "operating point", "derivatives that are not finite",
+                "a point where the model is smooth",
+            )  # fmt: skip
+        return jacobian[:, : self.size], jacobian[:, self.size :]
+
+    def augment(
+        self, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+    ) -> Float[np.ndarray, " n_z"]:
+        """The state `z` where all previous commands were `u`."""
+        return np.concatenate([x, np.tile(u, self.previous)])
+
+    @cached_property
+    def periodic(self) -> tuple[int, ...]:
+        """Indices of the angles that a step does not depend on by whole turns."""
+        angles = np.flatnonzero(self.model.channels.angular)
+        generator = np.random.default_rng(0)
+        z, u = generator.uniform(-1, 1, (4, self.size)), generator.uniform(-1, 1, (4, self.n_u))
+        plain = self.steps(z, u)
+        result = []
+        for i in angles:
+            turned = 2 * np.pi * (np.arange(self.size) == i)
+            change = self.steps(z + turned, u) - turned - plain
+            if np.abs(change).max() < _TURN_TOLERANCE * (1 + np.abs(plain).max()):
+                result.append(int(i))
+        return tuple(result)
+
+
+_recent: list[ControlledModel] = []
+_sources: list[Model] = []
+
+
+def controlled(model: Model, delay: int = 0) -> ControlledModel:
+    """A model as it is controlled; its step is read and compiled once while it is in use.
+
+    Raises:
+        InputError: a model in continuous time, without inputs, or with values by group; JAX
+            computes in single precision.
+    """
+    for source, made in zip(_sources, _recent, strict=True):
+        if source is model and made.delay == delay:
+            return made
+    made = ControlledModel(model, delay)
+    _sources.insert(0, model)
+    _recent.insert(0, made)
+    del _sources[_RECENT:], _recent[_RECENT:]
+    return made
+
+
+def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
+    """The limits of a model's inputs, those that are given before those that it declares.
+
+    Args:
+        model: the model.
+        limits: smallest and largest value of inputs by name.
+
+    Raises:
+        InputError: an input without limits, a name that is no input, limits that are not ordered.
+    """
+    given = dict(limits or {})
+    names = [i.name for i in model.channels.inputs]
+    require_known(given, names, "limits", "inputs")
+    pairs = []
+    for i in model.channels.inputs:
+        pair = given.get(i.name, i.limits)
+        if pair is None:
+            raise InputError(
+                f"input '{i.name}'", "it has no limits", "the least and the largest value it takes",
+                f'declare them in the data card, or give limits={{"{i.name}": (low, high)}}',
+            )  # fmt: skip
+        if not -np.inf < pair[0] < pair[1] < np.inf:
+            raise InputError(
+                f"input '{i.name}'", f"limits {list(pair)}", "two numbers, the smaller one first"
+            )
+        pairs.append(pair)
+    return InputLimits(*np.array(pairs, float).reshape(-1, 2).T)
+
+
+def require_known(given: Mapping[str, object], names: Sequence[str], where: str, what: str) -> None:
+    """Raises unless all keys are among some names."""
+    for name in given:
+        if name not in names:
+            raise InputError(where, f"no '{name}' among the {what}", f"some of {', '.join(names)}")
+
+
+def require_vector(value: object, size: int, where: str) -> Float[np.ndarray, " size"]:
+    """An array of some finite numbers.
+
+    Raises:
+        InputError: another shape, or a number that is not finite.
+    """
+    array = np.asarray(value, np.float64)
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(where, f"{value} of shape {array.shape}", f"{size} finite numbers")
+    return array

@@ -1,0 +1,322 @@
+"""Equilibria of models under the limits of their inputs, and the modes about them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from jaxtyping import Complex, Float
+
+from tustinnet.control.dynamics import (
+    ControlledModel,
+    Limits,
+    controlled,
+    input_limits,
+    require_known,
+)
+from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.simulate.linearise import value_and_jacobian
+
+# how dear a deviation of 1 is: of positions that are named, velocities, other positions, inputs (in
+# halves of their range), internal states
+_NAMED, _VELOCITY, _OTHER, _INPUT, _INTERNAL = 1e6, 1e4, 1e2, 1e-2, 1e-4
+_SETTLED = (
+    1e-6  # largest change of a state in a second at an equilibrium, of the sizes of 1 + state
+)
+_TURNS = np.pi / 4 * np.arange(-4, 5)  # rad, where other equilibria are searched for
+_ON_CIRCLE = 1e-4  # 1/s, rates of growth or decay that count as none
+_NEGLIGIBLE = 1e-7  # of the effect of inputs on a mode, or of a mode on the encoders
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of a linearised model.
+
+    Attributes:
+        eigenvalue: of the discrete model.
+        rate: of growth, or negative of decay [1/s]; -inf of a mode that ends in one step.
+        frequency: [rad/s].
+        states: names of the states that move in it, the most first.
+        controllable: whether the inputs act on it.
+        observable: whether the encoders show it.
+    """
+
+    eigenvalue: complex
+    rate: float
+    frequency: float
+    states: tuple[str, ...]
+    controllable: bool
+    observable: bool
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether it decays."""
+        return self.rate < -_ON_CIRCLE
+
+    def __str__(self) -> str:
+        value = self.eigenvalue
+        number = f"{value.real:.4g}" if not value.imag else f"{value.real:.4g}+-{value.imag:.4g}j"
+        return f"the mode of {' and '.join(self.states)} with the eigenvalue {number}"
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """An equilibrium of a model, and what is known of it there.
+
+    Attributes:
+        x: the state, (n_x,).
+        u: the inputs, (n_u,).
+        names: names of the states.
+        modes: modes of the model about it, those that grow fastest first; of a pair of complex
+            ones the one above.
+    """
+
+    x: Float[np.ndarray, " n_x"]
+    u: Float[np.ndarray, " n_u"]
+    names: tuple[str, ...]
+    modes: tuple[Mode, ...]
+
+    @property
+    def stability(self) -> str:
+        """Its stability in words."""
+        growing = [m for m in self.modes if m.rate > _ON_CIRCLE]
+        if growing:
+            worst = growing[0]
+            times = f"doubles in {np.log(2) / worst.rate:.3g} s"
+            return f"unstable: {worst.states[0]} {times}"
+        idle = [m for m in self.modes if not m.is_stable]
+        if idle:
+            return f"marginally stable: {idle[0].states[0]} stays where it is put"
+        slowest = self.modes[0]
+        half = -np.log(2) / slowest.rate
+        return f"stable: {slowest.states[0]} is the slowest, halves in {half:.3g} s"
+
+    @property
+    def controllable(self) -> str:
+        """Its controllability from the inputs in words."""
+        missing = [m for m in self.modes if not m.controllable]
+        return _in_words("controllable", "not controllable from the inputs", missing)
+
+    @property
+    def observable(self) -> str:
+        """Its observability from the encoders in words."""
+        missing = [m for m in self.modes if not m.observable]
+        return _in_words("observable", "not observable from the encoders", missing)
+
+
+def _in_words(positive: str, negative: str, missing: list[Mode]) -> str:
+    if not missing:
+        return positive
+    kinds = [f"{mode} ({'stable' if mode.is_stable else 'not stable'})" for mode in missing]
+    return f"{negative}: {', '.join(kinds)}"
+
+
+def find_equilibrium(
+    model: Model,
+    at: Mapping[str, float],
+    limits: Limits | None = None,
+    tolerance: float = 0.1,
+) -> OperatingPoint:
+    """An equilibrium of a model at named positions, with inputs within their limits.
+
+    Positions that are not named are as near to 0 as an equilibrium allows, and inputs as small. A
+    fitted model may have its equilibrium beside the position that is named: `x` says where.
+
+    Args:
+        model: a model that steps from sample to sample.
+        at: positions by name [rad or m].
+        limits: limits of inputs by name, instead of those that the model declares.
+        tolerance: how far an equilibrium may be from the named positions [rad or m].
+
+    Returns:
+        The equilibrium, its modes, and in words its stability, controllability, observability.
+
+    Raises:
+        InputError: no equilibrium there (the nearest is named), a name that is no coordinate, an
+            input without limits.
+    """
+    system, bounds = controlled(model), input_limits(model, limits)
+    channels = model.channels
+    positions = [c.name for c in channels.coordinates]
+    require_known(at, positions, "equilibrium", "coordinates")
+    for name, value in at.items():
+        if not np.isfinite(value):
+            raise InputError("equilibrium", f"{name} = {value}", "a finite position")
+    n_x = system.n_x
+    wanted = np.zeros(n_x)
+    wanted[channels.position] = [at.get(name, 0.0) for name in positions]
+    price = np.full(n_x, _INTERNAL)
+    price[channels.position] = [_NAMED if name in at else _OTHER for name in positions]
+    price[channels.velocity] = _VELOCITY
+    half = (bounds.upper - bounds.lower) / 2
+    unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(_INPUT)])
+    centre = np.concatenate([wanted, bounds.clip(np.zeros(system.n_u))])
+    ends = [(None, None)] * n_x + [
+        ((low - c) / s, (high - c) / s)
+        for low, high, c, s in zip(*bounds, centre[n_x:], unit[n_x:], strict=True)
+    ]
+
+    def settle(first: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_xu"] | None:
+        """The equilibrium nearest to the named positions that is reached from a state."""
+
+        @lru_cache(1)  # value and derivatives are asked for one after the other
+        def change_at(numbers: bytes) -> tuple[np.ndarray, np.ndarray]:
+            y = np.frombuffer(numbers)
+            point = centre + unit * y
+            value, jacobian = value_and_jacobian(system.held_formula, point)
+            jacobian = jacobian - np.eye(n_x, len(point))
+            return (value - point[:n_x]) / system.dt, jacobian * unit / system.dt
+
+        def change(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return change_at(y.tobytes())
+
+        y = np.concatenate([(first - wanted) / unit[:n_x], np.zeros(system.n_u)])
+        with np.errstate(all="ignore"):
+            result = scipy.optimize.minimize(
+                lambda y: (y @ y / 2, y), y, jac=True, method="SLSQP", bounds=ends,
+                constraints={
+                    "type": "eq", "fun": lambda y: change(y)[0], "jac": lambda y: change(y)[1]
+                },
+                options={"maxiter": 200, "ftol": 1e-14},
+            )  # fmt: skip
+            point = centre + unit * result.x
+            rate = change(result.x)[0]
+        is_settled = np.isfinite(rate).all() and np.all(
+            np.abs(rate) <= _SETTLED * (1 + np.abs(point[:n_x]))
+        )
+        return point if is_settled else None
+
+    def distance(point: Float[np.ndarray, " n_xu"]) -> float:
+        """The largest distance from a named position."""
+        off = [abs(point[i] - wanted[i]) for i, name in enumerate(positions) if name in at]
+        return max(off, default=0.0)
+
+    found = settle(wanted)
+    if found is None or distance(found) > tolerance:
+        others = [settle(first) for first in _other_starts(wanted, channels.angular, positions, at)]
+        candidates = [point for point in (found, *others) if point is not None]
+        found = min(candidates, key=distance) if candidates else None
+    if found is None or distance(found) > tolerance:
+        raise _no_equilibrium(at, found, positions, bounds, channels.inputs)
+    x, u = found[:n_x], bounds.clip(found[n_x:])
+    return OperatingPoint(x, u, system.names, find_modes(system, x, u))
+
+
+def _other_starts(
+    wanted: Float[np.ndarray, " n_x"], angular: np.ndarray, positions: list[str],
+    at: Mapping[str, float],
+) -> list[Float[np.ndarray, " n_x"]]:  # fmt: skip
+    """States whose named angles are turned, one at a time."""
+    starts = []
+    for i, name in enumerate(positions):
+        if name in at and angular[i]:
+            for turn in _TURNS[_TURNS != 0]:
+                start = wanted.copy()
+                start[i] += turn
+                starts.append(start)
+    return starts
+
+
+def _no_equilibrium(
+    at: Mapping[str, float], nearest: np.ndarray | None, positions: list[str], bounds: object,
+    inputs: tuple,
+) -> InputError:  # fmt: skip
+    place = ", ".join(f"{name} = {value:g}" for name, value in at.items())
+    if nearest is None:
+        return InputError(
+            "equilibrium", f"none at {place} under the limits of the inputs, nor near it",
+            "positions at which the model can stand still", "name others, or widen the limits",
+        )  # fmt: skip
+    n_u = len(inputs)
+    stands = ", ".join(
+        f"{name} = {nearest[i]:.4g}" for i, name in enumerate(positions) if name in at
+    )
+    forces = ", ".join(
+        f"{i.name} = {value:.4g}" for i, value in zip(inputs, nearest[-n_u:], strict=True)
+    )
+    return InputError(
+        "equilibrium", f"none at {place} under the limits of the inputs",
+        f"the nearest one, {stands} (with {forces})", "name its positions, or widen the limits",
+    )  # fmt: skip
+
+
+def find_modes(
+    system: ControlledModel, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+) -> tuple[Mode, ...]:
+    """The modes of a model about a point, those that grow fastest first.
+
+    Controllability and observability are tested mode by mode (Popov, Belevitch and Hautus), in
+    units in which velocities and inputs have sizes like those of positions.
+
+    Args:
+        system: the model.
+        x: the state, (n_x,).
+        u: the inputs, (n_u,).
+
+    References:
+        Hautus (1969), Controllability and observability conditions of linear autonomous systems.
+    """
+    n_x = system.n_x
+    _, jacobian = value_and_jacobian(system.held_formula, np.concatenate([x, u]))
+    scaled, units = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False, separate=True)
+    scale = units[0]
+    a, b = scaled, jacobian[:, n_x:] / scale[:, None]
+    c = np.eye(n_x)[system.model.channels.position] * scale
+    b = b / (np.linalg.norm(b, axis=0) + 1e-300)
+    c = c / np.linalg.norm(c, axis=1)[:, None]
+    values, vectors = scipy.linalg.eig(a)
+    order = np.argsort(-np.abs(values), kind="stable")
+    modes = []
+    for i in order:
+        value = complex(values[i])
+        if value.imag < 0:
+            continue
+        shifted = a - value * np.eye(n_x)
+        is_controllable = _smallest(np.hstack([shifted, b])) > _NEGLIGIBLE
+        is_observable = _smallest(np.vstack([shifted, c])) > _NEGLIGIBLE
+        size = np.abs(value)
+        rate = np.log(size) / system.dt if size else -np.inf
+        modes.append(
+            Mode(
+                value, float(rate), float(np.angle(value) / system.dt),
+                _moving_states(vectors[:, i], system), bool(is_controllable), bool(is_observable),
+            )
+        )  # fmt: skip
+    return tuple(modes)
+
+
+def _smallest(matrix: Complex[np.ndarray, "n m"] | Float[np.ndarray, "n m"]) -> float:
+    """The smallest singular value, which is 0 where the rank is not full."""
+    return float(np.linalg.svd(matrix, compute_uv=False)[-1])
+
+
+def _moving_states(vector: np.ndarray, system: ControlledModel) -> tuple[str, ...]:
+    """Names of the coordinates and internal states with a large part in a mode.
+
+    A velocity counts for its coordinate.
+    """
+    share = np.abs(vector)
+    channels = system.model.channels
+    share[channels.position] = np.maximum(share[channels.position], share[channels.velocity])
+    share[channels.velocity] = 0.0
+    order = np.argsort(-share, kind="stable")
+    return tuple(system.names[i] for i in order if share[i] >= share.max() / 3)
+
+
+def require_stabilisable(
+    system: ControlledModel, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"], where: str
+) -> None:
+    """Raises where a mode that does not decay cannot be moved by the inputs.
+
+    Raises:
+        InputError: such a mode, by its coordinates and its eigenvalue.
+    """
+    for mode in find_modes(system, x, u):
+        if not mode.controllable and not mode.is_stable:
+            raise InputError(
+                where, f"{mode} is not controllable from the inputs and does not decay",
+                "inputs that move it", "choose another point, or another model",
+            )  # fmt: skip
