@@ -191,7 +191,7 @@ def _swing_up(
         model, design.gains, design.noise, out / _CONTROLLER, cost=design.cost,
         file=reported.file, overwrite=overwrite,
     )  # fmt: skip
-    write_figure(closed_loop_figure(design, trial.runs), out, _SWING_UP)
+    write_figure(closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
     (row,) = trial.robustness.rows
     return (
         f"swing-up of the twin, through its encoders: {row.successes} of {len(row.outcomes)} runs "

@@ -29,6 +29,7 @@ Vector = Float[np.ndarray, " _"]
 _SWINGS = 6.0  # periods of the slowest oscillation about its start that a motion lasts by default
 _SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
 _LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
+_PLANNED = 0.8  # share of the inputs' limits that a plan uses: the rest is for its feedback
 _WINDOW = 0.2  # rad, in which angles count as held
 _WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
 _WINDOW_LENGTH = 0.05  # m, where that range is not known
