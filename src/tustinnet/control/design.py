@@ -10,7 +10,7 @@ from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.cost import Cost
-from tustinnet.control.dynamics import Limits, controlled, input_limits
+from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
 from tustinnet.control.ilqr import ilqr, make_cost
@@ -173,7 +173,7 @@ def design_controller(
     if task.start is not None:
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits)
-        plan = _plan_motion(model, task, start, point, range)
+        plan = _plan_motion(model, task, start, point, bounds, range)
         beyond = None if range is None else range.extrapolation_point(
             model.channels, plan.x[:-1], plan.u
         )  # fmt: skip
@@ -204,7 +204,7 @@ def design_controller(
 
 def _plan_motion(
     model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint,
-    range: Range | None,
+    bounds: InputLimits, range: Range | None,
 ) -> Plan:  # fmt: skip
     """A motion from a start to the equilibrium that is held.
 
@@ -217,11 +217,16 @@ def _plan_motion(
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
     own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
+    planned = {
+        i.name: (float(m - _PLANNED * h), float(m + _PLANNED * h))
+        for i, m, h in zip(channels.inputs, middle, half, strict=True)
+    }
     best = None
     for seconds in durations:
         plan = ilqr(
             model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
-            deviations=own, range=range, within=task.within, limits=task.limits, delay=task.delay,
+            deviations=own, range=range, within=task.within, limits=planned, delay=task.delay,
         )  # fmt: skip
         if plan.reached:
             return plan
