@@ -11,6 +11,7 @@ NAME is one of `FITS`; those that end in `+` have eleven records more, of driven
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -174,17 +175,15 @@ def play(made: Design, share: float, count: int = STARTS) -> tc.RobustnessRow:
     return table.rows[0]
 
 
-def designs(out: Path, names: list[str]) -> list[Design]:
+def designs(out: Path, names: list[str]) -> Iterator[Design]:
     """The controllers of the models that were fitted; why there is none is printed."""
-    made = []
     for name in names or [*FITS, COMMITTEE]:
         if name != COMMITTEE and not folder_of(out, name).exists():
             continue
         try:
-            made.append(design(out, name))
+            yield design(out, name)
         except InputError as error:
             print(f"{name}: {error}", flush=True)
-    return made
 
 
 def twins(out: Path, names: list[str]) -> None:
@@ -237,7 +236,7 @@ def figure(out: Path, file: str) -> None:
     """A swing-up of each family on the twin."""
     import matplotlib.pyplot as plt
 
-    made = designs(out, [GREY, "hybrid", "Tustin-Net, silu", "Tustin-Net, silu+"])
+    made = list(designs(out, [GREY, "hybrid", "Tustin-Net, silu", "Tustin-Net, silu+"]))
     shown, panels = plt.subplots(3, 1, figsize=(7, 5.5), sharex=True, layout="constrained")
     twin = tc.qube_twin()
     for one in made:
