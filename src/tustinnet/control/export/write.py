@@ -143,9 +143,7 @@ def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
         return controller.plan.x[0]
     resolution = source.channels.resolution
     start = np.array(controller.x0, np.float64)
-    start[source.channels.position] += np.where(
-        resolution > 0, _COUNTS * resolution, _DISPLACEMENT
-    )
+    start[source.channels.position] += np.where(resolution > 0, _COUNTS * resolution, _DISPLACEMENT)
     return start
 
 
@@ -161,9 +159,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     for name, shape in shapes.items():
         value = np.asarray(getattr(final, name))
         if value.shape != shape or not np.isfinite(value).all():
-            raise InputError(
-                f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers"
-            )
+            raise InputError(f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers")
     previous = len(source.input_layout.offsets) - 1
     n_z = n_x + len(final.integral) + previous * n_u
     if np.shape(final.gain) != (n_u, n_z) or not np.isfinite(final.gain).all():
@@ -174,7 +170,9 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
         )  # fmt: skip
     if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
         raise InputError(
-            "the controller", f"period {final.dt:g} s", f"that of the model, {source.channels.dt:g} s"
+            "the controller",
+            f"period {final.dt:g} s",
+            f"that of the model, {source.channels.dt:g} s",
         )
     if isinstance(controller, Tracking):
         plan, steps = controller.plan, len(controller.plan.u)
