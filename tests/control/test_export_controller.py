@@ -256,7 +256,7 @@ def test_other_files_are_no_controllers(change, told, exported, tmp_path):
 
 
 def test_files_that_cannot_be_read_are_told(tmp_path):
-    with pytest.raises(tn.InputError, match="ending '.c'"):
+    with pytest.raises(tn.InputError, match=r"ending '\.c'"):
         tn.control.read_controller(tmp_path / "controller.c")
     (tmp_path / MAT).write_bytes(b"nothing of MATLAB")
     with pytest.raises(tn.InputError, match="cannot be read"):

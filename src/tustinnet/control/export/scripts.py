@@ -72,7 +72,7 @@ def make_scripts(
         "played": played,
     }
     step = TARGET.files(held_source(source))
-    return {**step, **{name: fill_template(name, TEMPLATES, **values) for name in SCRIPTS}}
+    return {**step, **{name: fill_template(f"{name}.in", TEMPLATES, **values) for name in SCRIPTS}}
 
 
 def held_source(source: Source) -> Source:
