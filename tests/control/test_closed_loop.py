@@ -87,6 +87,27 @@ def test_a_grey_box_balances_the_unseen_twin_through_encoders():
     np.testing.assert_array_equal(again.states, result.states)
 
 
+def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
+    model, limits = grey_box(), {"voltage": (-4.0, 4.0)}
+    deviations = {"der_theta": 10.0, "der_alpha": 20.0, "voltage": 4.0}
+    hanging = np.array([0.0, np.pi, 0.0, 0.0])
+    feedback = tn.control.lqr(
+        model, np.zeros(4), np.zeros(1), deviations=deviations, limits={"voltage": (-10, 10)}
+    )
+    plan = tn.control.ilqr(
+        model, hanging, np.zeros(4), 250, deviations=deviations, limits=limits,
+        within={"theta": (-1.8, 1.8)}, guesses=3,
+    )  # fmt: skip
+    assert plan.reached
+    tracking = tn.control.time_varying_lqr(model, plan, feedback, deviations=deviations)
+    controller = tn.control.TrackingFeedback(tracking)
+    estimator = ExtendedKalmanFilter(model, NOISE)
+    for i, start in enumerate(draw_starts(hanging[:2], [0.1, 0.05], 4)):
+        outcome = closed_loop(qube_twin(), controller, estimator, 500, start, i, UPRIGHT).outcome
+        assert outcome is not None
+        assert outcome.is_success, outcome.sentence
+
+
 @pytest.mark.parametrize(
     ("voltage", "start", "goal", "end", "sentence"),
     [

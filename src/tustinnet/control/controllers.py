@@ -26,7 +26,7 @@ class LinearFeedback:
         self.reset()
 
     def reset(self, previous: Float[np.ndarray, " previous"] | None = None) -> None:
-        """Sets integrals to 0, and previous commands to those given, the latest first; or to `u0`."""
+        """Sets integrals to 0, and previous commands, the latest first; by default to `u0`."""
         feedback = self.feedback
         self._integral = np.zeros(len(feedback.integral))
         rest = np.tile(feedback.u0, feedback.previous)

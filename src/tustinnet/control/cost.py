@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 
 class Expansion(NamedTuple):
-    """The cost about a motion to second order, by Gauss-Newton; of steps by [z, u], of the end by z.
+    """The cost about a motion to second order, by Gauss-Newton.
 
     Attributes:
-        gradients: of all steps, (N, n_zu).
+        gradients: of all steps by [z, u], (N, n_zu).
         hessians: of all steps, (N, n_zu, n_zu).
-        end_gradient: (n_z,).
-        end_hessian: (n_z, n_z).
+        end_gradient: of the end, (n_z,).
+        end_hessian: of the end, (n_z, n_z).
     """
 
     gradients: Float[np.ndarray, "N n_zu"]
@@ -25,7 +25,9 @@ class Expansion(NamedTuple):
 
 @dataclass(frozen=True)
 class Cost:
-    """Half of the sum of weighted squares: of errors, of inputs, of what is beyond limits, of the end.
+    """The cost of a motion: half of the sum of weighted squares.
+
+    Of errors, of inputs, of what is beyond limits of the states, and of the end.
 
     Attributes:
         x: the goal, (n_x,), or one for each sample, (N + 1, n_x).
@@ -47,13 +49,8 @@ class Cost:
     upper: Float[np.ndarray, " n_x"]
     penalty: Float[np.ndarray, " n_x"]
 
-    def moved(
-        self, x: Float[np.ndarray, "*samples n_x"], u: Float[np.ndarray, "*steps n_u"]
-    ) -> "Cost":
-        """The cost about another goal."""
-        return Cost(x, u, self.states, self.inputs, self.end, self.lower, self.upper, self.penalty)
-
-    def _end_error(self, z: Float[np.ndarray, "*runs n_z"]) -> Float[np.ndarray, "*runs n_z"]:
+    def end_error(self, z: Float[np.ndarray, "*runs n_z"]) -> Float[np.ndarray, "*runs n_z"]:
+        """Last states as differences from the goal, previous inputs from its inputs."""
         n_x, n_u = self.states.size, self.inputs.size
         x, u = (a if a.ndim == 1 else a[-1] for a in (self.x, self.u))
         return z - np.concatenate([x, np.tile(u, (z.shape[-1] - n_x) // n_u)])
@@ -69,7 +66,7 @@ class Cost:
         x = z[..., : self.states.size]
         error = x - self.x
         beyond = self._beyond(x)
-        final = self._end_error(z[:, -1])
+        final = self.end_error(z[:, -1])
         with np.errstate(over="ignore", invalid="ignore"):
             sums = (
                 (error[:, :-1] ** 2).sum(axis=1) @ self.states
@@ -95,7 +92,7 @@ class Cost:
         steep = self.penalty * (beyond != 0)
         hessians[:, of_states, of_states] = self.states + steep[:-1]
         hessians[:, of_inputs, of_inputs] = self.inputs
-        end_gradient = self.end @ self._end_error(z[-1])
+        end_gradient = self.end @ self.end_error(z[-1])
         end_gradient[:n_x] += self.penalty * beyond[-1]
         end_hessian = self.end.copy()
         end_hessian[of_states, of_states] += steep[-1]

@@ -9,16 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
+from tustinnet.engine.runs import compile_formula, evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import find_input_layout, make_source, step_by_samples
 from tustinnet.models.contract import Model
 
 _RECENT = 8  # models whose steps are compiled and at hand
 _TURN_TOLERANCE = 1e-6  # of a state after a whole turn more of an angle
-_SOLVER_POINTS = (
-    10_000  # at which even the cheapest formula is compiled rather than computed by NumPy
-)
 
 Limits = Mapping[str, tuple[float, float]]
 
@@ -100,8 +97,7 @@ class ControlledModel:
             lambda point: self.function(point[:size], point[size:]), size + self.n_u,
             where=self.where,
         )  # fmt: skip
-        # once compiled: the first points would be computed by NumPy, and one later call would wait
-        evaluate(formula, np.zeros((_SOLVER_POINTS, size + self.n_u)), derivatives=True)
+        compile_formula(formula, derivatives=True)
         return formula
 
     def derivatives(

@@ -16,7 +16,6 @@ from tustinnet.control.dynamics import (
     input_limits,
     require_known,
 )
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.linearise import value_and_jacobian
@@ -92,7 +91,8 @@ class OperatingPoint:
         if idle:
             return f"marginally stable: {idle[0].states[0]} stays where it is put"
         slowest = self.modes[0]
-        return f"stable: {slowest.states[0]} is the slowest, halves in {-np.log(2) / slowest.rate:.3g} s"
+        half = -np.log(2) / slowest.rate
+        return f"stable: {slowest.states[0]} is the slowest, halves in {half:.3g} s"
 
     @property
     def controllable(self) -> str:
@@ -320,10 +320,3 @@ def require_stabilisable(
                 where, f"{mode} is not controllable from the inputs and does not decay",
                 "inputs that move it", "choose another point, or another model",
             )  # fmt: skip
-
-
-def speed_at(
-    system: ControlledModel, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
-) -> Float[np.ndarray, " n_x"]:
-    """How fast a model leaves a point where it is held by some inputs [1/s]; 0 at an equilibrium."""
-    return (evaluate(system.held_formula, np.concatenate([x, u])[None])[0] - x) / system.dt

@@ -219,7 +219,7 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
 
     def noise(logarithms: Vector) -> FilterNoise:
         factors = np.exp(np.clip(logarithms, -40.0, 40.0))
-        velocity, rest = factors[: channels.n_q], factors[channels.n_q :]
+        velocity, rest = np.split(factors, [channels.n_q])
         velocity = np.maximum(velocity, _LEAST * speed)
         internal = np.maximum(_GUESS * (rest[0] if n_z else 1.0), _LEAST) * spread
         measured = resolution / math.sqrt(12)  # rounding is uniform within a count

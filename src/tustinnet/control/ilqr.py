@@ -2,12 +2,12 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import (
@@ -19,7 +19,7 @@ from tustinnet.control.dynamics import (
     require_known,
     require_vector,
 )
-from tustinnet.control.lqr import loop_matrices, riccati_solution
+from tustinnet.control.lqr import feedback_gain, loop_matrices, riccati_solution
 from tustinnet.control.plan import Plan
 from tustinnet.control.riccati import Policy, backward_pass
 from tustinnet.control.weights import Deviations, bryson_weights
@@ -35,7 +35,11 @@ _CONVERGED = 1e-7  # expected decrease, as a share of the cost
 _STRONGER, _WEAKER = 8.0, 4.0  # factors of the damping
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8  # as shares of the weights of the inputs
 _PENALTY = 100.0  # of a deviation beyond a limit, as a multiple of its own weight
-_CORRELATED = 0.3  # s, for which random inputs of a first guess last
+_EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every so many iterations
+# random inputs of a first guess: for how long they last [s], their share of the limits' range
+_CORRELATED, _AMPLITUDE = 0.3, 0.3
+_BEGUN, _FINISHED = 20, 3  # iterations for every guess; guesses, the best so far, that are finished
+_HELD = 0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
 
 
 class Motion(NamedTuple):
@@ -73,50 +77,59 @@ class Solver:
         self,
         start: Float[np.ndarray, " n_z"],
         reference: Motion,
-        feedforward: Float[np.ndarray, "N n_u"],
-        gain: Float[np.ndarray, "N n_u n_z"],
+        policy: Policy,
         shares: Float[np.ndarray, " runs"],
+        earlier: Int[np.ndarray, " runs"] | None = None,
     ) -> Motion:
         """The best of some motions from a start, by feedback about a reference.
 
         Args:
             start: the state at the beginning, (n_z,).
             reference: the motion about which the feedback is.
-            feedforward: changes of the inputs, (N, n_u).
-            gain: the feedback, (N, n_u, n_z).
-            shares: of the feedforward, a motion for each.
+            policy: the feedback, and changes of the inputs.
+            shares: of these changes, a motion for each.
+            earlier: by how many samples each motion is ahead of the reference, whose end is held
+                then; by default 0.
         """
-        count, n_u = feedforward.shape
+        count, n_u = policy.feedforward.shape
         runs = len(shares)
+        first = np.zeros(runs, int) if earlier is None else earlier
         rows = np.concatenate(
-            [reference.u, feedforward, gain.reshape(count, -1), reference.z[:-1]], axis=1
-        )
-        drive = np.zeros((count + 1, 1, rows.shape[1]))
-        drive[:count, 0] = rows
+            [
+                reference.u, policy.feedforward, policy.gain.reshape(count, -1), reference.z[:-1]
+            ], axis=1,
+        )  # fmt: skip
+        held = int(first.max())
+        drive = np.zeros((count + held + 1, 1, rows.shape[1]))
+        drive[:count, 0], drive[count:, 0] = rows, rows[-1]
         parameters = np.empty((runs, 1 + 2 * n_u))
         parameters[:, 0], parameters[:, 1:] = shares, np.concatenate(self.limits)
         states = simulate(
             self._equations,
             Runs(
                 start=np.tile(start, (runs, 1)), parameters=parameters,
-                steps=np.full(runs, count), first=np.zeros(runs, int), drive=drive,
-                periods=np.ones(count + 1),
+                steps=np.full(runs, count), first=first, drive=drive,
+                periods=np.ones(len(drive)),
             ),
         ).reshape(runs, count + 1, -1)  # fmt: skip
+        at = np.minimum(np.arange(count) + first[:, None], count - 1)
         with np.errstate(invalid="ignore", over="ignore"):
-            errors = states[:, :-1] - reference.z[:-1]
-            u = reference.u + shares[:, None, None] * feedforward
-            u = self.limits.clip(u + np.matmul(gain, errors[..., None])[..., 0])
-        cost = self.cost.total(states, u)
+            errors = states[:, :-1] - reference.z[at]
+            u = reference.u[at] + shares[:, None, None] * policy.feedforward[at]
+            u = self.limits.clip(u + np.matmul(policy.gain[at], errors[..., None])[..., 0])
+            cost = self.cost.total(states, u)
         best = int(np.argmin(cost))
         return Motion(states[best], u[best], float(cost[best]))
 
+    def without_feedback(self, steps: int) -> Policy:
+        """The policy that keeps the inputs of a reference."""
+        n_z, n_u = self.system.size, self.system.n_u
+        return Policy(np.zeros((steps, n_u)), np.zeros((steps, n_u, n_z)), 0.0, 0.0)
+
     def begin(self, start: Float[np.ndarray, " n_z"], u: Float[np.ndarray, "N n_u"]) -> Motion:
         """The motion from a start under some inputs."""
-        n_z, n_u = self.system.size, self.system.n_u
-        still = Motion(np.zeros((len(u) + 1, n_z)), u, np.inf)
-        none = np.zeros((len(u), n_u, n_z))
-        return self.roll_out(start, still, np.zeros_like(u), none, np.ones(1))
+        still = Motion(np.zeros((len(u) + 1, self.system.size)), u, np.inf)
+        return self.roll_out(start, still, self.without_feedback(len(u)), np.ones(1))
 
     def policy(self, motion: Motion, damping: float) -> Policy:
         """The policy that improves a motion, to second order."""
@@ -127,32 +140,41 @@ class Solver:
 
     def improve(self, motion: Motion, policy: Policy) -> Motion | None:
         """The motion after a line search, None where none is better enough."""
-        better = self.roll_out(
-            motion.z[0], motion, policy.feedforward, policy.gain, _SHARES
-        )  # fmt: skip
-        expected = policy.slope + policy.curvature
-        return better if better.cost - motion.cost <= _ACCEPTED * expected < 0 else None
+        better = self.roll_out(motion.z[0], motion, policy, _SHARES)
+        return better if better.cost - motion.cost <= _ACCEPTED * policy.expected < 0 else None
+
+    def begin_earlier(self, motion: Motion, policy: Policy) -> Motion | None:
+        """The motion that leaves out a part of its beginning, None where that is no better.
+
+        Steps along the gradient move a motion that waits at its beginning by a sample each.
+        """
+        earlier = 2 ** np.arange(int(np.log2(len(motion.u))) + 1)[:_EARLIER]
+        kept = policy._replace(feedforward=np.zeros_like(policy.feedforward))
+        better = self.roll_out(motion.z[0], motion, kept, np.zeros(len(earlier)), earlier)
+        return better if better.cost < motion.cost + policy.expected else None
 
     def minimise(self, motion: Motion, most: int) -> tuple[Motion, bool, int]:
-        """The motion of least cost near a first one, whether the search converged, its iterations."""
+        """The motion of least cost near a first one, whether that is a minimum, and iterations."""
         damping, iterations = 0.0, 0
         if not np.isfinite(motion.cost):
             return motion, False, 0
         while iterations < most:
             policy = self.policy(motion, damping)
-            expected = policy.slope + policy.curvature
-            if not np.isfinite(expected):
+            if not np.isfinite(policy.expected):
                 return motion, False, iterations
-            if -expected <= _CONVERGED * abs(motion.cost) and damping <= _WEAKER * _LEAST_DAMPING:
+            small = -policy.expected <= _CONVERGED * abs(motion.cost)
+            if small and damping <= _WEAKER * _LEAST_DAMPING:
                 return motion, True, iterations
             better = self.improve(motion, policy)
+            if iterations % _EVERY == 0:
+                better = self.begin_earlier(better or motion, policy) or better
             if better is not None:
                 motion, iterations = better, iterations + 1
                 damping = damping / _WEAKER if damping > _LEAST_DAMPING else 0.0
                 continue
             if damping >= _MOST_DAMPING:
-                # nothing along the gradient is better: rounding of the cost is all that is left
-                return motion, -expected <= np.sqrt(_CONVERGED) * abs(motion.cost), iterations
+                # rounding is all that is left, where little was expected
+                return motion, -policy.expected <= _CONVERGED * abs(motion.cost), iterations
             damping = max(damping * _STRONGER, _LEAST_DAMPING)
         return motion, False, iterations
 
@@ -190,7 +212,7 @@ def ilqr(
     range: Range | None = None,
     within: Limits | None = None,
     limits: Limits | None = None,
-    end_weight: float = 1.0,
+    end_weight: float = 100.0,
     guesses: Sequence[Float[np.ndarray, "steps n_u"]] | int = 4,
     turns: bool = True,
     delay: int = 0,
@@ -215,7 +237,7 @@ def ilqr(
         within: limits of states by name, `{"theta": (-2, 2)}`; what is beyond costs a hundred times
             the weight of the state, or of half of these limits' range where that is more.
         limits: limits of inputs by name, instead of those that the model declares.
-        end_weight: factor of the end's cost.
+        end_weight: factor of the end's cost, so that the goal is reached rather than approached.
         guesses: first guesses of the inputs, each (steps, n_u), as those of another plan; or how
             many are made.
         turns: whether angles may arrive at the goal by whole turns, where the model is the same.
@@ -224,8 +246,8 @@ def ilqr(
         seed: of random guesses.
 
     Returns:
-        The plan. `converged` says whether the search came to an end, `miss` how far the end of the
-        motion is from the goal.
+        The plan. `converged` says whether the search came to an end, `reached` whether the motion
+        ends so near to the goal that feedback holds it, `miss` how far from it.
 
     Raises:
         InputError: an input without limits, other shapes, names that the model does not have, a
@@ -247,25 +269,54 @@ def ilqr(
     )  # fmt: skip
     before = bounds.clip(np.zeros(system.n_u))
     first = system.augment(x0, before)
-    best = None
+    begun = []
     for target in _targets(system, x0, x_end) if turns else [x_end]:
-        solver = Solver(system, bounds, cost.moved(target, u_end))
+        solver = Solver(system, bounds, replace(cost, x=target))
         for u in _first_guesses(guesses, steps, bounds, u_end, system.dt, seed):
-            motion, converged, count = solver.minimise(solver.begin(first, u), iterations)
-            plan = Plan(
-                motion.z[:, : system.n_x], motion.u, motion.cost, converged, count, system.dt,
-                target, before, delay,
-            )  # fmt: skip
-            if np.isfinite(plan.cost) and (
-                best is None or (not plan.converged, plan.cost) < (not best.converged, best.cost)
-            ):
-                best = plan
-    if best is None:
+            few = min(iterations, _BEGUN)
+            begun.append((solver, *solver.minimise(solver.begin(first, u), few)))
+    finite = [search for search in begun if np.isfinite(search[1].cost)]
+    if not finite:
         raise InputError(
             "ilqr", f"{system.where} diverges under every first guess", "a motion to begin with",
             "plan fewer steps, or give guesses",
         )  # fmt: skip
-    return best
+    finite.sort(key=lambda search: search[1].cost)
+    holding = _holding_gain(system, bounds, x_end, u_end, deviations, range)
+    plans: list[Plan] = []
+    for solver, motion, is_converged, count in finite:
+        if not is_converged and count < iterations:
+            motion, is_converged, more = solver.minimise(motion, iterations - count)
+            count += more
+        plan = Plan(
+            x=motion.z[:, : system.n_x], u=motion.u, cost=motion.cost, converged=is_converged,
+            reached=_is_held(holding, motion.z[-1], solver.cost, bounds), iterations=count,
+            dt=system.dt, goal=solver.cost.x, before=before, delay=delay,
+        )  # fmt: skip
+        plans.append(plan)
+        if len(plans) >= _FINISHED and any(p.reached and p.converged for p in plans):
+            break
+    return min(plans, key=lambda plan: (not plan.reached, not plan.converged, plan.cost))
+
+
+def _holding_gain(
+    system: ControlledModel, limits: InputLimits, x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"], deviations: Deviations | None, range: Range | None,
+) -> Float[np.ndarray, "n_u n_z"]:  # fmt: skip
+    """The gain of the linear feedback that holds a goal."""
+    weights = bryson_weights(system, limits, deviations, range)
+    matrices = loop_matrices(system, x, u)
+    return feedback_gain(matrices, riccati_solution(system, matrices, weights), weights)
+
+
+def _is_held(
+    gain: Float[np.ndarray, "n_u n_z"], end: Float[np.ndarray, " n_z"], cost: Cost,
+    limits: InputLimits,
+) -> bool:  # fmt: skip
+    """Whether feedback about the goal would need no more than a part of the inputs' limits."""
+    needed = np.abs(gain @ cost.end_error(end))
+    room = np.minimum(limits.upper - cost.u, cost.u - limits.lower)
+    return bool(np.all(needed <= _HELD * np.maximum(room, 0.0)))
 
 
 def make_cost(
@@ -312,7 +363,7 @@ def make_cost(
 def _targets(
     system: ControlledModel, start: Float[np.ndarray, " n_x"], goal: Float[np.ndarray, " n_x"]
 ) -> list[Float[np.ndarray, " n_x"]]:
-    """The goal with the whole turns that are nearest to the start, from both sides of each angle."""
+    """The goal, each angle with the whole turns that are nearest to the start, from both sides."""
     choices = []
     for i, value in enumerate(goal):
         turn = 2 * np.pi
@@ -342,7 +393,8 @@ def _first_guesses(
     made = [np.tile(rest, (steps, 1))]
     span = max(1, round(_CORRELATED / dt))
     for _ in itertools.repeat(None, guesses - 1):
-        knots = generator.uniform(limits.lower, limits.upper, (steps // span + 2, n_u))
+        knots = generator.uniform(-1, 1, (steps // span + 2, n_u))
+        knots = limits.clip(rest + _AMPLITUDE / 2 * (limits.upper - limits.lower) * knots)
         at = np.arange(steps) / span
         made.append(
             np.stack([np.interp(at, np.arange(len(knots)), column) for column in knots.T], axis=1)
@@ -358,7 +410,7 @@ def shift(values: Float[np.ndarray, "n *rest"]) -> Float[np.ndarray, "n *rest"]:
 def turns_to(
     system: ControlledModel, x: Float[np.ndarray, " n_x"], near: Float[np.ndarray, " n_x"]
 ) -> Float[np.ndarray, " n_x"]:
-    """Whole turns to add to a state so that it comes nearest to another, 0 where none may be added."""
+    """Whole turns of angles to add to a state so that it comes nearest to another."""
     turns = np.zeros(len(x))
     for i in system.periodic:
         turns[i] = -2 * np.pi * np.round((x[i] - near[i]) / (2 * np.pi))

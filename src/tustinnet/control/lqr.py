@@ -155,7 +155,7 @@ def lqr(
     require_stabilisable(system, x0, u0, "lqr")
     matrices = loop_matrices(system, x0, u0, indices)
     value = riccati_solution(system, matrices, weights, sums)
-    gain = _gain(matrices, value, weights)
+    gain = feedback_gain(matrices, value, weights)
     return Feedback(
         gain=gain, x0=x0, u0=u0, lower=bounds.lower, upper=bounds.upper, dt=system.dt,
         integral=indices, delay=delay, periodic=system.periodic,
@@ -202,9 +202,10 @@ def riccati_solution(
         ) from error  # fmt: skip
 
 
-def _gain(
+def feedback_gain(
     matrices: LoopMatrices, value: Float[np.ndarray, "n_z n_z"], weights: Weights
 ) -> Float[np.ndarray, "n_u n_z"]:
+    """The gain whose cost to go one step later is `z' value z`, (n_u, n_z)."""
     a, b = matrices
     return np.linalg.solve(np.diag(weights.inputs) + b.T @ value @ b, b.T @ value @ a)
 
@@ -235,17 +236,36 @@ def time_varying_lqr(
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
     value = riccati_solution(system, loop_matrices(system, final.x0, final.u0), weights)
+    gains, _ = gains_along(system, plan, value, weights)
+    return Tracking(plan, gains, final)
+
+
+def gains_along(
+    system: ControlledModel,
+    plan: Plan,
+    value: Float[np.ndarray, "n_z n_z"],
+    weights: Weights,
+) -> tuple[Float[np.ndarray, "N n_u n_z"], Float[np.ndarray, "samples n_z n_z"]]:
+    """Linear-quadratic gains along a plan, and the costs to go at all of its samples.
+
+    Args:
+        system: the model.
+        plan: the plan.
+        value: the cost to go at its end.
+        weights: of states and inputs.
+    """
     before = plan.previous_inputs(system.previous)
-    slopes = system.derivatives(np.hstack([plan.x[:-1], before]), plan.u)
+    derivatives = system.derivatives(np.hstack([plan.x[:-1], before]), plan.u)
     price = np.diag(np.concatenate([weights.states, np.zeros(system.size - system.n_x)]))
-    gains = []
-    for slope in slopes[::-1]:
-        matrices = LoopMatrices(slope[:, : system.size], slope[:, system.size :])
-        gain = _gain(matrices, value, weights)
+    gains, values = [], [value]
+    for derivative in derivatives[::-1]:
+        matrices = LoopMatrices(derivative[:, : system.size], derivative[:, system.size :])
+        gain = feedback_gain(matrices, value, weights)
         value = price + matrices.a.T @ value @ (matrices.a - matrices.b @ gain)
         value = (value + value.T) / 2
         gains.append(gain)
-    return Tracking(plan, np.stack(gains[::-1]), final)
+        values.append(value)
+    return np.stack(gains[::-1]), np.stack(values[::-1])
 
 
 def _limits_of(model: Model, feedback: Feedback) -> Limits:

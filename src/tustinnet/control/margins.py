@@ -9,7 +9,8 @@ from tustinnet.control.lqr import Feedback, loop_matrices
 from tustinnet.errors import InputError, require_package
 from tustinnet.models.contract import Model
 
-_FREQUENCIES = 2000  # at which the sensitivity is computed
+# frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
+_FREQUENCIES, _LOWEST = 2000, 1e-5
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         InputError: the package control is not installed, or the loop is unstable without limits.
     """
     require_package("control", "control", "margins")
-    from control import StateSpace, frequency_response, stability_margins
+    from control import FrequencyResponseData, StateSpace, frequency_response, stability_margins
 
     system = controlled(model, feedback.delay)
     a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.integral)
@@ -75,35 +76,32 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             "margins", f"the closed loop has an eigenvalue of {largest:.6g}", "below 1",
             "design the feedback on this model",
         )  # fmt: skip
+    frequencies = np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
     results = []
     for j, channel in enumerate(model.channels.inputs):
         others = [i for i in range(system.n_u) if i != j]
         rest = a - b[:, others] @ gain[others]
         loop = StateSpace(rest, b[:, [j]], gain[[j]], [[0.0]], dt)
-        gains, phases, _, _, crossings, _ = stability_margins(loop, returnall=True)
-        gains, phases, crossings = (
-            np.atleast_1d(gains),
-            np.atleast_1d(phases),
-            np.atleast_1d(crossings),
+        # by the response: by polynomials, rounding makes crossings that there are none
+        response = FrequencyResponseData(loop, frequencies, smooth=True)
+        gains, phases, _, _, crossings, _ = map(
+            np.atleast_1d, stability_margins(response, returnall=True)
         )
-        least = int(np.argmin(np.abs(phases))) if len(phases) else None
-        phase = np.inf if least is None else float(np.radians(abs(phases[least])))
-        crossover = np.nan if least is None else float(crossings[least])
+        nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
+        lags = np.radians(phases % 360) / crossings
         results.append(
             InputMargins(
-                channel.name, float(min(gains[gains > 1], default=np.inf)),
-                float(max(gains[(gains < 1) & (gains > 0)], default=0.0)), phase,
-                float(min((np.radians(p % 360) / w for p, w in zip(phases, crossings, strict=True)),
-                          default=np.inf)),
-                crossover,
+                input=channel.name,
+                gain_up=float(min(gains[gains > 1], default=np.inf)),
+                gain_down=float(max(gains[gains < 1], default=0.0)),
+                phase=np.inf if nearest is None else float(np.radians(abs(phases[nearest]))),
+                delay=float(min(lags, default=np.inf)),
+                crossover=np.nan if nearest is None else float(crossings[nearest]),
             )
-        )  # fmt: skip
-    frequencies = np.geomspace(1e-4, 1.0, _FREQUENCIES) * np.pi / dt
-    # S = (1 + K (z - A)^-1 B)^-1, the loop of a disturbance at the inputs
+        )
+    # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
     sensitivity = StateSpace(a - b @ gain, b, -gain, np.eye(system.n_u), dt)
-    response = np.moveaxis(
-        frequency_response(sensitivity, frequencies, squeeze=False).complex, 2, 0
-    )
-    peaks = np.linalg.norm(response, 2, axis=(1, 2))
+    response = frequency_response(sensitivity, frequencies, squeeze=False).complex
+    peaks = np.linalg.norm(np.moveaxis(response, 2, 0), 2, axis=(1, 2))
     highest = int(np.argmax(peaks))
     return Margins(tuple(results), float(peaks[highest]), float(frequencies[highest]))

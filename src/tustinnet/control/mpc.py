@@ -1,13 +1,16 @@
 """Model predictive control by iterative LQR, warm-started from sample to sample."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import Limits, controlled, input_limits, require_vector
 from tustinnet.control.ilqr import Motion, Solver, make_cost, shift, turns_to
+from tustinnet.control.lqr import gains_along
 from tustinnet.control.plan import Plan
-from tustinnet.control.weights import Deviations
+from tustinnet.control.weights import Deviations, Weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
@@ -69,6 +72,9 @@ class Mpc:
         self._cost = make_cost(
             system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
         )
+        if plan is not None:
+            weights = Weights(self._cost.states, self._cost.inputs)
+            self._ends = gains_along(system, plan, self._cost.end, weights)[1]
         self._solver = Solver(system, bounds, self._cost)
         self.reset()
         # all machine code is made now, not at the first sample
@@ -104,9 +110,8 @@ class Mpc:
             states = shift(self.motion.z)
             states[:, : len(x)] += turns_to(self._system, states[0, : len(x)], near)
             reference = Motion(states, shift(self.motion.u), np.inf)
-            motion = solver.roll_out(
-                start, reference, np.zeros_like(reference.u), shift(self._gain), np.ones(1)
-            )
+            kept = solver.without_feedback(self._steps)._replace(gain=shift(self._gain))
+            motion = solver.roll_out(start, reference, kept, np.ones(1))
         for _ in range(self._iterations):
             policy = solver.policy(motion, 0.0)
             better = solver.improve(motion, policy)
@@ -126,4 +131,6 @@ class Mpc:
             # beyond the plan's end the goal; the sample at its end is the goal, too
             x = np.concatenate([x[:-1], np.tile(self._cost.x, (missing + 1, 1))])
             u = np.concatenate([u, np.tile(self._cost.u, (missing, 1))])
-        return self._cost.moved(x, u)
+        return replace(
+            self._cost, x=x, u=u, end=self._ends[min(k + self._steps, len(self._ends) - 1)]
+        )

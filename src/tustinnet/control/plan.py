@@ -16,7 +16,9 @@ class Plan:
         x: states at all samples, (N + 1, n_x).
         u: inputs that are commanded from each sample to the next, (N, n_u).
         cost: the cost that was minimised.
-        converged: whether the search ended because nothing improved any more.
+        converged: whether the search came to a minimum; no global one is promised.
+        reached: whether it ends where linear feedback holds the goal with half of the limits of the
+            inputs.
         iterations: how many there were.
         dt: sampling period [s].
         goal: the state that it should end in, (n_x,), with the whole turns of its way there.
@@ -28,6 +30,7 @@ class Plan:
     u: Float[np.ndarray, "N n_u"]
     cost: float
     converged: bool
+    reached: bool
     iterations: int
     dt: float
     goal: Float[np.ndarray, " n_x"]

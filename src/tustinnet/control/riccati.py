@@ -33,6 +33,11 @@ class Policy(NamedTuple):
     slope: float
     curvature: float
 
+    @property
+    def expected(self) -> float:
+        """The expected change of the cost (negative)."""
+        return self.slope + self.curvature
+
 
 def backward_pass(
     derivatives: Float[np.ndarray, "N n_z n_zu"],

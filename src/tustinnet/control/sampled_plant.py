@@ -124,7 +124,7 @@ class SampledPlant(ABC):
 
     def measure(self) -> Vector:
         """What the encoders read now, (n_q,)."""
-        q = self.state[: self.channels.n_q]
+        q = self.state[self.channels.position]
         if self._is_noisy:
             q = q + self._noise * self.generator.normal(size=len(q))
         if self._is_rounded:

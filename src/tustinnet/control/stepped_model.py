@@ -22,7 +22,8 @@ class SteppedModel:
     """A model that is stepped sample by sample, with values of its parameters from run to run.
 
     It is compiled once. The parameters are those of the equations of motion in it: of a grey box,
-    or of the physics of a hybrid. Networks have none.
+    or of the physics of a hybrid. Networks have none. Its steps use memory of their own, so each
+    thread needs one of its own.
 
     Args:
         model: the model, discretised if it is a continuous one.

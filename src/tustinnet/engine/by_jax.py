@@ -51,6 +51,10 @@ def evaluate(
     return np.array(_values(formula, derivatives, points)).reshape(len(points), -1)
 
 
+def compile_formula(formula: Formula, *, derivatives: bool) -> None:
+    """Nothing: programs are compiled for a number of points; see `runs.compile_formula`."""
+
+
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
     none = jnp.zeros(0)

@@ -100,9 +100,9 @@ def evaluate(
 ) -> Float[np.ndarray, "n n_out"]:
     """Values of a formula, or its derivatives, at many points; see `runs.evaluate`."""
     program = formula.derivatives if derivatives else formula.program
-    operations = _operations.get(formula, 0) + len(points) * len(program.nodes)
-    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * len(program.nodes)):
-        _operations[formula] = operations
+    operations = _operations.get(formula, 0) + len(points) * program.executed
+    _operations[formula] = operations
+    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * program.executed):
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
     function, constants = _function(
@@ -112,6 +112,15 @@ def evaluate(
     if values.size:
         function(len(points), _address(constants), _address(points), _address(values))
     return values
+
+
+def compile_formula(formula: Formula, *, derivatives: bool) -> None:
+    """Compiles a formula whatever the number of points; see `runs.compile_formula`."""
+    _operations[formula] = max(
+        _FEW_OPERATIONS, _FEW_POINTS * formula.program.executed,
+        _FEW_POINTS * formula.derivatives.executed,
+    )  # fmt: skip
+    _function(map_kernel, "map", MAP, formula, width(), derivatives=derivatives)
 
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

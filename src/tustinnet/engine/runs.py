@@ -155,6 +155,17 @@ def evaluate(
     return engine.evaluate(formula, points, derivatives=derivatives)
 
 
+def compile_formula(formula: Formula, *, derivatives: bool = False) -> None:
+    """Compiles a formula now; else it is compiled once it was evaluated at many points.
+
+    For programs that must not wait later, as controllers.
+
+    Raises:
+        InputError: an engine that there is not.
+    """
+    _choose_engine(lambda: formula.program).compile_formula(formula, derivatives=derivatives)
+
+
 Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 LinearisedStep = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 

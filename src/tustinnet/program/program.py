@@ -242,6 +242,11 @@ class Program:
         """The loops of the program, without those inside of them."""
         return (node.data for node in self.nodes if node.op == "loop")
 
+    @cached_property
+    def executed(self) -> int:
+        """The number of nodes that are computed, those of loops in every turn."""
+        return len(self.nodes) + sum(loop.length * loop.body.executed for loop in self.loops)
+
     @property
     def operations(self) -> int:
         """The number of operations on numbers and vectors written in it, loops included."""
