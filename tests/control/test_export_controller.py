@@ -34,9 +34,11 @@ STRICT = [
 ]  # fmt: skip
 SOURCES = ["main.c", "controller.c", "estimator.c", "model.c"]
 DEVIATIONS = {"theta": 1.0, "alpha": 0.3, "der_theta": 10.0, "der_alpha": 10.0, "voltage": 5.0}
+COST = {"deviations": DEVIATIONS, "within": {"theta": (-0.5, 0.4)}}
 START, UPRIGHT = np.array([0.3, 0.1, 0.0, 0.0]), np.zeros(4)
 
 
+@cache
 def pendulum(resolution: float | None = COUNT) -> tn.Model:
     """The rotary pendulum, its voltage limited."""
     model = example("qube")
@@ -68,9 +70,8 @@ def motion() -> Tracking:
         guess.append(np.clip(-balance().gain @ x, -10, 10))
         x = step(x, guess[-1])
     plan = tn.control.ilqr(
-        pendulum(), START, UPRIGHT, 60, deviations=DEVIATIONS, within={"theta": (-0.5, 0.4)},
-        guesses=[np.array(guess)], turns=False,
-    )  # fmt: skip
+        pendulum(), START, UPRIGHT, 60, guesses=[np.array(guess)], turns=False, **COST
+    )
     return tn.control.time_varying_lqr(pendulum(), plan, balance(), deviations=DEVIATIONS)
 
 
@@ -84,9 +85,8 @@ def late_motion() -> Tracking:
 def cost() -> Cost:
     """What the motion's plan minimises."""
     return make_cost(
-        controlled(pendulum()), input_limits(pendulum()), UPRIGHT, np.zeros(1),
-        deviations=DEVIATIONS, range=None, within={"theta": (-0.5, 0.4)},
-    )  # fmt: skip
+        controlled(pendulum()), input_limits(pendulum()), UPRIGHT, np.zeros(1), range=None, **COST
+    )
 
 
 def some_feedback(model: tn.Model, integral: tuple[int, ...] = ()) -> Feedback:
@@ -270,7 +270,7 @@ def test_files_that_cannot_be_read_are_told(tmp_path):
 def scripts(tmp_path_factory):
     """A folder with the scripts of the motion."""
     folder = tmp_path_factory.mktemp("scripts")
-    result = export_controller(pendulum(), motion(), noise(pendulum()), folder, cost=cost())
+    result = export_controller(pendulum(), motion(), noise(pendulum()), folder, **COST)
     assert {"step.casadi", "problem.py", "acados_problem.py", "do_mpc_controller.py"} <= set(
         result.files
     )
@@ -303,7 +303,7 @@ def test_ipopt_finds_the_plan(problem):
 
 
 def test_the_problem_of_a_feedback_begins_with_a_line(tmp_path):
-    export_controller(pendulum(), balance(), noise(pendulum()), tmp_path, cost=cost(), start=START)
+    export_controller(pendulum(), balance(), noise(pendulum()), tmp_path, start=START, **COST)
     found = runpy.run_path(str(tmp_path / "problem.py"))
     states, inputs = found["first_guess"]()
     np.testing.assert_array_equal(states[[0, -1]], [START, UPRIGHT])
@@ -337,7 +337,8 @@ def test_the_script_for_acados_says_the_problem(problem, scripts):
     y = np.r_[START, 2.0] - ocp.cost.yref
     half = y @ np.asarray(ocp.cost.W) @ y / 2
     assert half == pytest.approx(float(problem.step_cost(START, np.array([2.0]))), rel=1e-12)
-    np.testing.assert_array_equal(ocp.cost.Vx @ START + ocp.cost.Vu @ [2.0], np.r_[START, 2.0])
+    of_x, of_u = np.asarray(ocp.cost.Vx), np.asarray(ocp.cost.Vu)
+    np.testing.assert_array_equal(of_x @ START + of_u @ [2.0], np.r_[START, 2.0])
     assert (ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx) == ([0], [-0.5], [0.4])
     np.testing.assert_array_equal(ocp.cost.Zl, problem.PENALTY[:1])
 
@@ -365,6 +366,14 @@ def test_do_mpc_follows_the_plan(problem, scripts, capsys):
 # --- what is refused, and what is told ---
 
 
+def test_without_casadi_there_are_no_scripts(tmp_path, monkeypatch):
+    monkeypatch.setattr("tustinnet.control.export.write.find_spec", lambda name: None)
+    result = export_controller(pendulum(), balance(), noise(pendulum()), tmp_path)
+    assert not any(name.endswith(".py") for name in result.files)
+    assert "step.casadi" not in (tmp_path / "README.md").read_text()
+    assert any("tustinnet[casadi]" in note for note in result.notes)
+
+
 def test_without_a_compiler_it_is_written_and_told(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     result = export_controller(pendulum(), balance(), noise(pendulum()), tmp_path)
@@ -389,9 +398,13 @@ def test_a_controller_of_another_model_is_refused(change, told, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_plan_that_did_not_converge_is_not_exported(tmp_path):
-    tracking = replace(motion(), plan=replace(motion().plan, converged=False))
-    with pytest.raises(tn.InputError, match="did not converge"):
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [({"converged": False}, "did not converge"), ({"reached": False}, "in theta, .* beside its")],
+)
+def test_a_plan_that_leads_nowhere_is_not_exported(change, told, tmp_path):
+    tracking = replace(motion(), plan=replace(motion().plan, **change))
+    with pytest.raises(tn.InputError, match=told):
         export_controller(pendulum(), tracking, noise(pendulum()), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
