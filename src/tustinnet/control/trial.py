@@ -11,7 +11,7 @@ from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
-from tustinnet.control.sampled_plant import Plant
+from tustinnet.control.sampled_plant import SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.simulate.range import Range
 
@@ -37,7 +37,7 @@ def try_design(
     design: ControlDesign,
     header: Mapping[str, Any] | None = None,
     *,
-    plants: Mapping[str, Plant] | None = None,
+    plants: Mapping[str, SampledPlant] | None = None,
     variants: bool = True,
     count: int = 20,
     seed: int = 0,

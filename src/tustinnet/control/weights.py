@@ -40,8 +40,9 @@ def bryson_weights(
     """Weights `1 / d^2` by acceptable deviations `d`.
 
     Those that are given count first. Others are half of the range of the training records, where it
-    is known; else 1 rad or m, ten times that in a second for velocities. An input may use a
-    quarter of its limits' range: feedback that uses all of it leaves nothing for disturbances. Internal states have no weight unless they are named.
+    is known; else 1 rad or m, ten times that in a second for velocities. An input may use a quarter
+    of its limits' range: feedback that uses all of it leaves nothing for disturbances. Internal
+    states have no weight unless they are named.
 
     Args:
         system: the model.

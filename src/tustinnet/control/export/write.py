@@ -89,7 +89,7 @@ def export_controller(
 
     Raises:
         InputError: a folder that holds something else, or an export that may not be replaced; a
-            controller of other sizes than the model's; a plan that did not converge or does not
+            controller of other sizes than the model's; a plan that does not
             reach its goal; a closed loop that diverges, or differs in C. Nothing is written then.
     """
     folder = Path(out)
@@ -159,7 +159,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     """Raises unless a controller has the sizes and the period of a model.
 
     Raises:
-        InputError: other sizes or another period, a plan that did not converge.
+        InputError: other sizes or another period, a plan that does not reach its goal.
     """
     final = controller.final if isinstance(controller, Tracking) else controller
     n_x, n_u = source.n_x, source.channels.n_u
@@ -184,11 +184,6 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
         )
     if isinstance(controller, Tracking):
         plan, steps = controller.plan, len(controller.plan.u)
-        if not plan.converged:
-            raise InputError(
-                "the plan", f"it did not converge in {plan.iterations} iterations",
-                "a plan that did", "plan it with more iterations, more time or other weights",
-            )  # fmt: skip
         if not plan.reached:
             miss = zip(source.states, plan.miss.tolist(), strict=True)
             raise InputError(
