@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from tustinnet.simulate.filtering import checked_vector
 Vector = Float[np.ndarray, " _"]
 
 
+@runtime_checkable
 class Plant(Protocol):
     """What a controller drives: a simulated device, or a real one.
 
