@@ -116,8 +116,8 @@ def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
         inputs.append(np.clip(-feedback.gain @ states[-1], -10, 10))
         states.append(step(states[-1], inputs[-1]))
     plan = tc.Plan(
-        np.array(states), np.array(inputs), 0.0, converged=True, reached=True, iterations=0, dt=PERIOD, goal=x0,
-        before=u0,
+        np.array(states), np.array(inputs), 0.0, converged=True, reached=True, iterations=0,
+        dt=PERIOD, goal=x0, before=u0,
     )  # fmt: skip
     gains = np.tile(feedback.gain, (STEPS, 1, 1))
     return {"feedback": feedback, "plan": tc.Tracking(plan, gains, feedback)}

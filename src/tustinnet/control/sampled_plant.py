@@ -85,7 +85,7 @@ class SampledPlant(ABC):
         InputError: options of other sizes than the plant's, or that are negative.
     """
 
-    state: Vector
+    state: Vector = np.zeros(0)  # before the first reset
 
     def __init__(self, channels: Channels, options: PlantOptions, where: str) -> None:
         self.channels, self.options, self.dt = channels, options, channels.dt
