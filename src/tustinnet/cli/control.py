@@ -187,10 +187,11 @@ def control(
     )  # fmt: skip
     printer(f"designed in {time.perf_counter() - begin:.1f} s")
     printer(f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant")
-    plants = {} if plant is None else {plant: load_plant(plant, simulator.channels)}
+    plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
     trial = try_design(design, header, plants=plants, count=starts)
     export = export_controller(
-        simulator, design.gains, design.noise, out, cost=design.cost, file=model,
+        simulator, design.gains, design.noise, out, deviations=design.deviations,
+        within=design.task.within, file=model,
         overwrite=overwrite,
     )  # fmt: skip
     content = summarise(design, trial.robustness, export)

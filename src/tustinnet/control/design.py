@@ -9,11 +9,10 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
-from tustinnet.control.cost import Cost
-from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
+from tustinnet.control.dynamics import InputLimits, Limits, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
-from tustinnet.control.ilqr import ilqr, make_cost
+from tustinnet.control.ilqr import ilqr
 from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
@@ -76,7 +75,6 @@ class ControlDesign:
         margins: of the loop about the equilibrium.
         noise: the noise of the estimator.
         consistency: tests of the estimator along records, None without records.
-        cost: what the plan minimises, or would.
         goal: what counts as success.
         beyond: where the plan leaves the range of the training records, None where it does not.
     """
@@ -89,9 +87,13 @@ class ControlDesign:
     margins: Margins
     noise: FilterNoise
     consistency: FilterConsistency | None
-    cost: Cost
     goal: Goal
     beyond: ExtrapolationPoint | None
+
+    @property
+    def deviations(self) -> Deviations:
+        """The acceptable deviations of states and inputs that were named."""
+        return own_deviations(self.task)
 
     @property
     def plan(self) -> Plan | None:
@@ -163,11 +165,7 @@ def design_controller(
         delay=task.delay, limits=task.limits,
     )  # fmt: skip
     loop_margins = margins(model, feedback)
-    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
-    cost = make_cost(
-        controlled(model, task.delay), bounds, point.x, point.u, deviations=own, range=range,
-        within=task.within,
-    )  # fmt: skip
+    own = own_deviations(task)
     goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
     start, beyond, gains = None, None, feedback
     if task.start is not None:
@@ -198,8 +196,13 @@ def design_controller(
     noise = find_noise(model, records) if records else usual_noise(model, range)
     consistency = check_filter(model, records, noise) if records else None
     return ControlDesign(
-        model, task, point, start, gains, loop_margins, noise, consistency, cost, goal, beyond
+        model, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
     )
+
+
+def own_deviations(task: ControlTask) -> Deviations:
+    """The deviations of a task without those of integrals."""
+    return {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
 
 
 def _plan_motion(
@@ -216,7 +219,7 @@ def _plan_motion(
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
-    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    own = own_deviations(task)
     middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
     planned = {
         i.name: (float(m - _PLANNED * h), float(m + _PLANNED * h))
