@@ -245,6 +245,8 @@ def robustness(out: Path, names: list[str]) -> None:
             compared, made.controller, made.estimator, starts(PROMISED), GOAL, STEPS
         )
         for share, kind in promised.items():
+            if kind not in [row.kind for row in more.rows]:
+                continue
             row = play(made, share, PROMISED)
             print(
                 f"  {row.help}: promised {more[kind].share:.2f}, played {row.share:.2f} "
