@@ -10,7 +10,7 @@ from every_family import example
 from swinging import CART
 
 import tustinnet as tn
-from tustinnet.control.closed_loop import Goal, closed_loop
+from tustinnet.control.closed_loop import ClosedLoopResult, Goal, closed_loop
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.plants import ModelPlant, qube_twin
 from tustinnet.control.robustness import assess_robustness, draw_starts
@@ -70,8 +70,12 @@ def test_a_grey_box_balances_the_unseen_twin_through_encoders():
     model = grey_box()
     estimator = ExtendedKalmanFilter(model, NOISE)
     starts = draw_starts([0.0, 2 * np.pi], [0.2, 0.15], 5)
-    for i, start in enumerate(starts):
-        result = closed_loop(qube_twin(), Regulator(model), estimator, 300, start, i, UPRIGHT)
+
+    def run(i: int) -> ClosedLoopResult:
+        return closed_loop(qube_twin(), Regulator(model), estimator, 300, starts[i], i, UPRIGHT)
+
+    results = [run(i) for i in range(5)]
+    for result in results:
         assert result.is_success, result.outcome
         outcome = result.outcome
         assert outcome is not None
@@ -79,12 +83,33 @@ def test_a_grey_box_balances_the_unseen_twin_through_encoders():
         assert outcome.worst["alpha"] < 0.02
         assert outcome.time_to_reach is not None
         np.testing.assert_allclose(outcome.energy, np.sum(result.inputs**2) * 0.01)
+    result = results[-1]
     assert result.states.shape == (301, 5)
     assert result.measurements.shape == (301, 2)
     assert result.estimates.shape == (301, 4)
     assert np.abs(result.estimates[50:, :2] - result.states[50:, :2]).max() < COUNT
-    again = closed_loop(qube_twin(), Regulator(model), estimator, 300, starts[-1], 4, UPRIGHT)
-    np.testing.assert_array_equal(again.states, result.states)
+    np.testing.assert_array_equal(run(4).states, result.states)
+
+
+def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
+    model, limits = grey_box(), {"voltage": (-4.0, 4.0)}
+    deviations = {"der_theta": 10.0, "der_alpha": 20.0, "voltage": 4.0}
+    hanging = np.array([0.0, np.pi, 0.0, 0.0])
+    feedback = tn.control.lqr(
+        model, np.zeros(4), np.zeros(1), deviations=deviations, limits={"voltage": (-10.0, 10.0)}
+    )
+    plan = tn.control.ilqr(
+        model, hanging, np.zeros(4), 250, deviations=deviations, limits=limits,
+        within={"theta": (-1.8, 1.8)}, guesses=3,
+    )  # fmt: skip
+    assert plan.reached
+    tracking = tn.control.time_varying_lqr(model, plan, feedback, deviations=deviations)
+    controller = tn.control.TrackingFeedback(tracking)
+    estimator = ExtendedKalmanFilter(model, NOISE)
+    for i, start in enumerate(draw_starts(hanging[:2], [0.1, 0.05], 4)):
+        outcome = closed_loop(qube_twin(), controller, estimator, 500, start, i, UPRIGHT).outcome
+        assert outcome is not None
+        assert outcome.is_success, outcome.sentence
 
 
 @pytest.mark.parametrize(

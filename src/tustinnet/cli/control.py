@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tustinnet.data.experiment import Experiment
 
 _LONGEST = 1000  # s, of a motion
-LOOP, ROBUSTNESS, SUMMARY = "closed_loop.png", "robustness.png", "design.json"
+LOOP, ROBUSTNESS, SUMMARY, PAGE = "closed_loop.png", "robustness.png", "design.json", "control.html"
 
 
 def control(
@@ -122,6 +122,8 @@ def control(
     gains, scripts for CasADi, acados and do-mpc, and figures.
     """
     terminal.prepare_jax()
+    import shlex
+    import sys
     import time
 
     from tustinnet.cli import request
@@ -141,6 +143,7 @@ def control(
         summarise,
     )
     from tustinnet.report.figures import write_figure
+    from tustinnet.report.page.controller import write_control_page
     from tustinnet.simulate.range import Range
     from tustinnet.store.exported import require_export_folder
     from tustinnet.store.files import to_json, write_into
@@ -184,10 +187,11 @@ def control(
     )  # fmt: skip
     printer(f"designed in {time.perf_counter() - begin:.1f} s")
     printer(f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant")
-    plants = {} if plant is None else {plant: load_plant(plant, simulator.channels)}
+    plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
     trial = try_design(design, header, plants=plants, count=starts)
     export = export_controller(
-        simulator, design.gains, design.noise, out, cost=design.cost, file=model,
+        simulator, design.gains, design.noise, out, deviations=design.deviations,
+        within=design.task.within, file=model,
         overwrite=overwrite,
     )  # fmt: skip
     content = summarise(design, trial.robustness, export)
@@ -201,12 +205,16 @@ def control(
             robustness_table(trial.robustness, simulator.channels),
         )  # fmt: skip
         typer.echo(trial.robustness.sentence)
-    write_figure(closed_loop_figure(design, trial.runs), out, LOOP)
+    write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
     write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
+    write_control_page(
+        design, trial, out / PAGE, training_range=training_range,
+        command=shlex.join(["tustinnet", *sys.argv[1:]]),
+    )  # fmt: skip
     for note in export.notes:
         terminal.messages().print(f"note: {note}")
     terminal.messages().print(
-        f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS))}"
+        f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
     )
 
 

@@ -182,10 +182,11 @@ def _swing_up(
     )
     trial = try_design(design, header, plants={"twin": qube_twin()}, variants=False, count=_RUNS)
     export_controller(
-        model, design.gains, design.noise, out / _CONTROLLER, cost=design.cost,
+        model, design.gains, design.noise, out / _CONTROLLER, deviations=design.deviations,
+        within=design.task.within,
         file=reported.file, overwrite=overwrite,
     )  # fmt: skip
-    write_figure(closed_loop_figure(design, trial.runs), out, _SWING_UP)
+    write_figure(closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
     (row,) = trial.robustness.rows
     return (
         f"swing-up of the twin, through its encoders: {row.successes} of {len(row.outcomes)} runs "

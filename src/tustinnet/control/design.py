@@ -9,11 +9,10 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
-from tustinnet.control.cost import Cost
-from tustinnet.control.dynamics import Limits, controlled, input_limits
+from tustinnet.control.dynamics import InputLimits, Limits, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
-from tustinnet.control.ilqr import ilqr, make_cost
+from tustinnet.control.ilqr import ilqr
 from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
@@ -29,6 +28,7 @@ Vector = Float[np.ndarray, " _"]
 _SWINGS = 6.0  # periods of the slowest oscillation about its start that a motion lasts by default
 _SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
 _LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
+_PLANNED = 0.8  # share of the inputs' limits that a plan uses: the rest is for its feedback
 _WINDOW = 0.2  # rad, in which angles count as held
 _WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
 _WINDOW_LENGTH = 0.05  # m, where that range is not known
@@ -75,7 +75,6 @@ class ControlDesign:
         margins: of the loop about the equilibrium.
         noise: the noise of the estimator.
         consistency: tests of the estimator along records, None without records.
-        cost: what the plan minimises, or would.
         goal: what counts as success.
         beyond: where the plan leaves the range of the training records, None where it does not.
     """
@@ -88,9 +87,13 @@ class ControlDesign:
     margins: Margins
     noise: FilterNoise
     consistency: FilterConsistency | None
-    cost: Cost
     goal: Goal
     beyond: ExtrapolationPoint | None
+
+    @property
+    def deviations(self) -> Deviations:
+        """The acceptable deviations of states and inputs that were named."""
+        return own_deviations(self.task)
 
     @property
     def plan(self) -> Plan | None:
@@ -162,17 +165,13 @@ def design_controller(
         delay=task.delay, limits=task.limits,
     )  # fmt: skip
     loop_margins = margins(model, feedback)
-    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
-    cost = make_cost(
-        controlled(model, task.delay), bounds, point.x, point.u, deviations=own, range=range,
-        within=task.within,
-    )  # fmt: skip
+    own = own_deviations(task)
     goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
     start, beyond, gains = None, None, feedback
     if task.start is not None:
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits)
-        plan = _plan_motion(model, task, start, point, range)
+        plan = _plan_motion(model, task, start, point, bounds, range)
         beyond = None if range is None else range.extrapolation_point(
             model.channels, plan.x[:-1], plan.u
         )  # fmt: skip
@@ -197,13 +196,18 @@ def design_controller(
     noise = find_noise(model, records) if records else usual_noise(model, range)
     consistency = check_filter(model, records, noise) if records else None
     return ControlDesign(
-        model, task, point, start, gains, loop_margins, noise, consistency, cost, goal, beyond
+        model, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
     )
+
+
+def own_deviations(task: ControlTask) -> Deviations:
+    """The deviations of a task without those of integrals."""
+    return {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
 
 
 def _plan_motion(
     model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint,
-    range: Range | None,
+    bounds: InputLimits, range: Range | None,
 ) -> Plan:  # fmt: skip
     """A motion from a start to the equilibrium that is held.
 
@@ -215,12 +219,17 @@ def _plan_motion(
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
-    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    own = own_deviations(task)
+    middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
+    planned = {
+        i.name: (float(m - _PLANNED * h), float(m + _PLANNED * h))
+        for i, m, h in zip(channels.inputs, middle, half, strict=True)
+    }
     best = None
     for seconds in durations:
         plan = ilqr(
             model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
-            deviations=own, range=range, within=task.within, limits=task.limits, delay=task.delay,
+            deviations=own, range=range, within=task.within, limits=planned, delay=task.delay,
         )  # fmt: skip
         if plan.reached:
             return plan

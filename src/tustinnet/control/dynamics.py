@@ -201,7 +201,7 @@ def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
         if pair is None:
             raise InputError(
                 f"input '{i.name}'", "it has no limits", "the least and the largest value it takes",
-                f"declare them in the data card, or give them as limits (--limits {i.name}=LOW:HIGH)",
+                f"declare them in the data card, or give them (--limits {i.name}=LOW:HIGH)",
             )  # fmt: skip
         if not -np.inf < pair[0] < pair[1] < np.inf:
             raise InputError(

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +29,8 @@ _LITTLE = 0.2  # correlation up to which innovations are nearly white
 _SETTLING = 20  # samples at the beginning of a record that say more of the start than of the noise
 _SAMPLES = 2500  # of all records together, at most, by which noise is found
 _LONGEST = 500  # of them from one record
+_SHORTEST = 2 * _SETTLING + _LAGS  # records that say something of the noise
+_FEW_STATES = 20  # up to which all these samples are used: a filter's work grows with the states
 _UNKNOWN = 1e-3  # of the travel: noise of a position whose resolution is not known, to begin with
 _GUESS = 1e-2  # of the speed: what a step misses, to begin with
 _LEAST = 3e-4  # of the speed: a filter that trusts its model wholly never learns that it errs
@@ -36,6 +38,7 @@ _DIVERGED = 1e12  # stands for a likelihood that is no number
 _CALLS = 50  # of the likelihood
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Estimates of the state from measured positions, sample by sample."""
 
@@ -296,14 +299,15 @@ def check_filter(
 
 def _parts(model: Model, records: Sequence[Experiment]) -> list[Experiment]:
     """The first samples of records, so that all have a share."""
-    length = min(_LONGEST, max(2 * _SETTLING + _LAGS, _SAMPLES // max(len(records), 1)))
-    parts = [e[:length] for e in records if len(e) > 2 * _SETTLING + _LAGS]
+    samples = int(_SAMPLES * min(1.0, _FEW_STATES / model.state_size))
+    length = min(_LONGEST, max(_SHORTEST, samples // max(len(records), 1)))
+    parts = [e[:length] for e in records if len(e) >= _SHORTEST]
     if not parts:
         raise InputError(
             "the filter's noise", f"{len(records)} records",
-            f"at least one of more than {2 * _SETTLING + _LAGS} samples",
+            f"at least one of {_SHORTEST} samples or more",
         )  # fmt: skip
-    return parts[: _SAMPLES // (2 * _SETTLING + _LAGS)]
+    return parts[: samples // _SHORTEST]
 
 
 def _resolution(channels: Channels, parts: Sequence[Experiment]) -> Vector:

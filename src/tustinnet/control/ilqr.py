@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
 
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import (
@@ -203,17 +204,17 @@ def closed_loop_equations(system: ControlledModel) -> Equations:
 
 def ilqr(
     model: Model,
-    start: Float[Array | np.ndarray, " n_x"],
-    goal: Float[Array | np.ndarray, " n_x"],
+    start: ArrayLike,
+    goal: ArrayLike,
     steps: int,
     *,
-    goal_inputs: Float[Array | np.ndarray, " n_u"] | None = None,
+    goal_inputs: ArrayLike | None = None,
     deviations: Deviations | None = None,
     range: Range | None = None,
     within: Limits | None = None,
     limits: Limits | None = None,
     end_weight: float = 100.0,
-    guesses: Sequence[Float[np.ndarray, "steps n_u"]] | int = 4,
+    guesses: Sequence[ArrayLike] | int = 4,
     turns: bool = True,
     delay: int = 0,
     iterations: int = 300,
@@ -378,11 +379,13 @@ def _targets(
 
 
 def _first_guesses(
-    guesses: Sequence[np.ndarray] | int, steps: int, limits: InputLimits,
+    guesses: Sequence[ArrayLike] | int, steps: int, limits: InputLimits,
     rest: Float[np.ndarray, " n_u"], dt: float, seed: int,
 ) -> list[Float[np.ndarray, "steps n_u"]]:  # fmt: skip
     """Inputs to begin a search with: those given, or the goal's and random smooth ones."""
     n_u = len(rest)
+    if guesses == 0 or (not isinstance(guesses, int) and not len(guesses)):
+        raise InputError("guesses", "none", "at least one")
     if not isinstance(guesses, int):
         given = [np.asarray(g, np.float64) for g in guesses]
         for g in given:

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from tustinnet.control.dynamics import (
     ControlledModel,
@@ -97,8 +98,8 @@ class LoopMatrices(NamedTuple):
 
 def lqr(
     model: Model,
-    x: Float[Array | np.ndarray, " n_x"],
-    u: Float[Array | np.ndarray, " n_u"],
+    x: ArrayLike,
+    u: ArrayLike,
     *,
     deviations: Deviations | None = None,
     range: Range | None = None,

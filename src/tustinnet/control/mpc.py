@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import Limits, controlled, input_limits, require_vector
@@ -47,8 +48,8 @@ class Mpc:
     def __init__(
         self,
         model: Model,
-        x: Float[Array | np.ndarray, " n_x"],
-        u: Float[Array | np.ndarray, " n_u"],
+        x: ArrayLike,
+        u: ArrayLike,
         *,
         steps: int = 40,
         iterations: int = 1,

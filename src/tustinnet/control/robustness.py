@@ -111,11 +111,13 @@ class Robustness:
     def sentence(self) -> str:
         """The verdict in a sentence."""
         worst = self.worst_kind
+        runs = sum(len(row.outcomes) for row in self.rows)
         if worst.share == 1:
-            return f"every run of all {len(self.rows)} kinds meets the goal"
+            return f"all {runs} runs on plants of {len(self.rows)} kinds meet the goal"
         return (
-            f"{100 * self.share:.0f} % of the runs meet the goal; fewest where {worst.help}: "
-            f"{worst.successes} of {len(worst.outcomes)}, {worst.failures}"
+            f"{sum(row.successes for row in self.rows)} of {runs} runs meet the goal; fewest on "
+            f"plants of the kind '{worst.kind}' ({worst.help}): {worst.successes} of "
+            f"{len(worst.outcomes)}, {worst.failures}"
         )
 
 

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from tustinnet.simulate.filtering import checked_vector
 Vector = Float[np.ndarray, " _"]
 
 
+@runtime_checkable
 class Plant(Protocol):
     """What a controller drives: a simulated device, or a real one.
 
@@ -84,10 +85,11 @@ class SampledPlant(ABC):
         InputError: options of other sizes than the plant's, or that are negative.
     """
 
-    state: Vector
+    state: Vector = np.zeros(0)  # before the first reset
 
     def __init__(self, channels: Channels, options: PlantOptions, where: str) -> None:
         self.channels, self.options, self.dt = channels, options, channels.dt
+        self.state = np.zeros(0)  # before the first `reset`
         n_q, n_u = channels.n_q, channels.n_u
 
         def sizes(name: str, value: Any) -> Vector:

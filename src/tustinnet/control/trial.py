@@ -11,12 +11,11 @@ from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
-from tustinnet.control.sampled_plant import Plant
+from tustinnet.control.sampled_plant import SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.simulate.range import Range
 
 _SPREAD = 0.05  # of the places where runs begin: rad of an angle, share of the range of a length
-_NOMINAL = "model"  # the run that is shown first
 
 
 @dataclass(frozen=True)
@@ -25,18 +24,20 @@ class Trial:
 
     Attributes:
         robustness: what became of the goal on plants of every kind.
-        runs: whole runs to be shown, by label: on the model, and on another plant if there is one.
+        runs: a whole run on a plant of each kind, by its name; where runs fail the first of these.
+        main_runs: the runs on the model and on other plants among them.
     """
 
     robustness: Robustness
     runs: Mapping[str, ClosedLoopResult]
+    main_runs: Mapping[str, ClosedLoopResult]
 
 
 def try_design(
     design: ControlDesign,
     header: Mapping[str, Any] | None = None,
     *,
-    plants: Mapping[str, Plant] | None = None,
+    plants: Mapping[str, SampledPlant] | None = None,
     variants: bool = True,
     count: int = 20,
     seed: int = 0,
@@ -67,15 +68,16 @@ def try_design(
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )
-    shown = {_NOMINAL: kinds[0].plants[0]} if variants else {}
-    runs = {
-        label: closed_loop(
-            plant, controller, estimator, design.steps, places[0], seed, design.goal,
+    runs = {}
+    for kind, row in zip(kinds, robustness.rows, strict=True):
+        failed = [i for i, outcome in enumerate(row.outcomes) if not outcome.is_success]
+        i = failed[0] if failed else 0
+        runs[kind.name] = closed_loop(
+            kind.plants[i], controller, estimator, design.steps, places[i], seed + i, design.goal,
             design.model.channels,
-        )
-        for label, plant in (shown | others).items()
-    }  # fmt: skip
-    return Trial(robustness, runs)
+        )  # fmt: skip
+    main = ([kinds[0].name] if variants else []) + [*others]
+    return Trial(robustness, runs, {name: runs[name] for name in main})
 
 
 def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.ndarray, " n_q"]:

@@ -105,7 +105,13 @@ def make_variants(
         kinds += _physical_kinds(physical, header or {}, count, generator, options)
     for delay in _DELAYS:
         late = replace(options, delay=options.delay + delay)
-        kinds.append(VariantKind(f"delay {delay}", f"inputs act {delay} samples later", same(late)))
+        kinds.append(
+            VariantKind(
+                f"delay {delay}",
+                "inputs act a sample later" if delay == 1 else f"inputs act {delay} samples later",
+                same(late),
+            )
+        )
     noisy = replace(options, noise=np.hypot(np.asarray(options.noise, np.float64), counts))
     kinds.append(VariantKind("noise", "noise of one count on the encoders", same(noisy)))
     missed = np.asarray(noise.process, np.float64)[model.channels.velocity]

@@ -148,7 +148,8 @@ def _readme(source: Source) -> str:
             k, f"{abs(k)} samples {'later' if k > 0 else 'before'}"
         )
         inputs += [
-            f"| `u[{len(inputs) + i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} | {when} |"
+            f"| `u[{len(inputs) + i}]` | {markdown_cell(channel.name)} "
+            f"| {markdown_cell(channel.unit)} | {when} |"
             for i, channel in enumerate(source.channels.inputs)
         ]
     return fill_template(

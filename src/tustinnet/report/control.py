@@ -1,5 +1,6 @@
 """Tables and figures of a controller: where, margins, robustness, closed loops."""
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -14,6 +15,8 @@ from tustinnet.control.export.write import ControllerExport
 from tustinnet.control.robustness import Robustness
 from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.tables import Table
+
+_LABEL = 50  # characters of a label of the figure of robustness
 
 
 def point_table(design: ControlDesign) -> Table:
@@ -136,7 +139,8 @@ def robustness_figure(robustness: Robustness) -> Figure:
         for place, row in zip(places, rows, strict=True):
             axes.text(0.01, place, f"{row.successes} of {len(row.outcomes)}", va="center",
                       color="white" if row.share > 0.2 else "black", fontsize=7.5)  # fmt: skip
-        axes.set_yticks(places, [f"{row.kind}: {row.help}" for row in rows])
+        labels = [textwrap.shorten(f"{row.kind}: {row.help}", _LABEL) for row in rows]
+        axes.set_yticks(places, labels)
         axes.invert_yaxis()
         axes.set_xlim(0, 1)
         axes.set_xlabel("share of the runs that reach and hold the goal")

@@ -83,12 +83,18 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     n_u, n_x = len(final.u0), len(final.x0)
     u = read("u", (None, n_u))
     x = read("x", (len(u) + 1, n_x))
-    cost, converged, iterations = (read(k, ()) for k in ("cost", "converged", "iterations"))
     motion = Plan(
-        x=x, u=u, cost=float(cost), converged=bool(converged), iterations=int(iterations),
-        dt=float(period), goal=read("goal", (n_x,)), before=read("before", (n_u,)),
+        x=x,
+        u=u,
+        cost=float(read("cost", ())),
+        converged=bool(read("converged", ())),
+        reached=bool(read("reached", ())),
+        iterations=int(read("iterations", ())),
+        dt=float(period),
+        goal=read("goal", (n_x,)),
+        before=read("before", (n_u,)),
         delay=final.delay,
-    )  # fmt: skip
+    )
     n_z = n_x + final.previous * n_u
     gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
     return Tracking(plan=motion, gains=gains, final=final)
@@ -111,8 +117,8 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
         return {"feedback": feedback}
     p = controller.plan
     plan = {
-        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "iterations": p.iterations,
-        "goal": p.goal, "before": p.before,
+        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "reached": p.reached,
+        "iterations": p.iterations, "goal": p.goal, "before": p.before,
     }  # fmt: skip
     return {"feedback": feedback, "plan": plan, "gains": controller.gains}
 

@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from tustinnet.control.cost import Cost
 from tustinnet.control.lqr import Feedback, Tracking
-from tustinnet.errors import InputError
 from tustinnet.export.casadi import TARGET
 from tustinnet.export.source import InputLayout, Source
 from tustinnet.export.target import Files
@@ -34,18 +33,10 @@ def make_scripts(
     Args:
         controller: the controller, whose plan is the first guess.
         source: the model.
-        cost: what the scripts minimise.
+        cost: what the scripts minimise, with a goal that does not move.
         start: the state from which the motion begins, (n_x,).
-
-    Raises:
-        InputError: the cost of another model, or of a goal that moves.
     """
-    n_x, n_u = source.n_x, source.channels.n_u
-    if np.shape(cost.x) != (n_x,) or np.shape(cost.u) != (n_u,):
-        raise InputError(
-            "the cost", f"a goal of {np.shape(cost.x)} states and {np.shape(cost.u)} inputs",
-            f"a goal that does not move, ({n_x},) and ({n_u},)",
-        )  # fmt: skip
+    n_x = source.n_x
     final = controller.final if isinstance(controller, Tracking) else controller
     if isinstance(controller, Tracking):
         start, steps = controller.plan.x[0], len(controller.plan.u)
@@ -72,7 +63,7 @@ def make_scripts(
         "played": played,
     }
     step = TARGET.files(held_source(source))
-    return {**step, **{name: fill_template(name, TEMPLATES, **values) for name in SCRIPTS}}
+    return {**step, **{name: fill_template(f"{name}.in", TEMPLATES, **values) for name in SCRIPTS}}
 
 
 def held_source(source: Source) -> Source:

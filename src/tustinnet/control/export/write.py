@@ -9,13 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
-from tustinnet.control.cost import Cost
+from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
 from tustinnet.control.export.code import make_code, make_readme
 from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
 from tustinnet.control.export.scripts import make_scripts
+from tustinnet.control.ilqr import make_cost
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source, make_source
 from tustinnet.models.contract import Model
@@ -55,7 +57,8 @@ def export_controller(
     noise: FilterNoise,
     out: str | Path,
     *,
-    cost: Cost | None = None,
+    deviations: Deviations | None = None,
+    within: Limits | None = None,
     start: Vector | None = None,
     file: str | Path | None = None,
     groups: Mapping[str, str] | None = None,
@@ -71,11 +74,13 @@ def export_controller(
         controller: the feedback, or the feedback along a plan.
         noise: the noise of the estimator, see `find_noise`.
         out: the folder, which is empty or has an earlier export.
-        cost: what the plan minimises, see `make_cost`, for the scripts that solve the problem
-            anew. Without it there are no such scripts.
+        deviations: acceptable deviations of states and inputs by name, as the controller was
+            designed with (`lqr`, `ilqr`): the scripts of solvers weight errors by them.
+        within: limits of states by name, as in `ilqr`, for these scripts.
         start: the state from which the loop in software begins, (n_x,); by default the beginning
             of the plan, or ten encoder counts beside the goal.
-        file: the model's file. From it the card takes data and scores.
+        file: the model's file. From it the card takes data and scores, and the weights take the
+            range of the training records.
         groups: for models with values by group: which to take, as `{"payload": "1kg"}`.
         overwrite: whether an export that is there may be replaced.
 
@@ -84,8 +89,8 @@ def export_controller(
 
     Raises:
         InputError: a folder that holds something else, or an export that may not be replaced; a
-            controller of other sizes than the model's; a plan that did not converge; a closed loop
-            that diverges, or differs in C. Nothing is written then.
+            controller of other sizes than the model's; a plan that does not
+            reach its goal; a closed loop that diverges, or differs in C. Nothing is written then.
     """
     folder = Path(out)
     require_export_folder(folder, overwrite=overwrite)
@@ -109,14 +114,17 @@ def export_controller(
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
-    if cost is None:
-        notes.append("no cost was given: no scripts for CasADi, acados and do-mpc")
-    elif find_spec("casadi") is None:
+    if find_spec("casadi") is None:
         notes.append(
-            "casadi is not installed (pip install 'tustinnet[casadi]'): no scripts for CasADi, "
-            "acados and do-mpc"
+            "the package casadi is not installed (pip install 'tustinnet[casadi]'): no scripts for "
+            "CasADi, acados and do-mpc"
         )
     else:
+        limits = InputLimits(final.lower, final.upper)
+        cost = make_cost(
+            controlled(source.model if groups else model, final.delay), limits, final.x0, final.u0,
+            deviations=deviations, range=source.range, within=within,
+        )  # fmt: skip
         scripts = make_scripts(controller, source, cost, start)
         if len(source.input_layout.offsets) > 1:
             notes.append(
@@ -143,9 +151,7 @@ def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
         return controller.plan.x[0]
     resolution = source.channels.resolution
     start = np.array(controller.x0, np.float64)
-    start[source.channels.position] += np.where(
-        resolution > 0, _COUNTS * resolution, _DISPLACEMENT
-    )
+    start[source.channels.position] += np.where(resolution > 0, _COUNTS * resolution, _DISPLACEMENT)
     return start
 
 
@@ -153,7 +159,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     """Raises unless a controller has the sizes and the period of a model.
 
     Raises:
-        InputError: other sizes or another period, a plan that did not converge.
+        InputError: other sizes or another period, a plan that does not reach its goal.
     """
     final = controller.final if isinstance(controller, Tracking) else controller
     n_x, n_u = source.n_x, source.channels.n_u
@@ -161,9 +167,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     for name, shape in shapes.items():
         value = np.asarray(getattr(final, name))
         if value.shape != shape or not np.isfinite(value).all():
-            raise InputError(
-                f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers"
-            )
+            raise InputError(f"{name} of the controller", f"{value}", f"{shape[0]} finite numbers")
     previous = len(source.input_layout.offsets) - 1
     n_z = n_x + len(final.integral) + previous * n_u
     if np.shape(final.gain) != (n_u, n_z) or not np.isfinite(final.gain).all():
@@ -174,14 +178,18 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
         )  # fmt: skip
     if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
         raise InputError(
-            "the controller", f"period {final.dt:g} s", f"that of the model, {source.channels.dt:g} s"
+            "the controller",
+            f"period {final.dt:g} s",
+            f"that of the model, {source.channels.dt:g} s",
         )
     if isinstance(controller, Tracking):
         plan, steps = controller.plan, len(controller.plan.u)
-        if not plan.converged:
+        if not plan.reached:
+            miss = zip(source.states, plan.miss.tolist(), strict=True)
             raise InputError(
-                "the plan", f"it did not converge in {plan.iterations} iterations",
-                "a plan that did", "plan it with more iterations, more time or other weights",
+                "the plan", f"it ends {', '.join(f'{m:.3g} in {name}' for name, m in miss)} beside "
+                "its goal, where linear feedback does not hold it",
+                "a plan that reaches the goal", "plan more steps, or from other first guesses",
             )  # fmt: skip
         for name, value, shape in (
             ("x of the plan", plan.x, (steps + 1, n_x)), ("u of the plan", plan.u, (steps, n_u)),

@@ -14,6 +14,7 @@ from tustinnet.models.kinematics import Link, parent_indices
 from tustinnet.report.page.model_result import ModelResult
 from tustinnet.report.page.reported_model import History, ReportedModel
 from tustinnet.report.page.signals import bounded, pack, thin
+from tustinnet.simulate.range import Range
 from tustinnet.store.log import is_stage_end
 
 # numbers of points of a signal that are tried, the most that a screen shows first
@@ -73,13 +74,27 @@ def make_content(
         points: largest number of points of a signal.
     """
     c = records[0].channels
-    names = [coordinate.name for coordinate in c.coordinates]
     return {
-        "dt": c.dt,
-        "unit": c.unit,
-        "coordinates": [{"name": q.name, "kind": q.kind, "unit": q.unit} for q in c.coordinates],
+        **mechanism_content(c, links),
+        "truth": "measured",
+        "models": [_model_content(result) for result in results],
+        "records": [_record_content(i, e, results, points) for i, e in enumerate(records)],
+        **range_content([result.range for result in results], c),
+    }
+
+
+def mechanism_content(channels: Channels, links: Sequence[Link]) -> dict[str, Any]:
+    """Coordinates, inputs and links of a mechanism."""
+    names = [coordinate.name for coordinate in channels.coordinates]
+    return {
+        "dt": channels.dt,
+        "unit": channels.unit,
+        "coordinates": [
+            {"name": q.name, "kind": q.kind, "unit": q.unit} for q in channels.coordinates
+        ],
         "inputs": [
-            {"name": i.name, "unit": i.unit, "limits": i.limits, "hold": i.hold} for i in c.inputs
+            {"name": i.name, "unit": i.unit, "limits": i.limits, "hold": i.hold}
+            for i in channels.inputs
         ],
         "links": [
             {
@@ -91,9 +106,6 @@ def make_content(
             }
             for link, parent in zip(links, parent_indices(links), strict=True)
         ],
-        "models": [_model_content(result) for result in results],
-        "records": [_record_content(i, e, results, points) for i, e in enumerate(records)],
-        **_range_content(results, c),
     }
 
 
@@ -199,11 +211,11 @@ def _record_content(
     }  # fmt: skip
 
 
-def _range_content(results: Sequence[ModelResult], channels: Channels) -> dict[str, Any]:
+def range_content(training_ranges: Sequence[Range | None], channels: Channels) -> dict[str, Any]:
     """Ranges of the training data of each model, and point clouds, which models may share."""
     ranges: list[dict[str, Any] | None] = []
     clouds: list[dict[str, Any]] = []
-    for training_range in (result.range for result in results):
+    for training_range in training_ranges:
         if training_range is None:
             ranges.append(None)
             continue

@@ -17,20 +17,26 @@ _PACKAGE = "tustinnet.report.page"
 # in the order in which they build on one another
 _SCRIPTS = (
     "data.js", "theme.js", "clock.js", "linkage.js", "dials.js", "stage.js", "plots.js",
-    "charts.js", "range.js", "states.js", "playground.js", "main.js",
+    "charts.js", "range.js", "states.js", "pilot.js", "playground.js", "main.js",
 )  # fmt: skip
 _ENDING_TAG = re.compile(r"</(script|style)|<!--", re.IGNORECASE)
 _BEGIN = "globalThis.exported = [];"
 _REGISTER = "globalThis.exported.push({ init, step, states, inputs, period, samples, range });"
 
 
-def render(context: Mapping[str, Any], content: Any, modules: Mapping[int, str]) -> str:
-    """Renders the page as HTML.
+def render(
+    context: Mapping[str, Any],
+    content: Any,
+    modules: Mapping[int, str],
+    template: str = "page.html",
+) -> str:
+    """Renders a page as HTML.
 
     Args:
         context: variables of the template.
         content: the numbers that scripts draw, plain values.
         modules: models exported to JavaScript, by their index among the models.
+        template: the template of the page.
     """
     environment = Environment(
         loader=PackageLoader(_PACKAGE),
@@ -50,7 +56,7 @@ def render(context: Mapping[str, Any], content: Any, modules: Mapping[int, str])
         "base-uri": "'none'",
         "form-action": "'none'",
     }
-    return environment.get_template("page.html").render(
+    return environment.get_template(template).render(
         **context,
         policy="; ".join(f"{key} {value}" for key, value in policy.items()),
         style=style,

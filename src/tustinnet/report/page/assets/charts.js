@@ -9,11 +9,11 @@ function lineOf(model, values, more = {}) {
 function timeCharts() {
   const record = () => recordAt(clock.record);
   data.coordinates.forEach((c, j) => {
-    new Plot($("plots-run"), `${c.name} against time, measured and simulated`, () => {
+    new Plot($("plots-run"), `${c.name} against time`, () => {
       const of = record();
       return {
         x: of.t, y: `${c.name} [${c.unit}]`, last: false,
-        lines: [{ label: "measured", values: of.q[j], colour: colours.ink, width: 2 },
+        lines: [{ label: data.truth, values: of.q[j], colour: colours.ink, width: 2 },
           ...of.runs.map((run, i) => lineOf(i, run.q[j]))],
         bands: of.runs.flatMap((run, i) => (run.band.length ? [{ model: i, colour: colourOf(i),
           low: run.band[j], high: run.band[data.coordinates.length + j] }] : [])),

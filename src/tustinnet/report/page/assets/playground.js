@@ -20,7 +20,26 @@ class Toy {
       return Math.max(Math.abs(low), Math.abs(high)) || 1;
     });
     this.u = inputs.map(() => 0);
+    this.pilot = data.controller ? new Pilot(data.controller) : null;
     this.reset(Array(n).fill(0));
+  }
+
+  // What acts from now to the next sample: what people add, and what the controller commands.
+  drive(added, controlled) {
+    if (!this.pilot || !controlled) return added;
+    const { lower, upper, delay } = this.pilot.feedback;
+    this.commands.push(this.pilot.inputs(this.state.x));
+    const command = this.commands.length > delay ? this.commands.shift() : this.pilot.feedback.u0;
+    return command.map((x, i) => Math.min(Math.max(x + added[i], lower[i]), upper[i]));
+  }
+
+  // The controller begins anew: by its plan from where that begins, else where it holds.
+  begin() {
+    if (!this.pilot) return;
+    const { plan, feedback } = this.pilot, x = this.q;
+    const from = (to) => Math.max(...x.map((q, i) => Math.abs(this.angular[i] ? wrapped(q - to[i]) : q - to[i])));
+    this.pilot.reset(plan !== null && from(plan.x[0]) < from(feedback.x0));
+    this.commands = [];
   }
 
   // At rest at some positions; internal states settle there where the model needs samples for that.
@@ -81,6 +100,7 @@ function beginPlayground() {
   if (!canvas || !globalThis.exported.length) return;
   const toys = globalThis.exported.map((module, k) => new Toy(data.exported[k], module));
   const choice = $("toy-model"), run = $("toy-run"), status = $("toy-state");
+  const controlled = $("toy-controlled"); // only where there is a controller
   toys.forEach((toy, k) =>
     choice.append(element("option", { value: k }, data.models[toy.model].label)));
   const mechanism = mechanismFor(true);
@@ -130,7 +150,12 @@ function beginPlayground() {
     since = now;
     const { period } = toy.module, from = performance.now();
     acting = toy.u.map((x, i) => (i === 0 && held ? toy.inputEnds[0][held > 0 ? 1 : 0] : x));
-    while (owed >= period && performance.now() - from < 1000 * FRAME) { toy.step(acting); owed -= period; }
+    const added = acting;
+    while (owed >= period && performance.now() - from < 1000 * FRAME) {
+      acting = toy.drive(added, controlled?.checked);
+      toy.step(acting);
+      owed -= period;
+    }
     if (owed >= period) owed = 0; // slower than time
     if (trail.push(mechanism.ends(toy.q)) > 40) trail.shift();
     draw();
@@ -138,6 +163,7 @@ function beginPlayground() {
   };
   const stop = () => { running = false; trail = []; run.textContent = "Let go"; };
   const go = () => {
+    toy.begin();
     running = true;
     since = null;
     owed = 0;
@@ -160,6 +186,7 @@ function beginPlayground() {
       draw();
     }));
   choice.addEventListener("change", choose);
+  controlled?.addEventListener("change", () => toy.begin());
   run.addEventListener("click", () => (running ? stop() : go()));
   $("toy-push").addEventListener("click", () => { toy.push(); if (!running) go(); });
   $("toy-reset").addEventListener("click", () => {

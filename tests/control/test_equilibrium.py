@@ -1,0 +1,90 @@
+"""Equilibria under the limits of the inputs, and what is said of them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from every_family import example
+from linear_machines import LinearMachine, double_integrator
+
+import tustinnet as tn
+from tustinnet.control import find_equilibrium
+
+
+def test_upright_is_unstable_and_hanging_is_stable():
+    model = example("qube")
+    up = find_equilibrium(model, {"alpha": 0.0})
+    down = find_equilibrium(model, {"alpha": np.pi})
+    np.testing.assert_allclose(up.x, 0, atol=1e-9)
+    np.testing.assert_allclose(down.x, [0, np.pi, 0, 0], atol=1e-9)
+    assert "unstable: alpha doubles in 0.055" in up.stability
+    assert down.stability.startswith("stable: alpha is the slowest")
+    assert (up.controllable, up.observable) == ("controllable", "observable")
+    # the modes are those of the linearised model
+    expected = np.linalg.eigvals(tn.linearize(model, up.x, up.u).a)
+    found = [m.eigenvalue for m in up.modes]
+    assert np.isclose(max(np.abs(expected)), abs(found[0]))
+
+
+def test_inputs_that_hold_a_position_are_solved_for():
+    point = find_equilibrium(example("qube"), {"theta": 0.5, "alpha": 0.0})
+    assert point.x[0] == pytest.approx(0.5, abs=1e-6)
+    # the voltage's torque is the cable's pull: back EMF is 0 at rest
+    pull = 2e-3 * 0.5 - 1e-4 * 0.5**2
+    assert abs(point.u[0]) == pytest.approx(pull * 8.4 / 0.042, rel=1e-5)
+
+
+def test_the_nearest_equilibrium_is_named_where_there_is_none():
+    with pytest.raises(tn.InputError, match=r"none at alpha = 0.5 .* nearest one, alpha = "):
+        find_equilibrium(example("qube"), {"alpha": 0.5})
+    with pytest.raises(tn.InputError, match=r"nearest one, theta = .* voltage = -?2\)"):
+        find_equilibrium(example("qube"), {"theta": 40.0}, {"voltage": (-2.0, 2.0)})
+
+
+def test_a_fitted_model_has_its_equilibrium_beside_the_position():
+    class Crooked(LinearMachine):
+        def step(self, x, u):
+            # the pendulum's upright position, as a fit has it, is 0.03 rad aside
+            v = x[1] + 0.01 * (40 * jnp.sin(x[0] - 0.03) + 0.0 * u[0])
+            return jnp.stack([x[0] + 0.005 * (x[1] + v), v])
+
+    channels = tn.Channels(
+        (tn.Coordinate("alpha", "angular"),), (tn.Input("torque", "N m", None, (-1.0, 1.0)),), 0.01
+    )
+    model = Crooked(np.eye(2), np.eye(2), channels)
+    point = find_equilibrium(model, {"alpha": 0.0})
+    assert point.x[0] == pytest.approx(0.03, abs=1e-6)
+    assert "not controllable from the inputs: the mode of alpha" in point.controllable
+    with pytest.raises(tn.InputError, match=r"nearest one, alpha = 0\.03"):
+        find_equilibrium(model, {"alpha": 0.0}, tolerance=0.01)
+
+
+def test_an_unobservable_mode_is_named_by_its_state():
+    # an internal state that nothing shows
+    class Hidden(LinearMachine):
+        internal = ("hidden",)
+
+    whole = double_integrator()
+    a = np.eye(3)
+    a[:2, :2], a[2, 2] = whole.a, 0.9
+    model = Hidden(a, np.array([[0.005], [0.1], [0.1]]), whole.channels)
+    point = find_equilibrium(model, {"s": 0.0})
+    assert "the mode of hidden with the eigenvalue 0.9 (stable)" in point.observable
+    assert point.stability == "marginally stable: s stays where it is put"
+
+
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [({"beta": 0.0}, "no 'beta' among the coordinates"), ({"alpha": np.nan}, "a finite position")],
+)
+def test_positions_that_are_none_are_refused(at, words):
+    with pytest.raises(tn.InputError, match=words):
+        find_equilibrium(example("qube"), at)
+
+
+def test_inputs_without_limits_are_refused():
+    with pytest.raises(tn.InputError, match="input 'voltage': it has no limits"):
+        find_equilibrium(example("physics"), {"angle": 0.0})
+    with pytest.raises(tn.InputError, match="the smaller one first"):
+        find_equilibrium(example("physics"), {"angle": 0.0}, {"voltage": (1.0, -1.0)})
+    with pytest.raises(tn.InputError, match="no 'current' among the inputs"):
+        find_equilibrium(example("qube"), {"alpha": 0.0}, {"current": (-1.0, 1.0)})
