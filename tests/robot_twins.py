@@ -48,7 +48,7 @@ def record_in_loop(
     """Records of a robot that a PD controller moves along sums of sines.
 
     Args:
-        system: the robot, each joint driven by an input of its own.
+        system: the robot; each input is the force at a joint, other joints swing freely.
         values: its parameters.
         count: number of records; the last is for validation.
         seconds: length of each [s].
@@ -62,6 +62,11 @@ def record_in_loop(
     n, rng, t = len(system.coordinates), np.random.default_rng(seed), np.arange(0, seconds, dt)
     # gains by the inertia that a joint sees, 3 Hz and well damped; more where friction is large
     inertia = np.diag(np.asarray(model.mass_matrix(jnp.zeros(n))))
+    assert system.input_map is not None
+    driven = [
+        int(np.argmax(system.input_map(jnp.zeros(n), jnp.zeros(n), one, values)))
+        for one in np.eye(len(system.inputs))
+    ]
     friction = np.array([values[f"{c.name}.coulomb"] for c in system.coordinates])
     stiffness = inertia * 20.0**2 + 10.0 * friction / amplitude
     damping = 2 * 0.8 * np.sqrt(inertia * stiffness)
@@ -73,10 +78,11 @@ def record_in_loop(
         wanted = middle + np.sum(size * np.sin(omega * t[:, None, None] + phase), axis=1)
         speed = np.sum(size * omega * np.cos(omega * t[:, None, None] + phase), axis=1)
         x = np.concatenate([wanted[0], speed[0]])
-        states, torques = np.empty((len(t), 2 * n)), np.empty((len(t), n))
+        states, torques = np.empty((len(t), 2 * n)), np.empty((len(t), len(driven)))
         for i in range(len(t)):
             states[i] = x
-            torques[i] = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
+            force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
+            torques[i] = force[driven]
             x = step(x, torques[i])
         measured = torques + noise * torques.std(axis=0) * rng.normal(size=torques.shape)
         records.append(tn.from_arrays(
