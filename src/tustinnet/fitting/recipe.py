@@ -176,6 +176,10 @@ class StageRecipe(_Table):
         return self.keep.startswith("validation") or watch.startswith("validation")
 
 
+# keys about simulations, which inverse dynamics makes none of
+_SIMULATED = ("initial", "loss", "periodic", "scaled", "robust", "refine")
+
+
 class SearchRecipe(_Table):
     """The table `[search]`: how parameters are identified.
 
@@ -192,7 +196,10 @@ class SearchRecipe(_Table):
         robust: how residuals that are much larger than most are weighed: `none` as all others,
             `huber` less, `student` far less (t with 4 degrees of freedom), see `robust_weights`.
         part: `whole` records, or `transients`: up to `k_bar`, without the standstill after it.
-        method: `levenberg-marquardt`, the only one.
+        method: `levenberg-marquardt`, by simulation, or `inverse-dynamics`, by the forces that the
+            measured motion needs.
+        cutoff: of inverse dynamics, frequency above which records are filtered out [Hz]; none for
+            three times the highest of the motion.
         tolerance: converged when the next step promises less than this part of the cost.
         iterations: allowed in the last stage.
         horizon: longest segment that is simulated at once [s], also of validation records; none
@@ -213,7 +220,8 @@ class SearchRecipe(_Table):
     scaled: bool = True
     robust: Robust = "none"
     part: Literal["whole", "transients"] = "whole"
-    method: Literal["levenberg-marquardt"] = "levenberg-marquardt"
+    method: Literal["levenberg-marquardt", "inverse-dynamics"] = "levenberg-marquardt"
+    cutoff: float | None = Field(default=None, gt=0, le=1e6)
     tolerance: float = Field(default=1e-5, gt=0, le=1)
     iterations: Count = 50
     horizon: Horizon | None = None
@@ -247,6 +255,16 @@ class SearchRecipe(_Table):
                 "a start after the first sample; expected none, model-20, file or derived-6"
             )
         return start.name
+
+    @model_validator(mode="after")
+    def _check_method(self) -> "SearchRecipe":
+        by_forces = self.method == "inverse-dynamics"
+        unused = _SIMULATED if by_forces else ("cutoff",)
+        defaults = type(self).model_fields
+        for name in unused:
+            if getattr(self, name) != defaults[name].default:
+                raise ValueError(f"`{name}` does nothing with method '{self.method}'")
+        return self
 
 
 class Recipe(_Table):

@@ -118,6 +118,26 @@ class Refit:
 
 
 @dataclass(frozen=True)
+class ForceError:
+    """The force at a coordinate that equations of motion do not explain.
+
+    Attributes:
+        coordinate: the coordinate's name.
+        unit: N m or N.
+        size: root mean square of the actuators' force over the training records; without an
+            actuator, of the forces that the motion needs.
+        train: root mean square of what is missing on the training records.
+        held_out: that of the validation records, None without them.
+    """
+
+    coordinate: str
+    unit: str
+    size: float
+    train: float
+    held_out: float | None
+
+
+@dataclass(frozen=True)
 class Identification:
     """The result of an identification.
 
@@ -152,6 +172,8 @@ class Identification:
             where the hold of an input is unknown.
         refit: the values of the model and what they are worth, where the recipe has a second fit
             to free runs; `estimates`, their errors and `rmse` are of the search before it.
+        force_errors: errors of the forces of each coordinate, where it was identified by inverse
+            dynamics; `rmse` is then that of these errors, each relative to the size of its force.
     """
 
     system: LagrangianSystem
@@ -179,6 +201,7 @@ class Identification:
     downweighted: tuple[Stretch, ...] = ()
     hold_errors: Mapping[str, float] = field(default_factory=dict)
     refit: Refit | None = None
+    force_errors: tuple[ForceError, ...] = ()
 
     @property
     def sound(self) -> bool:
@@ -216,6 +239,11 @@ class Identification:
             "disagreements": [dataclasses.asdict(d) for d in self.disagreements],
             "initial_states": {name: list(x) for name, x in self.initial_states.items()},
             **({"refined": dataclasses.asdict(self.refit)} if self.refit else {}),
+            **(
+                {"force_errors": [dataclasses.asdict(e) for e in self.force_errors]}
+                if self.force_errors
+                else {}
+            ),
         }
 
 

@@ -123,10 +123,15 @@ def training_table(run: Run) -> Table:
     if identification is None:
         title = f"train, free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
     else:
-        title = "train, from the identified initial states"
+        title = (
+            "train, forces that are missing, relative to the actuators'"
+            if identification.force_errors
+            else "train, from the identified initial states"
+        )
         if identification.refit:
             title += ", with the values of the search"
-        if len({c.kind for c in run.roles.train[0].channels.coordinates}) > 1:
+        kinds = {c.kind for c in run.roles.train[0].channels.coordinates}
+        if len(kinds) > 1 and not identification.force_errors:
             title += ", each coordinate relative to its spread"
     return _rmse_table(run.training_rmse, title)
 

@@ -34,6 +34,7 @@ _G = 9.81  # [m/s^2], for ranges
 _MASS = 5.0  # factor by which a mass or a spread may differ from the file's
 _SHARE = 0.3  # of a value or a size: the standard deviation of what a file says
 _THINNEST = 1e-4  # spread [m] below which a body counts as thin; its thickness is not searched for
+_GEARED, _GEARED_SHARE = 3.0, 0.1  # largest armature by a joint's inertia, and by the largest one
 _DAMPING = 10.0  # largest damping by inertia [1/s]
 _SPEED = 0.02  # speed at which 76 % of the Coulomb friction are reached [rad/s or m/s]
 _LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
@@ -419,10 +420,14 @@ class _Assembly:
         viscous = sum(j.viscous * ratio**2 for j, ratio in own)
         coulomb = sum(j.coulomb * ratio for j, ratio in own)
         largest_damping = max(effort / speed if speed else 0.0, _DAMPING * inertia, _MASS * viscous)
+        alike = [i for i, c in enumerate(self.coordinates) if c.kind == joint.kind]
+        # gears make the inertia of a small motor larger than that of the links that it moves
+        heaviest = max(self._scale(i)[0] for i in alike)
+        largest_armature = max(_GEARED * inertia, _GEARED_SHARE * heaviest, _MASS * armature)
         kind, per_speed = _force_unit(joint), "s/rad" if joint.kind == "angular" else "s/m"
         unit = "kg m^2" if joint.kind == "angular" else "kg"
         parameters = [
-            _weak(f"{name}.armature", unit, armature, max(inertia, _MASS * armature)),
+            _weak(f"{name}.armature", unit, armature, largest_armature),
             _weak(f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping),
             _weak(f"{name}.coulomb", kind, coulomb, max(effort, _MASS * coulomb)),
             Parameter(f"{name}.coulomb_speed", "rad/s" if joint.kind == "angular" else "m/s",

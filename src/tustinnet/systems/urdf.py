@@ -124,14 +124,13 @@ def _read_link(element: ET.Element, where: object) -> RobotLink:
     if mass_element is None or inertia is None:
         missing = "mass" if mass_element is None else "inertia"
         raise InputError(place, f"an <inertial> without <{missing}>", "mass and inertia")
-    mass = _numbers(mass_element, "value", "", 1, place)[0]
+    mass = _number(mass_element, "value", "", place)
     if mass == 0:
         return RobotLink(name, None, is_frame)
     if mass < 0:
         raise InputError(place, f"a mass of {mass:g} kg", "a positive mass")
     xx, xy, xz, yy, yz, zz = (
-        _numbers(inertia, f"i{axes}", "0", 1, place)[0]
-        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+        _number(inertia, f"i{axes}", "0", place) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
     rotation, center = _read_origin(inertial, place)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -155,19 +154,17 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     if kind != "fixed" and not axis.any():
         raise InputError(place, "an axis of length 0", "a direction")
     dynamics, limit, mimic = (element.find(tag) for tag in ("dynamics", "limit", "mimic"))
-    viscous, coulomb = (
-        _numbers(dynamics, key, "0", 1, place)[0] for key in ("damping", "friction")
-    )
+    viscous, coulomb = (_number(dynamics, key, "0", place) for key in ("damping", "friction"))
     if viscous < 0 or coulomb < 0:
         raise InputError(place, "a negative friction", "damping and friction of at least 0")
-    effort, speed = (_numbers(limit, key, "0", 1, place)[0] for key in ("effort", "velocity"))
+    effort, speed = (_number(limit, key, "0", place) for key in ("effort", "velocity"))
     return RobotJoint(
         name, _KINDS[kind], *ends, rotation, position,
         axis / (np.linalg.norm(axis) or 1.0), np.zeros(3),
         mimic=None if mimic is None else Mimic(
             mimic.get("joint", ""),
-            _numbers(mimic, "multiplier", "1", 1, place)[0],
-            _numbers(mimic, "offset", "0", 1, place)[0],
+            _number(mimic, "multiplier", "1", place),
+            _number(mimic, "offset", "0", place),
         ),
         viscous=viscous, coulomb=coulomb,
         effort=effort if effort > 0 else None, speed=speed if speed > 0 else None,
@@ -209,6 +206,11 @@ def _name(element: ET.Element, where: object) -> str:
     if not name:
         raise InputError(where, f"a {element.tag} without a name", f'<{element.tag} name="...">')
     return name
+
+
+def _number(element: ET.Element | None, key: str, default: str, place: str) -> float:
+    """The number of an attribute; its default where the element or it is missing."""
+    return float(_numbers(element, key, default, 1, place)[0])
 
 
 def _numbers(

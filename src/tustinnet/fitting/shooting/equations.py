@@ -87,7 +87,7 @@ class SystemEquations:
 
         def expected(point: Array) -> Array:
             row = point[measured.stop : last]
-            values = self._values_in_row(row)
+            values = self.values_in_row(row)
             if not self.expects_by_inputs:
                 return system.model(values).initial_internal(point[measured])
             u = point[last : last + n_u]
@@ -113,7 +113,7 @@ class SystemEquations:
         channels, n_x, n_u = self.system.channels, self.motion.n_x, len(self.system.inputs)
 
         def balanced(point: Array) -> Array:
-            model = self.system.model(self._values_in_row(point[n_x + n_u :]))
+            model = self.system.model(self.values_in_row(point[n_x + n_u :]))
             q, v = point[channels.position], point[channels.velocity]
             return model.balanced_internal(q, v, point[n_x : n_x + n_u])
 
@@ -133,7 +133,7 @@ class SystemEquations:
         def momentum_and_force(point: Array) -> Array:
             q, v = point[channels.position], point[channels.velocity]
             u = point[channels.measured.stop : first]
-            values = self._values_in_row(point[first:])
+            values = self.values_in_row(point[first:])
             momentum = jax.grad(system.kinetic, argnums=1)(q, v, values)
             force = jax.grad(system.kinetic)(q, v, values)
             if system.potential:
@@ -158,7 +158,7 @@ class SystemEquations:
         n_x, n_u = self.motion.n_x, len(self.system.inputs)
 
         def derivative(point: Array) -> Array:
-            model = self.system.model(self._values_in_row(point[n_x + n_u :]))
+            model = self.system.model(self.values_in_row(point[n_x + n_u :]))
             return model.derivative(point[:n_x], point[n_x : n_x + n_u])
 
         where = f"system '{self.system.name}'"
@@ -169,7 +169,7 @@ class SystemEquations:
         free = {name: p[i] for i, name in enumerate(self.free_names)}
         return free | {name: c[i] for i, name in enumerate(self.other_names)}
 
-    def _values_in_row(self, parameters: Any) -> dict[str, Any]:
+    def values_in_row(self, parameters: Any) -> dict[str, Any]:
         """Values by name of a row of `parameter_rows`."""
         return self._values_by_name(parameters[: self.n_p], parameters[self.n_p :])
 

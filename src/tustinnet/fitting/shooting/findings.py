@@ -7,13 +7,14 @@ corrupted samples, condition, errors. `results` puts them together.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.report import (
     OUT_OF_TIME,
     Disagreement,
     Estimate,
+    ForceError,
     SignAlternatives,
     Stretch,
 )
@@ -181,6 +182,45 @@ def describe_bounds(estimates: Sequence[Estimate], noise_ratio: float | None) ->
         for e in estimates
         if e.bound
     ]
+
+
+def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
+    """Sentence on the errors of the forces of each coordinate, held out where that is known.
+
+    Args:
+        errors: the errors.
+        cutoff: the frequency up to which forces were compared [Hz].
+    """
+    is_held_out = all(e.held_out is not None for e in errors)
+    shares = [(e.held_out if e.held_out is not None else e.train) / e.size for e in errors]
+    listed = ", ".join(
+        f"{e.coordinate} {100 * share:.3g} % ({share * e.size:.3g} {e.unit})"
+        for e, share in zip(errors, shares, strict=True)
+    )
+    where = "the validation records" if is_held_out else "the training records"
+    return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
+
+
+def describe_informed(
+    names: Sequence[str], informed: Bool[np.ndarray, " n_p"], rank: int
+) -> list[str]:
+    """Sentences on the parameters that records say little of, which stay at their nominal values.
+
+    Args:
+        names: the parameters.
+        informed: those of which records say more than the prior.
+        rank: how many combinations of parameters change the forces at all.
+    """
+    kept = [name for name, is_informed in zip(names, informed, strict=True) if not is_informed]
+    count = (
+        f"{rank} combinations of the {len(names)} parameters change the forces (base parameters)"
+    )
+    if not kept:
+        return [count]
+    listed = ", ".join(kept[:_MOST_NAMES])
+    if len(kept) > _MOST_NAMES:
+        listed += f" and {len(kept) - _MOST_NAMES} more"
+    return [f"{count}; the records say little of {listed}, which stay near their nominal values"]
 
 
 def describe_stretches(stretches: Sequence[Stretch]) -> list[str]:

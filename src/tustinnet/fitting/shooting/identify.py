@@ -31,6 +31,7 @@ from tustinnet.fitting.shooting.equation_error import (
 )
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
+from tustinnet.fitting.shooting.inverse_dynamics import identify_by_inverse_dynamics
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
@@ -128,6 +129,9 @@ def identify_task(
     start_time = time.perf_counter()
     problem = _make_problem(task, member, listener, should_stop)
     initial_state = _make_initial_state(problem, task.identification_recipe)
+    if problem.search.method == "inverse-dynamics":
+        identification = identify_by_inverse_dynamics(problem, initial_state)
+        return _make_fit_result(task, member, identification, start_time)
     kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
     problem, state = search_over_holds(replace(problem, system=kept.system), state)
     if state.result is None:
@@ -139,6 +143,13 @@ def identify_task(
     reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
     refit_result = refit_to_free_runs(problem, state)
     identification = make_identification(problem, state, reversed_signs, refit_result)
+    return _make_fit_result(task, member, identification, start_time)
+
+
+def _make_fit_result(
+    task: Task, member: Member, identification: Identification, start_time: float
+) -> FitResult:
+    """The result of a fit that began at a time of `time.perf_counter`."""
     identification = replace(identification, seconds=time.perf_counter() - start_time)
     return FitResult(
         model=identification.model,

@@ -1,0 +1,491 @@
+"""Identification by inverse dynamics: parameters by least squares on the forces of a motion.
+
+Nothing is simulated, so feedback in the loop does not matter: positions are filtered and
+differentiated, and the parameters are those whose equations of motion ask for the measured forces.
+`identify_by_inverse_dynamics` takes the problem and the state to start from, and returns the
+`Identification`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.special
+from jaxtyping import Array, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
+from tustinnet.errors import InputError
+from tustinnet.fitting.report import Estimate, ForceError, Identification
+from tustinnet.fitting.shooting import findings
+from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
+from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
+from tustinnet.fitting.shooting.problem import (
+    Problem,
+    SearchState,
+    make_model,
+    report_step,
+    score_validation,
+)
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
+from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.signals.low_pass import low_pass, occupied_band
+
+STAGE = "inverse dynamics"
+
+_BAND = 3.0  # cut-off frequency by the highest frequency of the motion
+_HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
+_SAMPLES = 2.5  # that are compared for each period of the cut-off frequency
+_EVALUATED = 20  # samples for each period of it at which forces are evaluated, at most
+_MOTION = 2.0  # cut-off frequency of the motion by that of the forces
+_INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
+_FEWEST = 20  # samples that must be left of a record
+_REWEIGHTINGS = 3  # each after the iteration has converged
+_INFORMED = 0.5  # share of a prior's standard deviation below which records decide
+
+
+class MeasuredForces(NamedTuple):
+    """The motion and the inputs of a record, and how forces along it are compared.
+
+    Attributes:
+        points: positions, velocities, accelerations and inputs, (n, 3 n_q + n_u).
+        record: the record.
+        dt: period of these samples [s].
+        cutoff: frequency up to which forces are compared [Hz].
+    """
+
+    points: Float[np.ndarray, "n n_in"]
+    record: Experiment
+    dt: float
+    cutoff: float
+
+    def compare(self, forces: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "k m"]:
+        """Forces along the record as they are compared: filtered, at nearly independent samples."""
+        edge = round(1 / (self.cutoff * self.dt))
+        step = max(1, int(1 / (_SAMPLES * self.cutoff * self.dt)))
+        return low_pass(forces, self.dt, self.cutoff)[edge : len(forces) - edge : step]
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of the iteration.
+
+    Attributes:
+        vector: the parameters.
+        cost: half the sum of squares, the prior's included.
+        matrices: products of derivatives by record, (n_r, n_p, n_p).
+        gradients: derivatives of half the sums of squares by record, (n_r, n_p).
+        residuals: missing forces of each record, (n, n_q) [N m or N].
+    """
+
+    vector: ParameterVector
+    cost: float
+    matrices: Float[np.ndarray, "n_r n_p n_p"]
+    gradients: Float[np.ndarray, "n_r n_p"]
+    residuals: tuple[Float[np.ndarray, "_ n_q"], ...]
+
+
+def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification:
+    """Identifies the parameters of a problem by the forces along the records' motion.
+
+    Every coordinate's equation is weighed by what it leaves at the end; the prior of each parameter
+    counts as one measurement of its nominal value, so directions that the records know nothing of
+    stay there.
+
+    Args:
+        problem: the problem.
+        state: the initial values.
+
+    Raises:
+        InputError: a system with internal states, a record that is too short, or a force that is
+            not finite.
+
+    References:
+        Gautier, Khalil (1990), Direct calculation of minimum set of inertial parameters of serial
+        robots. Swevers, Verdonck, De Schutter (2007), Dynamic model identification for industrial
+        robots, IEEE Control Systems 27(5).
+    """
+    system = problem.system
+    if system.internal or problem.delays:
+        what = "internal states" if system.internal else "delays"
+        raise InputError(
+            "search.method", f"inverse-dynamics, of a system with {what}", "one without",
+            "identify it by simulation: --recipe grey",
+        )  # fmt: skip
+    cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
+    train = [filter_record(e, cutoff) for e in problem.records]
+    space, equations = state.space, system_equations(system, state.space.names)
+    formula = missing_forces(equations)
+    values = space.to_values(state.vector)
+    unit = _force_sizes(formula, equations, problem, train, values)
+    prior = _Prior(space)
+    point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
+    if not np.isfinite(point.cost):
+        raise InputError(
+            f"system '{system.name}'", "forces that are not finite along the records", "numbers"
+        )
+    iterations, status = 0, ""
+    for _ in range(_REWEIGHTINGS):
+        result = iterate(
+            point,
+            lambda p, damping, unit=unit: _propose(
+                formula, equations, problem, space, prior, train, unit, p, damping
+            ),
+            lambda p, before: before - p.cost < problem.search.tolerance * p.cost,
+            DampingRule(1e-6, 1e8, 10.0, lambda damping, gain: damping / 10, 0.0),
+            problem.search.iterations,
+            lambda number, p, damping, is_accepted: report_step(
+                problem, state, STAGE, "", number, p.cost, damping, is_accepted
+            ),
+            problem.should_stop,
+        )
+        iterations, status = iterations + result.iterations, result.status
+        residuals = np.concatenate(result.point.residuals)
+        unit = np.maximum(np.sqrt(np.mean(residuals**2, axis=0)), 1e-9 * unit)
+        point = _evaluate(
+            formula, equations, problem, space, prior, train, unit, result.point.vector
+        )
+        if status == "stopped":
+            break
+    held_out = [filter_record(e, cutoff) for e in problem.validation]
+    return _make_identification(
+        problem, replace(state, vector=point.vector), formula, equations, prior, train, held_out,
+        point, iterations, status, cutoff,
+    )  # fmt: skip
+
+
+def missing_forces(equations: SystemEquations) -> Formula:
+    """Forces that a motion needs and the inputs do not give, (n_q,), by [q, v, a, u, parameters].
+
+    Differentiated by the free parameters.
+    """
+    system = equations.system
+    n, first = len(system.coordinates), 3 * len(system.coordinates) + len(system.inputs)
+
+    def missing(point: Array) -> Array:
+        q, v, a, u = point[:n], point[n : 2 * n], point[2 * n : 3 * n], point[3 * n : first]
+        model = system.model(equations.values_in_row(point[first:]))
+        applied = model.applied(q, v, jnp.zeros(0, q.dtype), u)
+        return model.mass_matrix(q) @ a - model.conservative(q, v) - applied
+
+    free = range(first, first + equations.n_p)
+    return Formula(missing, first + equations.n_columns, free, f"system '{system.name}'")
+
+
+def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
+    """The motion of a record and its derivatives, as smooth as forces up to a frequency need them.
+
+    Forces are filtered after they were evaluated, those of the equations and of the inputs alike:
+    friction changes its sign faster than a filtered velocity shows.
+
+    Args:
+        e: the record.
+        cutoff: frequency up to which forces are compared [Hz].
+
+    Raises:
+        InputError: the record is too short.
+    """
+    motion_cutoff = min(_MOTION * cutoff, _HIGHEST / e.dt)
+    motion = [low_pass(e.q, e.dt, motion_cutoff, derivative) for derivative in range(3)]
+    # an input held over the period acts, on average, where the period's middle is
+    held = np.vstack([e.held_inputs, e.held_inputs[-1:]])
+    u = np.vstack([held[:1], (held[1:] + held[:-1]) / 2])
+    every = max(1, int(1 / (_EVALUATED * cutoff * e.dt)))
+    if every > 1:
+        u = low_pass(u, e.dt, _INPUTS * cutoff)
+    points = np.concatenate([*motion, u], axis=1)[::every]
+    part = MeasuredForces(points, e, every * e.dt, cutoff)
+    if (left := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
+        raise InputError(
+            f"record '{e.name}'", f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz "
+            f"leaves {max(left, 0)}", f"at least {_FEWEST}",
+            "longer records, or another search.cutoff",
+        )  # fmt: skip
+    return part
+
+
+def _choose_cutoff(records: Sequence[Experiment]) -> float:
+    """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
+    rate = 1 / records[0].dt
+    band = max(occupied_band(e.q, e.dt) for e in records)
+    return min(_BAND * band, _HIGHEST * rate)
+
+
+class _Prior:
+    """Priors in the coordinates of the search, about the nominal values.
+
+    Args:
+        space: the search space. A parameter without a prior has one of half its range.
+    """
+
+    def __init__(self, space: SearchSpace) -> None:
+        nominal = space.to_vector({p.name: p.nominal for p in space.free_parameters})
+        slope = space.derivatives(nominal)
+        priors = np.array([p.prior or np.inf for p in space.free_parameters])
+        self.spread = np.minimum(priors / slope, (space.upper - space.lower) / 2)
+        self.centre = nominal
+
+    def cost(self, vector: ParameterVector) -> float:
+        """Half the sum of squares at a vector."""
+        return float(np.sum(((vector - self.centre) / self.spread) ** 2) / 2)
+
+    def gradient(self, vector: ParameterVector) -> ParameterVector:
+        """Derivative of the cost."""
+        return (vector - self.centre) / self.spread**2
+
+
+def _evaluate(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    space: SearchSpace,
+    prior: _Prior,
+    train: Sequence[MeasuredForces],
+    unit: Float[np.ndarray, " n_q"],
+    vector: ParameterVector,
+) -> _Point:
+    """Residuals and their products of derivatives at a vector.
+
+    Args:
+        formula: the missing forces.
+        equations: the equations, which know the order of the parameters.
+        problem: the problem.
+        space: the search space.
+        prior: the priors.
+        train: the filtered records.
+        unit: size of the residuals of each coordinate [N m or N].
+        vector: the parameters.
+    """
+    columns, values = equations.free_columns(space), space.to_values(vector)
+    matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
+    for part in train:
+        points = _with_parameters(equations, problem, part, values)
+        residual = part.compare(evaluate(formula, points))
+        slopes = part.compare(evaluate(formula, points, derivatives=True))
+        slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
+        indices = np.repeat(problem.group_indices([part.record]), len(residual), axis=0)
+        chain = equations.coordinate_derivatives(space, vector, indices)
+        weighted = (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
+        matrices.append(weighted.T @ weighted)
+        gradients.append(weighted.T @ (residual / unit).ravel())
+        cost += float(np.sum((residual / unit) ** 2) / 2)
+        residuals.append(residual)
+    return _Point(vector, cost, np.stack(matrices), np.stack(gradients), tuple(residuals))
+
+
+def _propose(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    space: SearchSpace,
+    prior: _Prior,
+    train: Sequence[MeasuredForces],
+    unit: Float[np.ndarray, " n_q"],
+    point: _Point,
+    damping: float,
+) -> tuple[_Point, float]:
+    """The point of a damped Gauss-Newton step, and how much lower its model of the cost is."""
+    matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
+    gradient = point.gradients.sum(axis=0) + prior.gradient(point.vector)
+    lower, upper = space.lower, space.upper
+    margin = 1e-12 * (upper - lower)
+    is_held = ((point.vector <= lower + margin) & (gradient > 0)) | (
+        (point.vector >= upper - margin) & (gradient < 0)
+    )
+    free = ~is_held
+    damped = matrix + damping * np.diag(np.diag(matrix))
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
+    vector = np.clip(point.vector + step, lower, upper)
+    step = vector - point.vector
+    predicted = -float(gradient @ step + step @ matrix @ step / 2)
+    trial = _evaluate(formula, equations, problem, space, prior, train, unit, vector)
+    return trial, max(predicted, 1e-300)
+
+
+def _with_parameters(
+    equations: SystemEquations, problem: Problem, part: MeasuredForces, values: Mapping[str, float]
+) -> Float[np.ndarray, "n n_in"]:
+    """Points of a filtered record with the parameters behind them, as the formula takes them."""
+    indices = np.repeat(problem.group_indices([part.record]), len(part.points), axis=0)
+    return np.concatenate([part.points, equations.parameter_rows(values, indices)], axis=1)
+
+
+def _force_sizes(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    parts: Sequence[MeasuredForces],
+    values: Mapping[str, float],
+) -> Float[np.ndarray, " n_q"]:
+    """Root mean square of the actuators' forces on each coordinate [N m or N].
+
+    Of a coordinate without an actuator that of the forces that its motion needs.
+    """
+    n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
+    inputs, needs = [], []
+    for part in parts:
+        points = _with_parameters(equations, problem, part, values)
+        without = points.copy()
+        without[:, 3 * n : 3 * n + n_u] = 0.0
+        need = part.compare(evaluate(formula, without))
+        inputs.append(need - part.compare(evaluate(formula, points)))
+        needs.append(need)
+    by_input, by_motion = (
+        np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (inputs, needs)
+    )
+    return np.where(by_input > 0, by_input, np.maximum(by_motion, 1e-12))
+
+
+def _force_errors(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    parts: Sequence[MeasuredForces],
+    values: Mapping[str, float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square of missing forces of each coordinate, and of its actuators' forces."""
+    residuals = [
+        part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
+        for part in parts
+    ]
+    size = _force_sizes(formula, equations, problem, parts, values)
+    return np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), size
+
+
+def _make_identification(
+    problem: Problem,
+    state: SearchState,
+    formula: Formula,
+    equations: SystemEquations,
+    prior: _Prior,
+    train: Sequence[MeasuredForces],
+    held_out: Sequence[MeasuredForces],
+    point: _Point,
+    iterations: int,
+    status: str,
+    cutoff: float,
+) -> Identification:
+    """The result, with errors of parameters and of forces."""
+    space, records = state.space, problem.records
+    values = space.to_values_in_range(point.vector)
+    covariance, trust, quantile = _covariance(point, prior, space)
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(deviations, deviations)
+    # values in range that a simulation can begin with, and its period's steps
+    state = choose_substeps(problem, update_horizons(problem, state))
+    model = make_model(problem, state)
+    horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
+    errors = []
+    trained, size = _force_errors(formula, equations, problem, train, values)
+    kept = _force_errors(formula, equations, problem, held_out, values)[0] if held_out else None
+    for k, c in enumerate(problem.system.coordinates):
+        held = None if kept is None else float(kept[k])
+        errors.append(ForceError(
+            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), float(trained[k]), held
+        ))  # fmt: skip
+    estimates = _estimates(point, space, deviations, quantile)
+    informed = deviations < _INFORMED * prior.spread
+    sentences = [
+        findings.describe_forces(errors, cutoff),
+        *findings.describe_informed(space.names, informed, _rank(point, prior)),
+        *findings.describe_bounds(estimates, np.inf),
+    ]
+    matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
+    eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
+    converged = status in ("converged", "stalled")
+    left = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in point.residuals]
+    return Identification(
+        system=problem.system,
+        model=model,
+        estimates=estimates,
+        fixed=dict(space.fixed_values),
+        correlation=correlation,
+        condition=float(np.sqrt(eigenvalues[-1] / eigenvalues[0])),
+        converged=converged,
+        outcome=(
+            f"converged after {iterations} iterations of inverse dynamics"
+            if converged
+            else findings.describe_stop(replace(state, is_stopped=True))
+            if status == "stopped"
+            else f"not converged after {iterations} iterations of inverse dynamics"
+        ),
+        reversed_signs=(),
+        findings=tuple(sentences),
+        trust=trust,
+        rmse={part.record.name: x for part, x in zip(train, left, strict=True)},
+        autocorrelation=(),
+        disagreements=(),
+        initial="not simulated",
+        initial_states={},
+        start=problem.scoring_start(state.shortest_horizon).name,
+        horizons=horizons,
+        validation_rmse=score_validation(problem, state) if problem.validation else None,
+        substeps=model.substeps,
+        iterations=iterations,
+        force_errors=tuple(errors),
+    )
+
+
+def _rank(point: _Point, prior: _Prior) -> int:
+    """How many combinations of parameters change the forces at all: the base parameters."""
+    matrix = point.matrices.sum(axis=0) * np.outer(prior.spread, prior.spread)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return int(np.sum(eigenvalues > 1e-10 * eigenvalues[-1]))
+
+
+def _covariance(
+    point: _Point, prior: _Prior, space: SearchSpace
+) -> tuple[Float[np.ndarray, "n_p n_p"], str, float]:
+    """Covariance of the estimates, NaN at a bound; what it is from; errors of half an interval.
+
+    From how the records disagree (the jackknife over records) where there are enough of them, but
+    never less than what the noise of the residuals makes.
+    """
+    inside, n_p = space.inside(point.vector), len(point.vector)
+    both = np.ix_(inside, inside)
+    precision = np.diag(1 / prior.spread**2)
+    whole = (point.matrices.sum(axis=0) + precision)[both]
+    inverse = np.linalg.inv(whole)
+    covariance = np.full((n_p, n_p), np.nan)
+    covariance[both] = inverse
+    n = len(point.matrices)
+    if n < FEWEST_RECORDS:
+        return covariance, "residuals", float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
+    steps = np.stack([
+        np.linalg.solve(whole - m[both], g[inside])
+        for m, g in zip(point.matrices, point.gradients, strict=True)
+    ])  # fmt: skip
+    steps -= steps.mean(axis=0)
+    clustered = (n - 1) / n * steps.T @ steps + inverse @ precision[both] @ inverse
+    # rank is at most the number of records: in other directions the noise has to say it
+    scale = np.sqrt(np.maximum(np.diag(clustered) / np.diag(inverse), 1.0))
+    covariance[both] = inverse * np.outer(scale, scale)
+    return covariance, "records", float(scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2))
+
+
+def _estimates(
+    point: _Point, space: SearchSpace, deviations: np.ndarray, quantile: float
+) -> tuple[Estimate, ...]:
+    """Estimates of the free parameters, with errors and intervals of those not at a bound."""
+    bounds, values = space.active_bounds(point.vector), space.to_values_in_range(point.vector)
+    derivatives, lower, upper = space.derivatives(point.vector), space.lower, space.upper
+    estimates = []
+    for i, p in enumerate(space.free_parameters):
+        has_error = p.name not in bounds and bool(np.isfinite(deviations[i]))
+        error, half = deviations[i] * abs(derivatives[i]), quantile * deviations[i]
+        edges = np.clip([point.vector[i] - half, point.vector[i] + half], lower[i], upper[i])
+        interval = np.exp(edges) if p.positive else edges * derivatives[i]
+        estimates.append(Estimate(
+            name=p.name, unit=p.unit, value=values[p.name],
+            error=float(error) if has_error else None,
+            naive_error=float(error) if has_error else None,
+            interval=(float(interval[0]), float(interval[1])) if has_error else None,
+            lower=p.lower, upper=p.upper, bound=bounds.get(p.name, ""),
+        ))  # fmt: skip
+    return tuple(estimates)

@@ -1,0 +1,105 @@
+"""A robot's file as the system of a command: fit, the copy that is kept, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_twins import record_in_loop, true_values
+from test_verbs import tustinnet
+
+import tustinnet as tn
+
+ROBOT = Path(__file__).parents[2] / "examples" / "robots" / "cart_pole.xml"
+CARD = """
+name = "robot"
+dt = 0.005
+[[coordinates]]
+name = "pole"
+kind = "angular"
+column = "pole"
+[[coordinates]]
+name = "slide"
+kind = "linear"
+column = "slide"
+[[inputs]]
+name = "force"
+column = "force"
+unit = "N"
+hold = "zero-order"
+delay = 0.0
+[splits]
+train = ["run0.csv", "run1.csv"]
+validation = ["run2.csv"]
+"""
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory) -> Path:
+    """Logs of a cart that a force moves to and fro, with a pole that hangs; and its file."""
+    folder = tmp_path_factory.mktemp("robot")
+    (folder / "robot.xml").write_text(ROBOT.read_text())
+    system = tn.load_system(ROBOT)
+    for e in record_in_loop(system, true_values(system, 2), count=3, seconds=3.0):
+        table = np.column_stack([e.q, e.u])
+        np.savetxt(folder / f"{e.name}.csv", table, delimiter=",", header="slide,pole,force",
+                   comments="")  # fmt: skip
+    (folder / "dataset.toml").write_text(CARD)
+    return folder
+
+
+def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
+    run = tmp_path / "run"
+    robot = logs / "robot.xml"
+    code, out, err = tustinnet(
+        capsys, "fit", logs, "--recipe", "inverse-dynamics", "--system", robot, "--out", run
+    )
+    assert code == 0, err
+    assert "forces that are missing on the validation records" in out
+    assert (run / "system.xml").read_text() == robot.read_text()
+    summary = json.loads((run / "summary.json").read_text())
+    errors = summary["identification"]["force_errors"]
+    assert [e["coordinate"] for e in errors] == ["pole", "slide"], "in the order of the card"
+    assert errors[1]["held_out"] < 0.05 * errors[1]["size"]
+    # later verbs read the copy without a question; the report draws the links
+    code, out, err = tustinnet(
+        capsys, "evaluate", run / "model.safetensors", logs, "--split", "validation"
+    )
+    assert code == 0, err
+    assert "run2" in out
+    assert (run / "report.html").exists()
+    # a search by simulation begins with it
+    more = tmp_path / "more"
+    code, out, err = tustinnet(
+        capsys, "fit", logs, "--recipe", "grey", "--system", robot, "--out", more,
+        "--from", run / "model.safetensors", "--set", "search.horizon=0.5",
+        "--set", "search.iterations=1", "--no-report",
+    )  # fmt: skip
+    assert code == 0, err
+    assert (more / "model.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("robot.urdf", "<robot>", ["no well-formed XML"]),
+        ("robot.urdf", None, ["no such file"]),
+        ("scara.urdf", "scara", ["no coordinate of the joints 'shoulder', 'elbow'", "or lock"]),
+        ("robot.obj", "", ["no such system", "FILE.urdf"]),
+    ],
+)
+def test_what_is_no_robot_of_the_logs_is_one_line(file, text, words, logs, tmp_path, capsys):
+    path = tmp_path / file
+    if text == "scara":
+        path.write_text((ROBOT.parent / "scara.urdf").read_text())
+    elif text is not None:
+        path.write_text(text)
+    out = tmp_path / "run"
+    code, _, err = tustinnet(
+        capsys, "fit", logs, "--recipe", "grey", "--system", path, "--out", out
+    )
+    assert code == 1
+    lines = err.strip().splitlines()
+    assert len(lines) == 1
+    for word in words:
+        assert word in lines[0]

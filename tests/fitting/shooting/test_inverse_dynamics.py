@@ -1,0 +1,99 @@
+"""Parameters of robots by the forces along their motion, with a controller in the loop."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robot_twins import record_in_loop, true_values
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.models.forces import LAWS
+
+SCARA = Path(__file__).parents[3] / "examples" / "robots" / "scara.urdf"
+
+
+@pytest.fixture(scope="module")
+def system():
+    return tn.load_system(SCARA)
+
+
+@pytest.fixture(scope="module")
+def truth(system) -> dict[str, float]:
+    return true_values(system, seed=1)
+
+
+@pytest.fixture(scope="module")
+def twin(system, truth) -> tn.DataSet:
+    return record_in_loop(system, truth, count=5, seconds=4.0)
+
+
+@pytest.fixture(scope="module")
+def result(system, twin) -> tn.Identification:
+    return tn.identify(twin, system, "inverse-dynamics")
+
+
+def test_forces_are_explained_on_records_that_were_held_out(result):
+    errors = {e.coordinate: e for e in result.force_errors}
+    assert list(errors) == ["shoulder", "elbow", "lift", "roll"]
+    assert errors["lift"].unit == "N"
+    for e in errors.values():
+        assert e.train < 0.02 * e.size
+        assert e.held_out is not None
+        assert e.held_out < 0.03 * e.size
+    assert "forces that are missing on the validation records, up to" in result.findings[0]
+    assert result.as_plain()["force_errors"][0]["coordinate"] == "shoulder"
+
+
+def test_friction_is_found_and_intervals_are_true(result, truth):
+    for joint in ("shoulder", "elbow", "lift", "roll"):
+        for kind in ("viscous", "coulomb"):
+            name = f"{joint}.{kind}"
+            assert result.values[name] == pytest.approx(truth[name], rel=0.03)
+    inside = [
+        e.interval[0] <= truth[e.name] <= e.interval[1] for e in result.estimates if e.interval
+    ]
+    assert len(inside) > 50
+    assert np.mean(inside) > 0.9
+
+
+def test_what_records_know_nothing_of_stays_at_the_files_value(result, system):
+    """No motion of a SCARA depends on how high its arms are, nor on their tilt."""
+    kept = system.nominal()
+    for name in ("inner_arm.center_z", "inner_arm.spread_xz", "spindle.spread_xy"):
+        assert result.values[name] == pytest.approx(kept[name], abs=1e-6)
+    assert "22 combinations of the 56 parameters change the forces" in result.findings[1]
+    assert "inner_arm.spread_z" in result.findings[1]
+
+
+def test_a_search_by_simulation_begins_at_its_values(result, twin, system):
+    """Over short horizons, as the robot was held by its controller."""
+    assert result.horizons
+    assert result.validation_rmse is not None
+    assert result.validation_rmse < 0.005
+    nominal = system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
+    as_in_the_file = replace(result.model, continuous=nominal)
+    horizon = min(result.horizons.values())
+    scores = tn.evaluate(
+        as_in_the_file, list(twin.split("validation")), result.start, horizon=horizon
+    )
+    assert tn.mean_rmse(scores) > 3 * result.validation_rmse
+
+
+def test_keys_without_an_effect_are_refused(twin, system):
+    for change, message in (
+        ("search.loss=state", "`loss` does nothing with method 'inverse-dynamics'"),
+        ("search.robust=huber", "`robust` does nothing"),
+    ):
+        with pytest.raises(InputError, match=message):
+            tn.read_recipe("inverse-dynamics", [change])
+    with pytest.raises(InputError, match="`cutoff` does nothing with method 'levenberg-marquardt'"):
+        tn.read_recipe("grey", ["search.cutoff=5"])
+    with pytest.raises(InputError, match=r"record 'run0': 800 samples, .* leaves"):
+        tn.identify(twin, system, tn.read_recipe("inverse-dynamics", ["search.cutoff=0.1"]))
+    assert "maxwell" in LAWS
+    relaxing = tn.read_recipe("inverse-dynamics", ['model.forces=["maxwell:roll"]'])
+    with pytest.raises(InputError, match="of a system with internal states"):
+        tn.identify(twin, system, relaxing)

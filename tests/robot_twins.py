@@ -1,0 +1,95 @@
+"""Twins of robots: records in a closed loop, with encoders and noise of the torques."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+
+import tustinnet as tn
+from tustinnet.models.lagrangian import LagrangianSystem
+
+COUNT = 2 * np.pi / 2**16
+
+
+def true_values(system: LagrangianSystem, seed: int, change: float = 0.3) -> dict[str, float]:
+    """Values of a robot that is not just as its file says.
+
+    Args:
+        system: the robot.
+        seed: seed of the differences.
+        change: largest difference, in standard deviations of what the file says, or as a share.
+    """
+    rng, values = np.random.default_rng(seed), system.nominal()
+    for p in system.parameters:
+        kind = p.name.rpartition(".")[2]
+        if p.fixed:
+            continue
+        if kind == "armature":
+            values[p.name] = p.nominal + 0.1 * p.upper * rng.uniform(0.5, 1)
+        elif kind == "offset":
+            values[p.name] = 0.02 * p.upper * rng.uniform(-1, 1)
+        elif p.lower >= 0:
+            values[p.name] = p.nominal * np.exp(change * rng.uniform(-1, 1))
+        else:
+            values[p.name] = p.nominal + change * (p.prior or 0.0) * rng.uniform(-1, 1)
+    return values
+
+
+def record_in_loop(
+    system: LagrangianSystem,
+    values: Mapping[str, float],
+    count: int,
+    seconds: float = 5.0,
+    dt: float = 0.005,
+    noise: float = 0.02,
+    seed: int = 0,
+    amplitude: float = 0.6,
+) -> tn.DataSet:
+    """Records of a robot that a PD controller moves along sums of sines.
+
+    Args:
+        system: the robot; each input is the force at a joint, other joints swing freely.
+        values: its parameters.
+        count: number of records; the last is for validation.
+        seconds: length of each [s].
+        dt: sampling period [s].
+        noise: standard deviation of the torques' noise, relative to their root mean square.
+        seed: seed of set points and noise.
+        amplitude: size of the set points [rad or m].
+    """
+    model = system.model({name: jnp.asarray(x) for name, x in values.items()})
+    step = tn.compiled_step(tn.discretise(model, dt, 5, inputs=system.inputs))
+    n, rng, t = len(system.coordinates), np.random.default_rng(seed), np.arange(0, seconds, dt)
+    # gains by the inertia that a joint sees, 3 Hz and well damped; more where friction is large
+    inertia = np.diag(np.asarray(model.mass_matrix(jnp.zeros(n))))
+    assert system.input_map is not None
+    driven = [
+        int(np.argmax(system.input_map(jnp.zeros(n), jnp.zeros(n), one, values)))
+        for one in np.eye(len(system.inputs))
+    ]
+    friction = np.array([values[f"{c.name}.coulomb"] for c in system.coordinates])
+    stiffness = inertia * 20.0**2 + 10.0 * friction / amplitude
+    damping = 2 * 0.8 * np.sqrt(inertia * stiffness)
+    records = []
+    for k in range(count):
+        omega = 2 * np.pi * rng.uniform(0.1, 1.2, (5, n))
+        size, phase = amplitude * rng.uniform(0.2, 0.5, (5, n)), rng.uniform(0, 2 * np.pi, (5, n))
+        middle = rng.uniform(-0.5, 0.5, n)
+        wanted = middle + np.sum(size * np.sin(omega * t[:, None, None] + phase), axis=1)
+        speed = np.sum(size * omega * np.cos(omega * t[:, None, None] + phase), axis=1)
+        x = np.concatenate([wanted[0], speed[0]])
+        states, torques = np.empty((len(t), 2 * n)), np.empty((len(t), len(driven)))
+        for i in range(len(t)):
+            states[i] = x
+            force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
+            torques[i] = force[driven]
+            x = step(x, torques[i])
+        measured = torques + noise * torques.std(axis=0) * rng.normal(size=torques.shape)
+        records.append(tn.from_arrays(
+            np.round(states[:, :n] / COUNT) * COUNT, measured, dt=dt,
+            coordinates=[tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates],
+            inputs=[tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
+                    for i in system.inputs],
+            name=f"run{k}", split="train" if k < count - 1 else "validation",
+        ))  # fmt: skip
+    return tn.DataSet("robot", tuple(records))
