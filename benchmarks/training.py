@@ -67,7 +67,7 @@ def this_package(work: TrainingPlan) -> Call:
     state = work.begin(0)
 
     def call() -> None:
-        jax.block_until_ready(epochs(state))
+        jax.block_until_ready(epochs(state, EPOCHS_A_CALL))
 
     return call
 
@@ -200,7 +200,9 @@ def seconds_an_epoch(work: TrainingPlan) -> float:
     """Median time of an epoch with all that a training does in it."""
     epochs = compile_epochs(work, work.stages[0])
     state = work.begin(0)
-    return median_seconds(lambda: jax.block_until_ready(epochs(state))) / EPOCHS_A_CALL
+    return (
+        median_seconds(lambda: jax.block_until_ready(epochs(state, EPOCHS_A_CALL))) / EPOCHS_A_CALL
+    )
 
 
 def many_windows(folder: str) -> None:
@@ -234,7 +236,9 @@ def engines(folder: str) -> None:
             jax.clear_caches()
             work = make_plan(make_task(data, name, [Member(0)], physics=given))
             begun = time.perf_counter()
-            jax.block_until_ready(compile_epochs(work, work.stages[0])(work.begin(0)))
+            jax.block_until_ready(
+                compile_epochs(work, work.stages[0])(work.begin(0), EPOCHS_A_CALL)
+            )
             first, each = time.perf_counter() - begun, seconds_an_epoch(work)
             seconds[engine] = first - EPOCHS_A_CALL * each, each
         (compiling, fast), (by_xla, slow) = seconds["llvm"], seconds["jax"]

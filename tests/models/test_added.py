@@ -22,7 +22,7 @@ X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
 VALUES = {
     "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
     "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
-    "lag": 0.5, "initial_share": 0.7,
+    "lag": 0.5, "initial_share": 0.7, "constant": 0.4,
 }  # fmt: skip
 Z = 0.25  # deflection of a spring that relaxes
 AGAINST = {  # what each law does against the motion of the angle
@@ -32,6 +32,7 @@ AGAINST = {  # what each law does against the motion of the angle
     "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,
+    "constant": 0.4,
     "maxwell": 3.0 * Z,
 }
 

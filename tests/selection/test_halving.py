@@ -235,6 +235,29 @@ def test_one_of_each_kind_is_tried_before_others_of_it():
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("seconds", "soon"), [(1.0, True), (5.0, False)])
+def test_others_of_a_kind_that_is_identified_quickly_come_before_networks(
+    monkeypatch, seconds, soon
+):
+    left = [200.0]
+    monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))
+
+    def of(job: Job) -> JobResult | None:
+        left[0] -= seconds
+        rmse = {f"r{job.fold}{i}": QUALITY[job.candidate] for i in range(2)}
+        models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, seconds, "done", models)
+
+    other = {"name": "better grey", "recipe": "best-grey", "last": True}
+    hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
+    candidates = [*PLAN["candidates"][:2], other, PLAN["candidates"][2], hybrid]
+    jobs, _ = halving({**PLAN, "candidates": candidates}, deadline=Deadline(0.0))
+    jobs.run(executor := Pretended(of=of))
+    names = [job.candidate for job in executor.done if job.fold == 0][:5]
+    early, late = (["better grey"], []) if soon else ([], ["better grey"])
+    assert names == ["linear", "grey", *early, "network", "hybrid", *late]
+
+
 def test_trainings_that_their_share_stopped_go_on_in_the_time_that_is_left(monkeypatch):
     left = [100.0]
     monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))

@@ -22,6 +22,7 @@ from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import deadline, final_models, halving, jobs, scoring
 from tustinnet.selection.choice import Choice
+from tustinnet.selection.committees import combine
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
 from tustinnet.selection.select import (
@@ -31,6 +32,7 @@ from tustinnet.selection.select import (
     select_model,
 )
 from tustinnet.store.header import read_header
+from tustinnet.store.kept_system import HEADER
 from tustinnet.store.model_file import read_system_name
 from tustinnet.store.run import Earlier, fit_in_folder
 from tustinnet.systems.files import find_system
@@ -570,6 +572,32 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
         model = tn.load_model(tmp_path / "run" / of[name]["models"][0])
         assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
     assert tn.load_model(tmp_path / "run" / "model.safetensors").channels == choice.model.channels
+
+
+def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
+    content = MECHANISM.replace('when = "no-system"\n', "").replace(
+        '[[candidates]]\nname = "hybrid"', '[[candidates]]\nname = "grey"\nrecipe = "grey.toml"\n\n'
+        '[[candidates]]\nname = "hybrid"', 1)  # fmt: skip
+    (file := tmp_path / "swing.py").write_text("from swinging import SWING as SYSTEM\n")
+    plan = plan_in(tmp_path, content)
+    select_model(swings(), tmp_path / "run", SelectionOptions(plan, find_system(file)))
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    of = {c["name"]: c for c in summary["candidates"]}
+    files = {name: tmp_path / "run" / of[name]["models"][0] for name in ("mechanism", "grey")}
+    assert {name: read_system_name(path) for name, path in files.items()} == {
+        "mechanism": "mechanism", "grey": "swing",
+    }  # fmt: skip
+    # a mechanism is in its own file; the other one belongs to the copy of the system
+    assert [name for name, path in files.items() if HEADER in read_header(path)] == ["grey"]
+    model = tn.load_model(files["mechanism"])
+    assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
+
+
+def test_models_of_several_systems_are_not_averaged():
+    first = tn.discretise(SWING.model({k: jnp.asarray(x) for k, x in TRUTH.items()}), 0.02, 1)
+    other = replace(SWING, name="other").model({k: jnp.asarray(x) for k, x in TRUTH.items()})
+    with pytest.raises(InputError, match="members of the systems swing, other"):
+        combine([first, tn.discretise(other, 0.02, 1)], [0.5, 0.5])
 
 
 def test_the_file_of_a_system_is_run_once(tmp_path):

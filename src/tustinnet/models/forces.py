@@ -269,7 +269,7 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction(Law):
-    """A force against the motion.
+    """A force without a potential, positive against positive motion.
 
     Attributes:
         force: `force(q, v, *values)` [N m or N].
@@ -424,6 +424,15 @@ _LAWS: tuple[Law, ...] = (
         needs_limited_travel=True,
         joins_springs=True,
         force=coulomb_by_position,
+    ),
+    Friction(
+        name="constant",
+        help="constant force `f` against positive motion: friction that differs by direction, a "
+        "weight, the offset of an amplifier; of either sign",
+        parameters=(
+            ForceParameter("constant", "f", "{force}", _either_sign(lambda m: m.largest_force)),
+        ),
+        force=lambda q, v, level: level,
     ),
     RelaxingSpring(
         name="maxwell",

@@ -27,7 +27,7 @@ from tustinnet.selection.ranking import (
 )
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
-from tustinnet.store.kept_system import CANDIDATES, system_header
+from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import MODEL
 
 _POOR = 0.2  # of the motion, an error with which a model is of little use
@@ -197,10 +197,6 @@ class Choice:
         """The header of the model file of a candidate or committee, beside the model's own."""
         result, data, scoring = self.result(name), self.context.data, self.context.scoring
         rmse = result.rmse()
-        needs_system = any(
-            self.candidates.plan.candidate(r.name).content.family.needs
-            for r, _ in self.candidates.members(name)
-        )
         return {
             **final.header,
             "data": data_header(data.name, list(data)),
@@ -214,7 +210,7 @@ class Choice:
                 **scores_header(LEFT_OUT, result.starts[0], data.channels, scoring.horizon, rmse),
                 "standard_error": mean_and_error(rmse.values())[1],
             },
-            **(system_header(self.context.system_file) if needs_system else {}),
+            **self.context.system_header(final.model),
             **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
             **spoiled_header(self.spoiled, self.left_out),
         }

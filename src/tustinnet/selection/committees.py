@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tustinnet.errors import error_message
+from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
+from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, RunContext
@@ -157,5 +158,16 @@ def _possible_shares(count: int) -> list[Shares]:
 
 
 def combine(members: Sequence[Model], weights: Sequence[float]) -> Model:
-    """A committee of models, or the only one."""
+    """A committee of models, or the only one.
+
+    Raises:
+        InputError: models that cannot be averaged, as those of several systems.
+    """
+    equations = (family_of(model).equations(model) for model in members)
+    systems = dict.fromkeys(e.system.name for e in equations if e is not None)
+    if len(systems) > 1:
+        raise InputError(
+            "committee", f"members of the systems {', '.join(systems)}", "members of one system",
+            "a model file is of one system at most",
+        )  # fmt: skip
     return members[0] if len(members) == 1 else committee(members, weights)

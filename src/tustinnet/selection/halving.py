@@ -7,7 +7,7 @@ from dataclasses import replace
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import Job, JobResult, RunContext
-from tustinnet.selection.plan import Candidate, SelectionPlan
+from tustinnet.selection.plan import Candidate, Round, SelectionPlan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank, shared_folds
 from tustinnet.selection.runner import Executor, run_jobs
 from tustinnet.store.run import SCORES
@@ -19,6 +19,7 @@ _LEAST = 8.0  # s, what a first try takes at least: a network is compiled before
 _LEAST_SHARE = 0.25  # of a short time, that least
 # a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
 _AGAIN = 1.5
+_QUICK = 0.02  # share of the time, an identification that is quick: others of its kind may follow
 _FAR = 0.3  # of the motion within turns, an error of whole records that says little of a model
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
@@ -75,23 +76,13 @@ class Halving:
         """Goes through the rounds; returns the candidates that remain, the best first."""
         alive = self._candidates
         for number, stage in enumerate(self.plan.rounds):
-            if number:
-                order = [r.name for r in rank([self.results[c.name] for c in alive])]
-                ordered = sorted(alive, key=lambda c: order.index(c.name))
-            else:
-                ordered = sorted(alive, key=lambda c: (c.name in self._last, c.name in self._late))
-            late = set[str]() if number else self._last
-            jobs = []
-            for fold in range(min(stage.folds, self._folds)):
-                for c in ordered:
-                    seeds = c.content.family.select_seeds(range(stage.seeds))
-                    done = {s.seed for s in self.results[c.name].fits_by_fold.get(fold, ())}
-                    waits_for = tuple(name for name in c.corrects if name not in late)
-                    if missing := tuple(seed for seed in seeds if seed not in done):
-                        jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
+            jobs = self._list_jobs(number, stage, alive)
             # candidates that take less than a share of the time come first, on all folds
             share = self._deadline.remaining / max(len(jobs), 1)
             jobs.sort(key=lambda job: self._expected.get(job.candidate, 0.0) > share)
+            self._omitted = self._results = 0
+            if not number and not math.isinf(self._time):
+                jobs = self._try_physics(jobs, executor)
             self._run_jobs(jobs, executor)
             if number and jobs and not self._results:
                 self._on_message(
@@ -118,9 +109,56 @@ class Halving:
             self._continue_stopped(rank([self.results[c.name] for c in alive]), executor)
         return rank([self.results[c.name] for c in alive])
 
-    def _run_jobs(self, jobs: Sequence[Job], executor: Executor) -> None:
-        self._omitted, self._results, self._pending = 0, 0, list(jobs)
+    def _list_jobs(self, number: int, stage: Round, alive: Sequence[Candidate]) -> list[Job]:
+        """The jobs of a round that were not done before, fold after fold."""
+        late = set[str]()  # what corrects them does not wait for them
+        if number:
+            order = [r.name for r in rank([self.results[c.name] for c in alive])]
+            ordered = sorted(alive, key=lambda c: order.index(c.name))
+        else:
+            ordered = sorted(alive, key=lambda c: (c.name in self._last, c.name in self._late))
+            late = self._last if math.isinf(self._time) else self._late
+        jobs = []
+        for fold in range(min(stage.folds, self._folds)):
+            for c in ordered:
+                seeds = c.content.family.select_seeds(range(stage.seeds))
+                done = {s.seed for s in self.results[c.name].fits_by_fold.get(fold, ())}
+                waits_for = tuple(name for name in c.corrects if name not in late)
+                if missing := tuple(seed for seed in seeds if seed not in done):
+                    jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
+        return jobs
+
+    def _run_jobs(self, jobs: Sequence[Job], executor: Executor, later: Sequence[Job] = ()) -> None:
+        """Runs jobs; those that come `later` have shares of the time, too."""
+        self._pending = [*jobs, *later]
         run_jobs(jobs, executor, self._deadline, prepare=self._prepare, on_result=self._add_result)
+
+    def _try_physics(self, jobs: Sequence[Job], executor: Executor) -> list[Job]:
+        """Runs the first jobs up to the last identification; returns the others in a new order.
+
+        Where an identification took little time, others of its kind are late no more: they come
+        next, before the networks, of which some correct the best of them.
+        """
+
+        def is_first_identification(job: Job) -> bool:
+            return not job.recipe.family.has_seeds and job.candidate not in self._late
+
+        count = max((i for i, job in enumerate(jobs, 1) if is_first_identification(job)), default=0)
+        first, others = jobs[:count], jobs[count:]
+        self._run_jobs(first, executor, later=others)
+        quick = {
+            job.recipe.family.kind
+            for job in first
+            if is_first_identification(job)
+            and self._expected.get(job.candidate, math.inf) < _QUICK * self._time
+        }
+        soon = {
+            job.candidate
+            for job in others
+            if not job.recipe.family.has_seeds and job.recipe.family.kind in quick
+        }
+        self._late -= soon
+        return sorted(others, key=lambda job: job.candidate not in soon)
 
     def _continue_stopped(self, ranking: Sequence[CandidateResult], executor: Executor) -> None:
         """Goes on, in the time that is left, with fits that their share of it stopped."""

@@ -22,6 +22,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import error_message
 from tustinnet.evaluate.scores import scores_header
+from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
@@ -221,12 +222,28 @@ class RunContext:
         """The system's file, where it is in one."""
         return self.system if isinstance(self.system, SystemFile) else None
 
+    def system_for(self, recipe: Recipe) -> LagrangianSystem | SystemTemplate | None:
+        """The system that a recipe identifies: the given one, unless it makes one for records."""
+        named = resolve_system(recipe, None)
+        return (
+            named
+            if isinstance(named, SystemTemplate)
+            else resolve_system(recipe, self.loaded_system)
+        )
+
+    def system_header(self, model: Model) -> dict[str, Any]:
+        """The entry in a model's file on the file of the system that is given; {} without it."""
+        equations, given = family_of(model).equations(model), self.loaded_system
+        is_given = equations is not None and given and equations.system.name == given.name
+        return system_header(self.system_file) if is_given else {}
+
     def load_model(self, name: str) -> Model:
         """The model of a file below the run's folder."""
         if self.models is not None:
             return self.models[name]
-        path = self.folder / name
-        return load_model(path, self.loaded_system if read_system_name(path) else None)
+        path, given = self.folder / name, self.loaded_system
+        is_given = given is not None and read_system_name(path) == given.name
+        return load_model(path, given if is_given else None)
 
     def score(self, model: Model, fit_horizon: float | None, fold: int) -> RmseByStart:
         """RMSE of the records that a fold leaves out, by start."""
@@ -320,7 +337,7 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
         for f, split in enumerate(context.splits)
     )
     members = tuple(Member(seed, fold=job.fold) for job in jobs for seed in job.seeds)
-    system = resolve_system(first.recipe, context.loaded_system)
+    system = context.system_for(first.recipe)
     recipe = first.recipe
     if first.origin is not None:
         recipe = begin_with(recipe, first.origin.model, system, context.data)
@@ -397,7 +414,7 @@ def _score_fits(
                 **fit.as_header(),
                 "data": data_header(context.data.name, split.roles.all),
                 "scores": scores_header(LEFT_OUT, start, channels, horizon, of_start),
-                **(system_header(context.system_file) if fit.recipe.family.needs else {}),
+                **context.system_header(fit.model),
             }
             save(fit.model, context.folder / model, **header)
         scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse))

@@ -12,6 +12,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.fitting.fit import fit_many, fit_task
+from tustinnet.fitting.gradient import loop
 from tustinnet.fitting.gradient.epoch import (
     WindowLoss,
     compute_validation_rmse,
@@ -299,6 +300,14 @@ def test_a_resumed_training_ends_with_the_same_bits(longer, longer_whole, at):
         dataclasses.replace(p, seconds=0.0) for p in progress
     ]
     assert later == reports[len(reports) - len(later) :]
+
+
+def test_a_training_with_long_epochs_can_stop_after_each_of_them(longer, longer_whole, monkeypatch):
+    assert longer_whole[3][0][1][0].epoch == 1  # the first call says how long an epoch takes
+    monkeypatch.setattr(loop, "_CALL", 0.0)
+    models, _, _, states = run(longer)
+    assert [p[0].epoch for _, p in states][:3] == [1, 2, 3]
+    assert same_bits(models, longer_whole[0])
 
 
 def test_members_together_are_what_they_are_alone(longer, longer_whole):

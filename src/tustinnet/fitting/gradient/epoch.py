@@ -33,7 +33,7 @@ from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import rollouts
 
-EPOCHS_A_CALL = 5  # always as many, so that a resumed training runs the same program
+EPOCHS_A_CALL = 5  # at most; fewer run the same program
 ROLLBACKS = 5  # a member gives up after this many in a stage
 ROLLBACK_FACTOR = 0.5  # each multiplies the rate
 
@@ -88,12 +88,13 @@ class _EpochInputs(NamedTuple):
 
 def compile_epochs(
     plan: TrainingPlan, stage: Stage
-) -> Callable[[TrainingState], tuple[TrainingState, EpochFigures]]:
-    """Several epochs of all members as one compiled call.
+) -> Callable[[TrainingState, int], tuple[TrainingState, EpochFigures]]:
+    """Several epochs of all members as one compiled call, given their number.
 
-    Each member that has epochs left does up to `EPOCHS_A_CALL`: shuffles, scans over batches,
-    runs free over its validation records, notes the best weights, adapts the rate. Weights that
-    are not finite are dropped for the last good ones at a lower rate. No member sees another.
+    Each member that has epochs left does as many, `EPOCHS_A_CALL` at most: shuffles, scans over
+    batches, runs free over its validation records, notes the best weights, adapts the rate. Weights
+    that are not finite are dropped for the last good ones at a lower rate. No member sees another.
+    The figures have `EPOCHS_A_CALL` rows, the last ones not active where there are fewer epochs.
     """
     recipe, windows = stage.recipe, stage.windows
     validation = stage.validation_rows if plan.validation_runs is not None else None
@@ -135,25 +136,47 @@ def compile_epochs(
     # laid out as the first call takes it: arrays without entries come back laid out otherwise, and
     # another layout would be compiled for anew
     layout = NamedSharding(plan.mesh, Spec(MEMBERS))
-    return lambda state: _run(jax.device_put(state, layout), inputs, program=program)
+    return lambda state, count: _run(
+        jax.device_put(state, layout), inputs, jnp.asarray(count, jnp.int32), program=program
+    )
 
 
 @partial(jax.jit, static_argnames=("program",))
 def _run(
-    state: TrainingState, inputs: _EpochInputs, *, program: _EpochProgram
+    state: TrainingState, inputs: _EpochInputs, count: Int[Array, ""], *, program: _EpochProgram
 ) -> tuple[TrainingState, EpochFigures]:
     member, shared = Spec(MEMBERS), Spec()
     # where the arrays are, in a tree like theirs
     specs = _EpochInputs(member, shared, shared, shared)  # pyright: ignore[reportArgumentType]
 
-    def on_device(state: TrainingState, inputs: _EpochInputs) -> tuple[TrainingState, EpochFigures]:
-        return jax.lax.scan(lambda s, _: _epoch(s, inputs, program), state, length=EPOCHS_A_CALL)
+    def on_device(
+        state: TrainingState, inputs: _EpochInputs, count: Int[Array, ""]
+    ) -> tuple[TrainingState, EpochFigures]:
+        def step(state: TrainingState, i: Int[Array, ""]) -> tuple[TrainingState, EpochFigures]:
+            return jax.lax.cond(
+                i < count,
+                lambda state: _epoch(state, inputs, program),
+                lambda state: (state, _no_figures(state.progress)),
+                state,
+            )
+
+        return jax.lax.scan(step, state, jnp.arange(EPOCHS_A_CALL))
 
     sharded = jax.shard_map(
-        on_device, mesh=program.mesh, in_specs=(member, specs),
+        on_device, mesh=program.mesh, in_specs=(member, specs, shared),
         out_specs=(member, Spec(None, MEMBERS)), check_vma=False,
     )  # fmt: skip
-    return sharded(state, inputs)
+    return sharded(state, inputs, count)
+
+
+def _no_figures(progress: StageProgress) -> EpochFigures:
+    """The figures of an epoch that was not done."""
+    rate = progress.plateau.rate
+    no, unknown = jnp.zeros(rate.shape, bool), jnp.full(rate.shape, jnp.nan, jnp.float32)
+    return EpochFigures(
+        active=no, finite=no, epoch=progress.epoch, loss=unknown, validation=unknown, rate=rate,
+        best=progress.best_score,
+    )  # fmt: skip
 
 
 def _epoch(

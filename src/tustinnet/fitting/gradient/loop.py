@@ -8,7 +8,12 @@ import jax
 import numpy as np
 
 from tustinnet.fitting.gradient.compiling import last_compiled
-from tustinnet.fitting.gradient.epoch import ROLLBACK_FACTOR, ROLLBACKS, compile_epochs
+from tustinnet.fitting.gradient.epoch import (
+    EPOCHS_A_CALL,
+    ROLLBACK_FACTOR,
+    ROLLBACKS,
+    compile_epochs,
+)
 from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import (
     EpochFigures,
@@ -21,6 +26,8 @@ from tustinnet.fitting.listener import SILENT, EpochReport, Listener
 from tustinnet.fitting.report import FINISHED, OUT_OF_TIME
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import LONG
+
+_CALL = 1.0  # s, compiled calls of several epochs take at most: between two a training can stop
 
 ResumePoint = tuple[TrainingState, tuple[Progress, ...]]
 ShouldStop = Callable[[Sequence[Progress]], bool]
@@ -91,18 +98,18 @@ def _run_stage(
 ) -> tuple[TrainingState, tuple[Progress, ...], bool]:
     """The state and progress of all members after a stage, and whether it was stopped before."""
     stage = plan.stages[index]
-    run = compile_epochs(plan, stage)
+    # the first call says how long an epoch takes
+    run, count = compile_epochs(plan, stage), 1
     while any(_is_due(stage, p) for p in progress):
         begin = time.perf_counter()
-        state, figures = run(state)
+        state, figures = run(state, count)
         figures = jax.tree.map(np.asarray, figures)
         end = time.perf_counter()
         share = (end - begin) / sum(not p.outcome for p in progress)
         computing = max(begin, last_compiled())
-        reports = _report_epochs(
-            stage, figures, seconds=(end - computing) / len(figures.epoch),
-            compiling=computing - begin,
-        )  # fmt: skip
+        seconds = max(end - computing, 1e-6) / count
+        count = min(max(int(_CALL / seconds), 1), EPOCHS_A_CALL)
+        reports = _report_epochs(stage, figures, seconds, compiling=computing - begin)
         stage_progress = jax.tree.map(np.asarray, state.progress)
         progress = tuple(
             p
