@@ -28,7 +28,7 @@ jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 import tustinnet as tn
 from tustinnet.engine.runs import VARIABLE
-from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compile_epochs
+from tustinnet.fitting.gradient.epoch import compile_epochs, epochs_a_call
 from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
 from tustinnet.fitting.gradient.windows import StageWindows
 from tustinnet.fitting.task import Member, make_task
@@ -177,7 +177,7 @@ def compare(folder: str) -> None:
         except ImportError:
             print("  PyTorch is not installed: pip install 'tustinnet[bench]'")
         seconds["plain JAX scan, a call a batch"] = median_seconds(plain_scan(work, batch))
-        seconds["this package"] = median_seconds(this_package(work)) / EPOCHS_A_CALL
+        seconds["this package"] = median_seconds(this_package(work)) / epochs_a_call(work.stages[0])
         torch_best = min((s for n, s in seconds.items() if "PyTorch" in n), default=float("nan"))
         for name, value in seconds.items():
             speed = flops(work) / value
@@ -200,7 +200,9 @@ def seconds_an_epoch(work: TrainingPlan) -> float:
     """Median time of an epoch with all that a training does in it."""
     epochs = compile_epochs(work, work.stages[0])
     state = work.begin(0)
-    return median_seconds(lambda: jax.block_until_ready(epochs(state))) / EPOCHS_A_CALL
+    return median_seconds(lambda: jax.block_until_ready(epochs(state))) / epochs_a_call(
+        work.stages[0]
+    )
 
 
 def many_windows(folder: str) -> None:
@@ -211,7 +213,7 @@ def many_windows(folder: str) -> None:
         rows = np.tile(stage.windows.rows, (1, times))
         longer = replace(stage, windows=StageWindows(rows, stage.windows.length))
         call = this_package(replace(work, stages=(longer,)))
-        seconds = median_seconds(call, 5 if times < 100 else 3) / EPOCHS_A_CALL
+        seconds = median_seconds(call, 5 if times < 100 else 3) / epochs_a_call(longer)
         per_window[times] = seconds / rows.size
         share = per_window[times] / per_window[1]
         print(
@@ -236,7 +238,7 @@ def engines(folder: str) -> None:
             begun = time.perf_counter()
             jax.block_until_ready(compile_epochs(work, work.stages[0])(work.begin(0)))
             first, each = time.perf_counter() - begun, seconds_an_epoch(work)
-            seconds[engine] = first - EPOCHS_A_CALL * each, each
+            seconds[engine] = first - epochs_a_call(work.stages[0]) * each, each
         (compiling, fast), (by_xla, slow) = seconds["llvm"], seconds["jax"]
         print(
             f"{name:<14} an epoch {fast:7.3f} s, by XLA {slow:7.3f} s: {slow / fast:4.1f} x;"
@@ -251,7 +253,7 @@ def throughput(folder: str) -> None:
     print(f"{device.device_kind} ({device.platform}), large product {rate / 1e9:.0f} GFLOP/s")
     for seeds in (1, 32, 1024):
         work = prepared(folder, 32, seeds)
-        seconds = median_seconds(this_package(work), 3) / EPOCHS_A_CALL
+        seconds = median_seconds(this_package(work), 3) / epochs_a_call(work.stages[0])
         steps = work.stages[0].windows.rows.size * work.stages[0].windows.length
         print(
             f"{seeds:>5} seeds: {seconds:8.4f} s an epoch, {steps / seconds / 1e6:8.2f} million "

@@ -12,10 +12,12 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.fitting.fit import fit_many, fit_task
+from tustinnet.fitting.gradient import epoch
 from tustinnet.fitting.gradient.epoch import (
     WindowLoss,
     compute_validation_rmse,
     compute_window_losses,
+    epochs_a_call,
     gather_windows,
 )
 from tustinnet.fitting.gradient.layout import lay_out_devices
@@ -468,3 +470,16 @@ def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
         == ()
     )
     assert describe_kept_epoch(with_stages(prepared, epochs=100, keep="last"), progress) == ()
+
+
+def test_many_windows_have_fewer_epochs_a_call_and_train_alike(pendulum, tiny_recipe, monkeypatch):
+    prepared = planned(pendulum, tiny_recipe)
+    assert epochs_a_call(prepared.stages[0]) == 5
+    whole, _, reports, states = run(prepared)
+    monkeypatch.setattr(epoch, "_STEPS_A_CALL", 1)
+    assert epochs_a_call(prepared.stages[0]) == 1
+    again, _, reports_again, states_again = run(planned(pendulum, tiny_recipe))
+    assert len(states_again) > len(states)
+    assert [r.loss for r in reports_again] == pytest.approx([r.loss for r in reports])
+    for a, b in zip(jax.tree.leaves(one(whole)), jax.tree.leaves(one(again)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)

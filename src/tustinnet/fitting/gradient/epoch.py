@@ -33,7 +33,8 @@ from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.simulate.rollout import rollouts
 
-EPOCHS_A_CALL = 5  # always as many, so that a resumed training runs the same program
+_EPOCHS_A_CALL = 5  # at most
+_STEPS_A_CALL = 1_000_000  # of all windows of a member: a deadline is looked at between calls
 ROLLBACKS = 5  # a member gives up after this many in a stage
 ROLLBACK_FACTOR = 0.5  # each multiplies the rate
 
@@ -64,6 +65,7 @@ class _EpochProgram:
     trainable: tuple[bool, ...]
     keep: Criterion
     watch: Criterion
+    epochs: int  # a call
     mesh: Mesh
 
 
@@ -86,12 +88,22 @@ class _EpochInputs(NamedTuple):
     validation_runs: FreeRuns | None
 
 
+def epochs_a_call(stage: Stage) -> int:
+    """Epochs in a compiled call: fewer of many windows, as a deadline is looked at between calls.
+
+    They follow from the windows alone, so that a resumed training runs the same program.
+    """
+    windows = stage.windows
+    steps = windows.rows.shape[-1] * (windows.length + windows.lead)
+    return max(1, min(_EPOCHS_A_CALL, _STEPS_A_CALL // max(1, steps)))
+
+
 def compile_epochs(
     plan: TrainingPlan, stage: Stage
 ) -> Callable[[TrainingState], tuple[TrainingState, EpochFigures]]:
     """Several epochs of all members as one compiled call.
 
-    Each member that has epochs left does up to `EPOCHS_A_CALL`: shuffles, scans over batches,
+    Each member that has epochs left does up to `epochs_a_call`: shuffles, scans over batches,
     runs free over its validation records, notes the best weights, adapts the rate. Weights that
     are not finite are dropped for the last good ones at a lower rate. No member sees another.
     """
@@ -120,6 +132,7 @@ def compile_epochs(
         trainable=tuple(jax.tree.leaves(stage.trainable)),
         keep=available(recipe.keep),
         watch=available(recipe.plateau.watch if recipe.plateau else "training"),
+        epochs=epochs_a_call(stage),
         mesh=plan.mesh,
     )
     validation_rows = jnp.zeros((len(windows.rows), 0)) if validation is None else validation
@@ -147,7 +160,7 @@ def _run(
     specs = _EpochInputs(member, shared, shared, shared)  # pyright: ignore[reportArgumentType]
 
     def on_device(state: TrainingState, inputs: _EpochInputs) -> tuple[TrainingState, EpochFigures]:
-        return jax.lax.scan(lambda s, _: _epoch(s, inputs, program), state, length=EPOCHS_A_CALL)
+        return jax.lax.scan(lambda s, _: _epoch(s, inputs, program), state, length=program.epochs)
 
     sharded = jax.shard_map(
         on_device, mesh=program.mesh, in_specs=(member, specs),
