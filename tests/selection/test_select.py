@@ -611,3 +611,28 @@ def test_the_file_of_a_system_is_run_once(tmp_path):
     choice = select_model(swings(), tmp_path / "run", options)
     assert choice.origins["grey"] == "identified from all 5 records"
     assert runs.read_text() == "run\n"
+
+
+def test_records_that_differ_widely_are_said_to(made):
+    choice, name = made.choice, "grey"
+
+    def one_far(fit):
+        start, *_ = fit.rmse
+        values = fit.rmse[start]
+        return replace(fit, rmse={**fit.rmse, start: dict.fromkeys(values, 0.01)})
+
+    results = []
+    for s in choice.candidates.results:
+        if s.name == name:
+            folds = {f: tuple(map(one_far, fits)) for f, fits in s.fits_by_fold.items()}
+            (first, *_), start = folds[0], choice.context.scoring.start
+            record = next(iter(first.rmse[start]))
+            far = {**first.rmse[start], record: 5.0}
+            folds[0] = (replace(first, rmse={**first.rmse, start: far}), *folds[0][1:])
+            s = replace(s, fits_by_fold=folds)
+        results.append(s)
+    candidates = replace(choice.candidates, results=tuple(results))
+    sentence = replace(choice, candidates=candidates, best=name).sentences[1]
+    assert f"worst {record}, 5 rad" in sentence
+    assert "the records differ widely, half of them are within 0.01 rad" in sentence
+    assert "differ widely" not in choice.sentences[1]

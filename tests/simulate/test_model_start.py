@@ -14,7 +14,7 @@ from tustinnet.models.contract import with_dtype
 from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.rollout import rollout
 from tustinnet.simulate.starts import initial_state, start_named, start_states
-from tustinnet.simulate.state_fits import fit_states_with_derivatives
+from tustinnet.simulate.state_fits import fit_states_with_derivatives, newton_step
 
 SAMPLES = 20
 
@@ -176,3 +176,11 @@ def test_initial_state_says_that_it_needs_a_model():
     e = simulated(tn.discretise(grey_box(), DT), np.array([1.0, 2.0]))
     with pytest.raises(tn.InputError, match=r"'model-20' without a model.*start_states"):
         initial_state(e, "model-20")
+
+
+def test_a_state_that_no_sample_depends_on_stays():
+    products = np.array([[[4.0, 0.0], [0.0, 0.0]], [[4.0, 1.0], [1.0, 2.0]]])
+    gradient = np.array([[2.0, 0.0], [1.0, 1.0]])
+    step = newton_step(products, gradient, np.zeros(2))
+    np.testing.assert_allclose(step[0], [0.5, 0.0])
+    np.testing.assert_allclose(step[1], np.linalg.solve(products[1], gradient[1]))

@@ -1,6 +1,7 @@
 """The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
+import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +31,7 @@ from tustinnet.simulate.range import TrainingSupport, recorded_range, training_s
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import MODEL
 
+_WIDE = 2.0  # times the median, a mean that few records make
 _POOR = 0.2  # of the motion, an error with which a model is of little use
 
 
@@ -107,6 +109,12 @@ class Choice:
         plural, total = "s" if len(rmse) > 1 else "", len(self._records)
         count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
         few = ", few of them: other records may be much further off" if len(rmse) < FEW else ""
+        typical = statistics.median(rmse.values())
+        if len(rmse) >= FEW and mean > _WIDE * typical:
+            few = (
+                f"; the records differ widely, half of them are within {typical:.3g} {unit}: "
+                "another may be far better or worse than the mean"
+            )
         share = mean / self.context.motion_within_turns
         sentences.append(
             f"free runs of {count} record{plural} that its models were not fitted to: "

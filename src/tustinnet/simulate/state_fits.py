@@ -28,6 +28,7 @@ _RISING = 4  # power of its place among the samples with which one weighs
 _FEW = 5  # samples for each of these powers: those that weigh must say a velocity, too
 EXPLAINED = 2.5  # standard deviations (root mean square) of errors that a model explains
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
+_LEAST_DAMPING = 1e-12  # with which states that samples cannot tell apart stay finite
 
 
 def position_weights(model: Model) -> Float[np.ndarray, " n_q"]:
@@ -170,7 +171,8 @@ def fit_states_with_derivatives(
         by_guess[:, :, internal], 1, 2
     )
     columns = [
-        -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], np.zeros(count)) for i in range(n_p)
+        -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], _LEAST_DAMPING * ones)
+        for i in range(n_p)
     ]
     return x, np.stack(columns, axis=1) if columns else np.zeros((count, 0, n_x))
 
@@ -355,7 +357,10 @@ def newton_step(
         xp: NumPy, or JAX's.
     """
     size = xp.sqrt(xp.einsum("rii->ri", products))
-    size = xp.where(size > 0, size, 1.0)
+    # a state that no sample depends on, as the speed of what dry friction holds, stays
+    idle = size <= 0
+    size = xp.where(idle, 1.0, size)
     scaled = products / (size[:, :, None] * size[:, None, :])
-    scaled = scaled + damping[:, None, None] * xp.eye(size.shape[1], dtype=size.dtype)
+    own = damping[:, None] + idle
+    scaled = scaled + own[:, :, None] * xp.eye(size.shape[1], dtype=size.dtype)
     return xp.linalg.solve(scaled, (gradient / size)[:, :, None])[:, :, 0] / size
