@@ -136,7 +136,7 @@ def robustness_figure(robustness: Robustness) -> Figure:
         axes = figure.subplots()
         places = np.arange(len(rows))
         axes.barh(places, [row.share for row in rows], color=COLOURS[2], height=0.65)
-        for place, row in zip(places, rows, strict=True):
+        for place, row in enumerate(rows):
             axes.text(0.01, place, f"{row.successes} of {len(row.outcomes)}", va="center",
                       color="white" if row.share > 0.2 else "black", fontsize=7.5)  # fmt: skip
         labels = [textwrap.shorten(f"{row.kind}: {row.help}", _LABEL) for row in rows]
