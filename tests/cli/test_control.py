@@ -119,7 +119,6 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", "--limits", "torque=6:-6"), "--limits"),
         (("--at", "angle=0", "--limits", "force=-6:6"), "force"),
         (("--at", "angle=0", *LIMITS, "--seconds", 1), "--seconds"),
-        (("--at", "angle=0", *LIMITS, "--trust-beyond"), "--trust-beyond"),
         (("--at", "angle=0", *LIMITS, "--within", "angle=-1:1"), "--within"),
         (("--at", "angle=0", *LIMITS, "--card", "x.toml"), "--card"),
         (("--at", "angle=0", *LIMITS, "--weight", "angle=fast"), "--weight"),
@@ -152,3 +151,12 @@ def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
     assert code == 1
     assert "torque" in messages
     assert "limits" in messages
+
+
+def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_path, capsys):
+    code, _, messages = tustinnet(
+        capsys, "control", run_folder / "model.safetensors", "--at", f"angle={np.pi}", *LIMITS,
+        "--out", tmp_path / "none",
+    )  # fmt: skip
+    assert code == 1
+    assert "equilibrium" in messages

@@ -90,7 +90,9 @@ def control(
     ] = None,
     trust_beyond: Annotated[
         bool,
-        typer.Option("--trust-beyond", help="Accept a motion beyond the range of the records."),
+        typer.Option(
+            "--trust-beyond", help="Accept a motion or a point beyond the range of the records."
+        ),
     ] = False,
     plant: Annotated[
         str | None,
@@ -154,7 +156,7 @@ def control(
     if seconds is not None and not 0 < seconds < _LONGEST:
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
     _refuse_without("a motion", "--swing-up or --to", swing_up or to is not None, {
-        "--seconds": seconds, "--within": within, "--trust-beyond": trust_beyond or None,
+        "--seconds": seconds, "--within": within,
     })  # fmt: skip
     _refuse_without(
         "records", "--data", data is not None,

@@ -16,12 +16,13 @@ from tustinnet.control.ilqr import ilqr
 from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
+from tustinnet.control.stepped_model import equations_in
 from tustinnet.control.weights import Deviations
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise
-from tustinnet.simulate.range import ExtrapolationPoint, Range
+from tustinnet.simulate.range import ExtrapolationPoint, Range, features
 
 Vector = Float[np.ndarray, " _"]
 
@@ -48,7 +49,8 @@ class ControlTask:
         delay: samples from when an input is computed to when it acts.
         limits: limits of inputs by name, instead of those that the model declares.
         within: limits of states by name, which a motion keeps.
-        trust_beyond: whether a motion may leave the range of the training records.
+        trust_beyond: whether a motion may leave the range of the training records, and a network
+            hold a point that they do not have.
     """
 
     at: Mapping[str, float]
@@ -145,10 +147,10 @@ def design_controller(
         on_message: receives a line at each step of the design.
 
     Raises:
-        InputError: no equilibrium under the limits; an input without limits; a mode that does not
-            decay and that the inputs do not move or the encoders do not show; a motion whose
-            planning did not converge, or that leaves the range of the records; names that the model
-            does not have.
+        InputError: no equilibrium under the limits, or one that a network has no records of; an
+            input without limits; a mode that does not decay and that the inputs do not move or the
+            encoders do not show; a motion whose planning did not converge, or that leaves the range
+            of the records; names that the model does not have.
     """
     bounds = input_limits(model, task.limits)
     on_message("equilibrium")
@@ -159,6 +161,8 @@ def design_controller(
                 "--at", f"{mode} cannot be observed from the encoders and does not decay",
                 "encoders that show it", "measure another coordinate, or choose another point",
             )  # fmt: skip
+    if range is not None and not task.trust_beyond:
+        _require_recorded(model, point, range)
     on_message("feedback")
     feedback = lqr(
         model, point.x, point.u, deviations=task.deviations, range=range, integral=task.integral,
@@ -198,6 +202,28 @@ def design_controller(
     return ControlDesign(
         model, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
     )
+
+
+def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None:
+    """Raises unless records have inputs near an equilibrium, for a model that learnt all by them.
+
+    Equations of motion know the effect of inputs elsewhere, too; a network may have its sign wrong.
+
+    Raises:
+        InputError: no record has inputs there.
+    """
+    if range.support is None or equations_in(model) is not None:
+        return
+    ends = range.inputs.T  # the smallest and the largest of all inputs
+    inputs = np.stack([point.u, *(point.u + (ends - point.u) / 2)])
+    states = np.tile(point.x, (len(inputs), 1))
+    if (range.support.distance(features(model.channels, states, inputs)) > 1).all():
+        raise InputError(
+            "the equilibrium", "no record has such positions at rest, or inputs near them: a model "
+            "without equations of motion does not know what inputs do there",
+            "records about the equilibrium", "record some (a fall from there with inputs will do), "
+            "use a grey box or a hybrid, or add --trust-beyond",
+        )  # fmt: skip
 
 
 def own_deviations(task: ControlTask) -> Deviations:
