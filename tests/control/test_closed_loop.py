@@ -96,7 +96,7 @@ def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
     deviations = {"der_theta": 10.0, "der_alpha": 20.0, "voltage": 4.0}
     hanging = np.array([0.0, np.pi, 0.0, 0.0])
     feedback = tn.control.lqr(
-        model, np.zeros(4), np.zeros(1), deviations=deviations, limits={"voltage": (-10, 10)}
+        model, np.zeros(4), np.zeros(1), deviations=deviations, limits={"voltage": (-10.0, 10.0)}
     )
     plan = tn.control.ilqr(
         model, hanging, np.zeros(4), 250, deviations=deviations, limits=limits,

@@ -1,11 +1,12 @@
 """The interface of all controllers."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 
+@runtime_checkable
 class Controller(Protocol):
     """A controller that is asked for the inputs at every sample."""
 

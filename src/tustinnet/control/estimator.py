@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +37,7 @@ _DIVERGED = 1e12  # stands for a likelihood that is no number
 _CALLS = 50  # of the likelihood
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Estimates of the state from measured positions, sample by sample."""
 

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from tustinnet.simulate.filtering import checked_vector
 Vector = Float[np.ndarray, " _"]
 
 
+@runtime_checkable
 class Plant(Protocol):
     """What a controller drives: a simulated device, or a real one.
 
@@ -77,7 +78,7 @@ class SampledPlant(ABC):
     Attributes:
         channels: its coordinates, inputs and period.
         dt: sampling period [s].
-        state: its true state, (n_x,).
+        state: its true state, (n_x,); no numbers before the first reset.
         applied: the inputs that acted in the last period, (n_u,).
 
     Raises:
@@ -112,6 +113,7 @@ class SampledPlant(ABC):
             raise InputError(where, f"limits {limits}", f"(smallest, largest) of {n_u} inputs")
         self._is_noisy, self._is_rounded = self._noise.any(), self._counts.any()
         self._where = where
+        self.state = np.full(channels.measured.stop, np.nan)
 
     def reset(self, q: Vector, seed: int) -> None:
         """Puts it to rest at positions, (n_q,); encoders and noise follow from the seed."""
