@@ -143,8 +143,6 @@ def test_noise_of_internal_states_and_of_an_unknown_resolution_is_found():
 def test_what_it_cannot_compute_with_is_refused():
     with pytest.raises(InputError, match=r"start .* expected 4 finite"):
         ExtendedKalmanFilter(example("qube"), noise(3, 2))
-    with pytest.raises(InputError, match="discretise"):
-        ExtendedKalmanFilter(swing_model(), noise(2))  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="60 samples or more"):
         find_noise(example("qube"), [])
 

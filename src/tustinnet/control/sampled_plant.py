@@ -78,7 +78,7 @@ class SampledPlant(ABC):
     Attributes:
         channels: its coordinates, inputs and period.
         dt: sampling period [s].
-        state: its true state, (n_x,).
+        state: its true state, (n_x,); no numbers before the first reset.
         applied: the inputs that acted in the last period, (n_u,).
 
     Raises:
@@ -114,6 +114,7 @@ class SampledPlant(ABC):
             raise InputError(where, f"limits {limits}", f"(smallest, largest) of {n_u} inputs")
         self._is_noisy, self._is_rounded = self._noise.any(), self._counts.any()
         self._where = where
+        self.state = np.full(channels.measured.stop, np.nan)
 
     def reset(self, q: Vector, seed: int) -> None:
         """Puts it to rest at positions, (n_q,); encoders and noise follow from the seed."""
