@@ -35,7 +35,7 @@ _ACCEPTED = 1e-4  # share of the expected decrease that has to come
 _CONVERGED = 1e-7  # expected decrease, as a share of the cost
 _STRONGER, _WEAKER = 8.0, 4.0  # factors of the damping
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8  # as shares of the weights of the inputs
-_PENALTY = 100.0  # of a deviation beyond a limit, as a multiple of its own weight
+_PENALTY = 1e4  # of a deviation beyond a limit, as a multiple of its own weight
 _EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every so many iterations
 # random inputs of a first guess: for how long they last [s], their share of the limits' range
 _CORRELATED, _AMPLITUDE = 0.3, 0.3
@@ -235,8 +235,8 @@ def ilqr(
         goal_inputs: the inputs that hold the goal, (n_u,); 0 by default.
         deviations: acceptable deviations of states and inputs by name, as in `lqr`.
         range: the range of the training records.
-        within: limits of states by name, `{"theta": (-2, 2)}`; what is beyond costs a hundred times
-            the weight of the state, or of half of these limits' range where that is more.
+        within: limits of states by name, `{"theta": (-2, 2)}`; what is beyond costs ten
+            thousand times the weight of the state, or of half of this range where that is more.
         limits: limits of inputs by name, instead of those that the model declares.
         end_weight: factor of the end's cost, so that the goal is reached rather than approached.
         guesses: first guesses of the inputs, each (steps, n_u), as those of another plan; or how

@@ -87,6 +87,9 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         gains, phases, _, _, crossings, _ = map(
             np.atleast_1d, stability_margins(response, returnall=True)
         )
+        # at both ends the response is real: -180 degrees are reached there, not crossed
+        ends = np.array([loop(z, warn_infinite=False) for z in (1.0, -1.0)]).real
+        gains = np.concatenate([gains, [-1 / end for end in ends if -np.inf < end < 0]])
         nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
         lags = np.radians(phases % 360) / crossings
         results.append(
