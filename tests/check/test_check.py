@@ -123,7 +123,7 @@ def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> 
     for check, channel, changed in (
         ("sign", "voltage", replace(records[k], u=-records[k].u)),
         ("lag", "voltage", replace(records[k], u=np.roll(records[k].u, 6, axis=0))),
-        ("gain", "voltage", replace(records[k], u=0.5 * records[k].u)),
+        ("gain", "voltage", replace(records[k], u=2.0 * records[k].u)),
         ("swap", "alpha", replace(records[k], q=records[k].q[:, ::-1])),
     ):
         found = check_records([*records[:k], changed, *records[k + 1 :]])
