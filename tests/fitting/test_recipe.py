@@ -25,6 +25,7 @@ def test_the_packaged_recipes_are_there_and_valid():
         "tustin-memory",
         "best-hybrid",
         "hybrid",
+        "inverse-dynamics",
         "grey",
         "best-grey",
         "gru",
