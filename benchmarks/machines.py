@@ -150,10 +150,12 @@ class Row:
         heldout: RMSE on the held-out records, errors of angles within half a turn.
         by_record: RMSE of each held-out record, as `tustinnet evaluate` has them.
         spread: distance of the held-out positions from their mean, root mean square.
+        typical: error that the fit claims as typical for new records, and the range of nine of ten.
         linear: RMSE that the fit has for the linear candidate.
         wall: time that the fit took [s].
         budget: its budget [s].
-        used: time of the jobs of all candidates that have a score [s].
+        used: time of the command without that of candidates and committees that have no score, and
+            without what was left of the budget [s].
         exit_code: of the command; None where it was ended after 1.3 budgets.
         traceback: whether its output has a traceback.
         sentences: what the fit says of its choice.
@@ -169,6 +171,7 @@ class Row:
     heldout: float | None = None
     by_record: Sequence[float] = ()
     spread: float | None = None
+    typical: Sequence[float] = ()
     linear: float | None = None
     wall: float = 0.0
     budget: float = 0.0
@@ -197,8 +200,9 @@ def read_rows(file: Path) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as a Markdown table."""
-    columns = ["machine", "chosen", "claimed", "held out", "spread", "held out / spread",
-               "linear", "wall / budget", "used [s]", "exit", "traceback"]  # fmt: skip
+    columns = ["machine", "chosen", "claimed", "held out", "typical claimed", "held out",
+               "in range", "spread", "linear", "wall / budget", "used / budget", "exit",
+               "traceback"]  # fmt: skip
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
 
     def number(value: float | None, unit: str = "") -> str:
@@ -207,12 +211,18 @@ def table(rows: Sequence[Row]) -> str:
     for row in rows:
         error = "" if row.claimed_error is None else f" ± {row.claimed_error:.2g}"
         horizon = "" if row.horizon is None else f" ({row.horizon:.2g} s)"
-        share = row.heldout / row.spread if row.heldout is not None and row.spread else None
+        typical, inside = "", ""
+        if row.typical:
+            middle, low, high = row.typical
+            typical = f"{middle:.2g} ({low:.2g} to {high:.2g})"
+            inside = f"{sum(low <= x <= high for x in row.by_record)} of {len(row.by_record)}"
+        geometric = float(np.exp(np.mean(np.log(row.by_record)))) if row.by_record else None
         ended = "stopped" if row.exit_code is None else str(row.exit_code)
         cells = [
             row.machine, row.chosen or row.problem, number(row.claimed) + error + f" {row.unit}",
-            number(row.heldout) + horizon, number(row.spread), number(share), number(row.linear),
-            number(row.wall / row.budget if row.budget else None), f"{row.used:.0f}", ended,
+            number(row.heldout) + horizon, typical, number(geometric), inside, number(row.spread),
+            number(row.linear), *(number(x / row.budget if row.budget else None)
+                                  for x in (row.wall, row.used)), ended,
             "yes" if row.traceback else "no",
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cell.strip() for cell in cells)} |")
@@ -264,13 +274,15 @@ def fit_and_score(folder: Path, budget: str, system: bool, command: str, runs: P
     best = candidates[summary["best"]]
     first = next(iter(best["starts"].values()))
     linear = next(iter(candidates.get("linear", {}).get("starts", {}).values()), {})
+    claim, parts = summary["claim"], summary["seconds_by_part"]
+    tried = sum(parts.get(name, 0.0) for name in ("candidates", "committees"))
     result |= {
         "chosen": summary["best"], "unit": summary["unit"], "horizon": summary["horizon"],
         "claimed": first["mean"], "claimed_error": first["standard_error"],
         "linear": linear.get("mean"), "sentences": tuple(summary["sentences"]),
-        # the time of a committee is that of its members, which are candidates themselves
-        "used": sum(c["seconds"] for c in candidates.values()
-                    if c.get("starts") and c["shares"] is None),
+        "typical": () if claim is None else (claim["typical"], claim["low"], claim["high"]),
+        "used": result["wall"] - tried + sum(c["seconds"] for c in candidates.values()
+                                             if c.get("starts")),
     }  # fmt: skip
     words = [sys.executable, str(Path(__file__)), "score", str(run), str(folder / "heldout")]
     scored = subprocess.run(words, capture_output=True, text=True, check=False)

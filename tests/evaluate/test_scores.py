@@ -50,6 +50,22 @@ def test_figures_of_nothing_are_nan():
     assert np.isnan(metrics.mean_and_error([])).all()
 
 
+@pytest.mark.parametrize("count", [3, 6, 12])
+def test_nine_of_ten_new_records_are_within_the_expected_range(count):
+    rng = np.random.default_rng(0)
+    inside = []
+    for errors in np.exp(rng.normal(-3.0, 0.8, size=(2000, count + 1))):
+        expected = metrics.expected_range(errors[:-1])
+        assert expected is not None
+        inside.append(expected.low < errors[-1] < expected.high)
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.parametrize("errors", [[], [0.1, 0.2], [0.1, np.inf, 0.2], [0.1, 0.0, 0.2]])
+def test_errors_that_say_nothing_of_new_records_have_no_expected_range(errors):
+    assert metrics.expected_range(errors) is None
+
+
 def test_free_runs_of_unequal_records_equal_their_own_rollouts(model, pendulum):
     runs = tn.free_run(model, list(pendulum), "derived-6")
     assert [len(r) for r in runs] == [len(e) for e in pendulum]

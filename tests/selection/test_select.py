@@ -22,7 +22,8 @@ from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import deadline, final_models, halving, jobs, scoring
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.committees import combine
+from tustinnet.selection.committees import combine, score_committee, score_committees
+from tustinnet.selection.deadline import Deadline
 from tustinnet.selection.jobs import Job
 from tustinnet.selection.plan import read_plan
 from tustinnet.selection.select import (
@@ -215,7 +216,8 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     assert told[0].startswith(f"chosen: {made.choice.best}, ")
     assert "free runs of 5 records that its models were not fitted to: " in told[1]
     assert "% of the motion; worst " in told[1]
-    assert " than the next, " in told[2]
+    assert told[2].startswith("a new record of these kinds: typically ")
+    assert " than the next, " in told[3]
     assert any(line.startswith("round 1 of 3, one fold: ") for line in made.said)
 
 
@@ -229,6 +231,63 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
     assert len(close[1]) == len(close[0]) + 1
     assert "no candidate follows these records closely" in close[1][2]
+
+
+def with_errors(choice: Choice, *errors: float) -> Choice:
+    """A choice whose chosen candidate has these errors, a record each, on one fold."""
+    rmse = {f"r{i}": error for i, error in enumerate(errors)}
+    result = replace(choice.result("grey"), fits_by_fold={
+        0: (replace(choice.result("grey").fits[0], rmse={"model-10": rmse}),)})  # fmt: skip
+    results = [result if r.name == "grey" else r for r in choice.candidates.results]
+    return replace(choice, candidates=replace(choice.candidates, results=tuple(results)),
+                   best="grey")  # fmt: skip
+
+
+def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little(made):
+    even, uneven = (with_errors(made.choice, *e) for e in ((0.1, 0.1, 0.2), (0.01, 0.01, 0.01, 9)))
+    assert "typically 0.13 rad, " in even.sentences[2]
+    assert not any("pessimistic" in line for line in even.sentences)
+    assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[3]
+    assert "more than the motion; worst r3" in uneven.sentences[1]
+    assert even.as_plain()["claim"]["level"] == 0.9
+    assert with_errors(made.choice, 0.1, 0.2).claim is None
+    cut = replace(even, is_cut=True).sentences
+    assert sum(line.startswith("optimistic: pieces of one record") for line in cut) == 1
+
+
+def test_the_time_of_a_selection_is_that_of_its_parts(made):
+    parts = made.choice.seconds_by_part
+    assert made.choice.seconds == pytest.approx(sum(parts.values()))
+    tried = sum(r.seconds for r in made.choice.candidates.results)
+    assert parts["candidates"] == pytest.approx(tried, rel=0.2)
+
+
+def test_candidates_that_are_far_off_make_no_committee_of_the_best(made):
+    choice, said = made.choice, []
+    best, *others = sorted(choice.candidates.results, key=lambda r: r.name != "hybrid")
+    scaled = [replace(r, fits_by_fold={
+        fold: tuple(replace(fit, rmse={s: {n: 1e3 * x for n, x in rmse.items()}
+                                       for s, rmse in fit.rmse.items()}) for fit in fits)
+        for fold, fits in r.fits_by_fold.items()}) for r in others]  # fmt: skip
+    scored = score_committees(choice.candidates.plan, [best, *scaled], choice.context, said.append)
+    assert not {"best two averaged"} & scored.keys()
+    told = "best two averaged: left out, the others are more than 3 times as far off as hybrid"
+    assert told in said
+
+
+def test_a_committee_that_cannot_be_judged_in_time_is_given_up_early(made, monkeypatch):
+    choice, scores = made.choice, []
+    members = [choice.result("network"), choice.result("hybrid")]
+    one = scoring.Scorer.score
+
+    def score(*arguments):
+        scores.append(1)
+        time.sleep(0.05)
+        return one(*arguments)
+
+    monkeypatch.setattr(scoring.Scorer, "score", score)
+    assert score_committee("both", members, choice.context, Deadline.after(0.3)) is None
+    assert len(scores) <= 4
 
 
 def test_every_model_can_be_loaded(made):
@@ -611,28 +670,3 @@ def test_the_file_of_a_system_is_run_once(tmp_path):
     choice = select_model(swings(), tmp_path / "run", options)
     assert choice.origins["grey"] == "identified from all 5 records"
     assert runs.read_text() == "run\n"
-
-
-def test_records_that_differ_widely_are_said_to(made):
-    choice, name = made.choice, "grey"
-
-    def one_far(fit):
-        start, *_ = fit.rmse
-        values = fit.rmse[start]
-        return replace(fit, rmse={**fit.rmse, start: dict.fromkeys(values, 0.01)})
-
-    results = []
-    for s in choice.candidates.results:
-        if s.name == name:
-            folds = {f: tuple(map(one_far, fits)) for f, fits in s.fits_by_fold.items()}
-            (first, *_), start = folds[0], choice.context.scoring.start
-            record = next(iter(first.rmse[start]))
-            far = {**first.rmse[start], record: 5.0}
-            folds[0] = (replace(first, rmse={**first.rmse, start: far}), *folds[0][1:])
-            s = replace(s, fits_by_fold=folds)
-        results.append(s)
-    candidates = replace(choice.candidates, results=tuple(results))
-    sentence = replace(choice, candidates=candidates, best=name).sentences[1]
-    assert f"worst {record}, 5 rad" in sentence
-    assert "the records differ widely, half of them are within 0.01 rad" in sentence
-    assert "differ widely" not in choice.sentences[1]

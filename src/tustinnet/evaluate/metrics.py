@@ -1,6 +1,7 @@
 """Scores of a simulated record; figures of no samples are NaN."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +10,8 @@ from tustinnet.signals.transients import is_moving
 
 Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
+
+_FEWEST_OF_RANGE = 3  # errors that say something of how they differ
 
 
 def rmse(simulated: Trajectory, measured: Trajectory) -> float:
@@ -45,6 +48,47 @@ def nrmse(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
 def fit_percent(simulated: Trajectory, measured: Trajectory) -> PerCoordinate:
     """`100 (1 - NRMSE)` of each coordinate, (n_q,): 100 is perfect, 0 no better than the mean."""
     return 100.0 * (1.0 - nrmse(simulated, measured))
+
+
+@dataclass(frozen=True)
+class ErrorRange:
+    """The error that a new record is expected to have, from those of other records.
+
+    Attributes:
+        typical: the geometric mean of the errors: as many records are above it as below.
+        low: lower end of the range.
+        high: its upper end.
+        level: share of new records of these kinds that have an error within the range.
+    """
+
+    typical: float
+    low: float
+    high: float
+    level: float
+
+
+def expected_range(errors: Iterable[float], level: float = 0.9) -> ErrorRange | None:
+    """The range in which the error of a new record lies, where those of some records are known.
+
+    Errors of records differ by factors rather than by sums, so their logarithms are taken as
+    normally distributed: the prediction interval of one more value, by Student's t.
+
+    Args:
+        errors: of records of the same kinds [rad or m], none of which a model was fitted to.
+        level: the share of new records that the range is for.
+
+    Returns:
+        None of fewer than three records, and where an error is not finite or 0.
+    """
+    values = np.array(list(errors))
+    if len(values) < _FEWEST_OF_RANGE or not (np.isfinite(values).all() and (values > 0).all()):
+        return None
+    from scipy.special import stdtrit  # few calls need it, and SciPy takes time to load
+
+    logs, n = np.log(values), len(values)
+    half = stdtrit(n - 1, (1 + level) / 2) * logs.std(ddof=1) * np.sqrt(1 + 1 / n)
+    low, typical, high = np.exp(logs.mean() + np.array([-half, 0.0, half])).tolist()
+    return ErrorRange(typical, low, high, level)
 
 
 def mean_and_error(values: Iterable[float]) -> tuple[float, float]:

@@ -1,9 +1,8 @@
 """The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
-import statistics
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +10,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
@@ -31,7 +30,7 @@ from tustinnet.simulate.range import TrainingSupport, recorded_range, training_s
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run import MODEL
 
-_WIDE = 2.0  # times the median, a mean that few records make
+_UNEVEN = 2.0  # times the typical error, a mean that few records make
 _POOR = 0.2  # of the motion, an error with which a model is of little use
 
 
@@ -49,9 +48,11 @@ class Choice:
         bands: around free runs of the chosen one, None where nothing says how wide they are.
         notes: what else was done or left out, in sentences.
         seconds: time it took.
+        seconds_by_part: of that, what each part of the selection took.
         budget: how long it was to take at most [s], None for no limit.
         spoiled: parts of the records that the model does not explain.
         left_out: sentences on the parts of records that were left out; `notes` have them, too.
+        is_cut: whether the records are pieces of one or two.
     """
 
     context: RunContext
@@ -63,9 +64,11 @@ class Choice:
     bands: Calibration | None = None
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+    seconds_by_part: Mapping[str, float] = field(default_factory=dict)
     budget: float | None = None
     spoiled: tuple[SpoiledPart, ...] = ()
     left_out: tuple[str, ...] = ()
+    is_cut: bool = False
 
     @property
     def unit(self) -> str:
@@ -109,18 +112,15 @@ class Choice:
         plural, total = "s" if len(rmse) > 1 else "", len(self._records)
         count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
         few = ", few of them: other records may be much further off" if len(rmse) < FEW else ""
-        typical = statistics.median(rmse.values())
-        if len(rmse) >= FEW and mean > _WIDE * typical:
-            few = (
-                f"; the records differ widely, half of them are within {typical:.3g} {unit}: "
-                "another may be far better or worse than the mean"
-            )
-        share = mean / self.context.motion_within_turns
+        share, horizon = mean / self.context.motion_within_turns, self.context.scoring.horizon
+        length = "" if horizon is None else f"over {horizon:.3g} s "
+        of_motion = f"{_percent(share)} % of the motion"
         sentences.append(
-            f"free runs of {count} record{plural} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {unit}, {100 * share:.2g} % of the motion; "
+            f"free runs {length}of {count} record{plural} that its models were not fitted to: "
+            f"{mean:.3g}{spread} {unit}, {of_motion if share < 1 else 'more than the motion'}; "
             f"worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
+        sentences += self._expectation
         if share > _POOR:
             remedies = ["look at them (inspect)"]
             remedies += [] if self.budget is None else ["give more time (--budget)"]
@@ -168,6 +168,35 @@ class Choice:
             )
         spoiled = [f"spoiled: {part.sentence}" for part in self.spoiled]
         return (*sentences, *spoiled, *self._unscored, *self.notes)
+
+    @property
+    def claim(self) -> ErrorRange | None:
+        """The error that a new record is expected to have; None where too few were scored."""
+        return expected_range(self.result(self.best).rmse().values())
+
+    @property
+    def _expectation(self) -> list[str]:
+        """Sentences on the error of a new record, and on what makes the scores say little of it."""
+        rmse, claim, unit = self.result(self.best).rmse(), self.claim, self.unit
+        sentences = list[str]()
+        if claim is not None:
+            sentences.append(
+                f"a new record of these kinds: typically {claim.typical:.2g} {unit}, "
+                f"{claim.low:.2g} to {claim.high:.2g} {unit} in {10 * claim.level:.0f} of 10 cases"
+            )
+            mean, _ = mean_and_error(rmse.values())
+            if mean > _UNEVEN * claim.typical:
+                large = [name for name, value in rmse.items() if value > mean]
+                sentences.append(
+                    "the mean is pessimistic for most records, as few of them make it: "
+                    f"{', '.join(large)}; see what is special there"
+                )
+        if self.is_cut:
+            sentences.append(
+                "optimistic: pieces of one record are alike, and a new record may be several times "
+                "as far off; record more of them"
+            )
+        return sentences
 
     @property
     def _unscored(self) -> list[str]:
@@ -235,7 +264,9 @@ class Choice:
             "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,
+            "claim": None if self.claim is None else asdict(self.claim),
             "seconds": self.seconds,
+            "seconds_by_part": dict(self.seconds_by_part),
             "budget": self.budget,
             "sentences": list(self.sentences),
             **spoiled_header(self.spoiled, self.left_out),
@@ -270,6 +301,11 @@ class Choice:
             },
             "models": [fit.model for fit in result.fits if fit.model],
         }
+
+
+def _percent(share: float) -> str:
+    """Hundredths of a share below 1, two digits of it."""
+    return f"{100 * share:.2g}" if share < 0.1 else f"{min(100 * share, 99):.0f}"
 
 
 def _count_stopped(stopped: int, total: int, noun: str) -> str:

@@ -18,6 +18,7 @@ from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.selection.scoring import RmseByStart, WhichStarts
 
+_CLOSE = 3.0  # times the error of the best: no quarter of a model further off makes it better
 _FEWEST_FOLDS = 2  # to choose shares on one and score them on the other
 _PARTS = 4  # shares of two are multiples of one over this
 _COARSE = 2  # of more than two: free runs of many members take long
@@ -55,6 +56,7 @@ def score_committees(
         deadline: after it no committee is begun.
     """
     by_name = {r.name: r for r in remaining}
+    close = [r.name for r in remaining if _is_close(r, remaining[0])]
     committees: dict[str, tuple[str, ...]] = {
         f"{r.name}, seeds averaged": (r.name,)
         for r in remaining
@@ -62,7 +64,11 @@ def score_committees(
     }
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
-        members = average.members_among(list(by_name))
+        if average.best is not None and len(close) < 2 <= len(by_name):
+            on_message(f"{average.name}: left out, the others are more than {_CLOSE:g} times as "
+                       f"far off as {close[0]}")  # fmt: skip
+            continue
+        members = average.members_among(close if average.best is not None else list(by_name))
         if members and members not in committees.values():
             committees[average.name] = members
     results = {}
@@ -113,10 +119,19 @@ def score_committee(
 
     scored: dict[int, list[RmseByStart]] = {}
     for fold in folds:
-        if deadline.remaining <= 0:
-            break
         models[fold] = [context.load_model(s.model) for r in members for s in r.fits_by_fold[fold]]
-        scored[fold] = [score(fold, shares, "deciding") for shares in options]
+        rows = list[RmseByStart]()
+        for shares in options:
+            begun = time.monotonic()
+            rows.append(score(fold, shares, "deciding"))
+            # a first run is compiled, so the second one says how long the others take
+            seconds = time.monotonic() - begun if len(rows) > 1 or scored else 0.0
+            runs = len(options) * max(fewest - len(scored), 1) - len(rows) + len(scored)
+            if runs * seconds > deadline.remaining:
+                break
+        if len(rows) < len(options):
+            break
+        scored[fold] = rows
     if len(scored) < fewest:
         return None
 
@@ -140,6 +155,14 @@ def score_committee(
     shares = {r.name: share for r, share in zip(members, best, strict=True)}
     # the time of its members is that of other candidates
     return CommitteeResult(CandidateResult(name, scores, time.monotonic() - started), shares)
+
+
+def _is_close(result: CandidateResult, best: CandidateResult) -> bool:
+    """Whether a candidate is little enough worse than the best for an average of the two."""
+    ours, theirs = result.rmse(), best.rmse()
+    shared = [record for record in ours if record in theirs]
+    mean, of_best = (mean_and_error(rmse[r] for r in shared)[0] for rmse in (ours, theirs))
+    return result is best or bool(mean <= _CLOSE * of_best)
 
 
 def member_weights(fits: Sequence[Sequence[FitScore]], shares: Sequence[float]) -> list[float]:

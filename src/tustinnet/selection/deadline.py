@@ -43,6 +43,27 @@ class Deadline:
 NEVER = Deadline()
 
 
+class Stopwatch:
+    """The time that each part of a run takes.
+
+    Args:
+        begin: `time.monotonic()` of the beginning.
+
+    Attributes:
+        seconds: of each part, in the order in which they came.
+    """
+
+    def __init__(self, begin: float) -> None:
+        self._last = begin
+        self.seconds: dict[str, float] = {}
+
+    def end(self, part: str) -> None:
+        """Adds the time since the last part ended to a part."""
+        now = time.monotonic()
+        self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last
+        self._last = now
+
+
 class StopCheck:
     """Decides after every compiled call whether a training stops: before one that ends too late.
 

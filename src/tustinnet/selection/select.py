@@ -19,7 +19,7 @@ from tustinnet.models.contract import require_float64
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
-from tustinnet.selection.deadline import NEVER, Deadline
+from tustinnet.selection.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
@@ -58,9 +58,12 @@ _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _TIMING = 0.1  # share of the budget for holds and delays, at most
 _SPOILED = 0.2  # share of the budget for parts of records that spoil fits, at most
-_ENDING = 0.12  # share of the budget for committees, the last fit and bands
-_FILES = 0.05  # and for figures and the report, which come after the selection
-_FEWEST_FILES = 6.0  # s, what these take at least
+_ENDING = 0.07  # share of the budget for committees, the last fit and bands
+_LONGEST_ENDING = 60.0  # s
+_COMMITTEES = 0.5  # share of that for committees
+_FILES = 0.03  # share of the budget for figures and the report, which come after the selection
+_LONGEST_FILES = 20.0  # s
+_FEWEST_FILES = 5.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
 
 
@@ -130,13 +133,14 @@ def select_model(
     require_float64("select_model")
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
+    stopwatch = Stopwatch(started)
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
     # when time is up for holds and delays, for the rounds, and for all before figures
     timing_end = rounds_end = models_end = NEVER
     ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
-        ending = _ENDING * budget
+        files, ending = min(files, _LONGEST_FILES), min(_ENDING * budget, _LONGEST_ENDING)
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
         timing_end = Deadline.after(_TIMING * budget)
@@ -163,10 +167,12 @@ def select_model(
         resume=earlier == "resume",
     )
     specification = _make_specification(plan, context)
+    stopwatch.end("records")
     timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
     promising = [c.name for c in candidates if timing.lags and _adds_lag(c)]
     for note in timing.sentences:
         reporter.on_message(note)
+    stopwatch.end("holds and delays")
     usable, left_out = timing.data, ()
     if options.leave_out_spoiled:
         end = NEVER if budget is None else Deadline.after(_SPOILED * budget)
@@ -178,6 +184,8 @@ def select_model(
     context = context.with_changes(data=prepare_for_folds(usable)[0])
     folds = min(context.scoring.folds, len(context.data))
     context = context.with_changes(scoring=replace(context.scoring, folds=folds))
+    if options.leave_out_spoiled:
+        stopwatch.end("parts left out")
     notes = (*timing.sentences, *left_out, *before)
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
@@ -193,9 +201,16 @@ def select_model(
             remaining = halving.run(make(context))
         if not remaining:
             raise _nothing_fitted(halving)
-        choice = _choose(halving, remaining, context, reporter, models_end, left_out)
-        seconds = time.monotonic() - started
-        choice = replace(choice, notes=notes, seconds=seconds, budget=budget)
+        stopwatch.end("candidates")
+        choice = _choose(halving, remaining, context, reporter, models_end, left_out, stopwatch)
+        choice = replace(
+            choice,
+            notes=notes,
+            seconds=sum(stopwatch.seconds.values()),
+            seconds_by_part=stopwatch.seconds,
+            budget=budget,
+            is_cut=bool(cut),
+        )
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
 
@@ -240,15 +255,18 @@ def _choose(
     reporter: Reporter,
     deadline: Deadline,
     left_out: tuple[str, ...],
+    stopwatch: Stopwatch,
 ) -> Choice:
     """Scores committees of the candidates that remain, and writes the models.
 
     `left_out` are the sentences on parts of records that were left out.
     """
     before_final = deadline.earlier_by(halving.seconds_for_final(remaining[0].name))
+    committees_end = before_final.at_most(_COMMITTEES * max(before_final.remaining, 0.0))
     committees = score_committees(
-        halving.plan, remaining, context, reporter.on_message, before_final
+        halving.plan, remaining, context, reporter.on_message, committees_end
     )
+    stopwatch.end("committees")
     names = tuple(r.name for r in remaining)
     candidates = SelectionResults(halving.plan, tuple(halving.results.values()), names, committees)
     best = rank(candidates.choosable)[0]
@@ -257,16 +275,19 @@ def _choose(
         candidates, best, simplest, context, reporter.make_job_listener, deadline
     )
     final = models[best.name]
+    stopwatch.end("final model")
     try:
         bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
         reporter.on_message(f"no bands around free runs: {error_message(error)}")
+    stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
     if deadline.has_passed():
         reporter.on_message("records that spoil a fit: no time was left to look for them")
     else:
         spoiled = _find_spoiled(candidates, best.name, models, context)
+    stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
     choice = Choice(
         context, candidates, best.name, simplest.name, origins, final.model, bands,
@@ -276,6 +297,7 @@ def _choose(
         path = context.folder / CANDIDATES / name / MODEL
         save(model.model, path, **choice.header(name, model))
     save(choice.model, context.folder / MODEL, **choice.header(best.name, final))
+    stopwatch.end("model files")
     return choice
 
 
