@@ -73,6 +73,10 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
         ["fall3.png", "noise2.png"],
     ),
     "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
+    "control": (
+        lambda p, out: ("control", p.model, "--at", "angle=0", "--out", out),
+        ["card.json", "controller.c"],
+    ),
     "demo": (
         lambda p, out: ("demo", "--out", out),
         ["twin_table.md", "twin_table.json", "twin_report.html", "twin_records.png",

@@ -12,7 +12,7 @@ import pytest
 from tustinnet.cli import terminal
 from tustinnet.cli.automatic_report import after_model
 from tustinnet.cli.main import run
-from tustinnet.data import catalog
+from tustinnet.data import loading
 from tustinnet.store.sealed import read_sealed
 
 COMMAND = [sys.executable, "-c", "from tustinnet.cli.entry import run; run()"]
@@ -79,7 +79,7 @@ def test_a_library_that_turns_a_signal_into_an_error_does_not_change_the_exit_co
         except KeyboardInterrupt:
             raise SystemExit(ended_by) from None
 
-    monkeypatch.setattr(catalog, "load", lambda *_, **__: stopped())
+    monkeypatch.setattr(loading, "load_folder", lambda *_, **__: stopped())
     with pytest.raises(SystemExit) as ended, terminal.stoppable():
         run(["inspect", str(folder)])
     assert ended.value.code == (143 if ended_by else 0)

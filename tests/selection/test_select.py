@@ -143,7 +143,7 @@ def test_a_committee_is_judged_with_the_shares_that_other_folds_chose(made):
 
 def test_a_committee_of_the_best_that_is_one_of_them_alone_is_left_out(made):
     assert "best two averaged" not in made.choice.candidates.committees
-    assert "best two averaged: left out, one of them alone is as good" in made.said
+    assert any(line.startswith("best two averaged: left out, ") for line in made.said)
 
 
 def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):

@@ -48,8 +48,9 @@ def control(
         str | None,
         typer.Option(
             metavar="DATA",
-            help="Records by which the noise of the estimator is found, as for fit. Default: from "
-            "encoders and the range of the training records.",
+            help="Records by which the noise of the estimator is found: a folder of logs, a data "
+            "card, or the name of a published data set (qube-servo2). Default: from encoders and "
+            "the range of the training records.",
         ),
     ] = None,
     card: options.Card = None,
@@ -148,7 +149,7 @@ def control(
     from tustinnet.report.page.controller import write_control_page
     from tustinnet.simulate.range import Range
     from tustinnet.store.exported import require_export_folder
-    from tustinnet.store.files import to_json, write_into
+    from tustinnet.store.files import lock_folder, to_json, write_into
     from tustinnet.store.header import read_header
 
     if swing_up and to is not None:
@@ -182,42 +183,45 @@ def control(
         positions, start, seconds, request.parse_quantities("--weight", weight), integral or (),
         delay, input_limits, request.parse_limits("--within", within), trust_beyond,
     )  # fmt: skip
-    begin = time.perf_counter()
-    design = design_controller(
-        simulator, task, range=training_range, records=records,
-        on_message=lambda step: printer(f"designing: {step}"),
-    )  # fmt: skip
-    printer(f"designed in {time.perf_counter() - begin:.1f} s")
-    printer(f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant")
-    plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
-    trial = try_design(design, header, plants=plants, count=starts)
-    export = export_controller(
-        simulator, design.gains, design.noise, out, deviations=design.deviations,
-        within=design.task.within, file=model,
-        overwrite=overwrite,
-    )  # fmt: skip
-    content = summarise(design, trial.robustness, export)
-    write_into(out, SUMMARY, to_json(content))
-    if json:
-        terminal.print_json(content)
-    else:
-        typer.echo("\n".join(sentences(design)))
-        terminal.print_tables(
-            point_table(design), margins_table(design),
-            robustness_table(trial.robustness, simulator.channels),
+    with lock_folder(out):
+        begin = time.perf_counter()
+        design = design_controller(
+            simulator, task, range=training_range, records=records,
+            on_message=lambda step: printer(f"designing: {step}"),
         )  # fmt: skip
-        typer.echo(trial.robustness.sentence)
-    write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
-    write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
-    write_control_page(
-        design, trial, out / PAGE, training_range=training_range,
-        command=shlex.join(["tustinnet", *sys.argv[1:]]),
-    )  # fmt: skip
-    for note in export.notes:
-        terminal.messages().print(f"note: {note}")
-    terminal.messages().print(
-        f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
-    )
+        printer(f"designed in {time.perf_counter() - begin:.1f} s")
+        printer(
+            f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant"
+        )
+        plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
+        trial = try_design(design, header, plants=plants, count=starts)
+        export = export_controller(
+            simulator, design.gains, design.noise, out, deviations=design.deviations,
+            within=design.task.within, file=model,
+            overwrite=overwrite,
+        )  # fmt: skip
+        content = summarise(design, trial.robustness, export)
+        write_into(out, SUMMARY, to_json(content))
+        if json:
+            terminal.print_json(content)
+        else:
+            typer.echo("\n".join(sentences(design)))
+            terminal.print_tables(
+                point_table(design), margins_table(design),
+                robustness_table(trial.robustness, simulator.channels),
+            )  # fmt: skip
+            typer.echo(trial.robustness.sentence)
+        write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
+        write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
+        write_control_page(
+            design, trial, out / PAGE, training_range=training_range,
+            command=shlex.join(["tustinnet", *sys.argv[1:]]),
+        )  # fmt: skip
+        for note in export.notes:
+            terminal.messages().print(f"note: {note}")
+        terminal.messages().print(
+            f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
+        )
 
 
 def _refuse_without(

@@ -29,6 +29,7 @@ Vector = Float[np.ndarray, " _"]
 _SWINGS = 6.0  # periods of the slowest oscillation about its start that a motion lasts by default
 _SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
 _LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
+_INPUT = 0.25  # acceptable deviation of an input, as a share of its limits' range
 _PLANNED = 0.8  # share of the inputs' limits that a plan uses: the rest is for its feedback
 _WINDOW = 0.2  # rad, in which angles count as held
 _WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
@@ -44,7 +45,8 @@ class ControlTask:
         start: positions, at rest, from which a planned motion leads there; None for no motion. What
             is not named is as near to 0 as an equilibrium allows.
         seconds: duration of the motion; None for one by the model's own oscillations.
-        deviations: acceptable deviations of states, inputs and integrals by name, see `lqr`.
+        deviations: acceptable deviations of states, inputs and integrals by name, see `lqr`; of
+            inputs by default a quarter of their limits' range.
         integral: names of coordinates with integral action.
         delay: samples from when an input is computed to when it acts.
         limits: limits of inputs by name, instead of those that the model declares.
@@ -94,8 +96,8 @@ class ControlDesign:
 
     @property
     def deviations(self) -> Deviations:
-        """The acceptable deviations of states and inputs that were named."""
-        return own_deviations(self.task)
+        """The acceptable deviations of inputs, and of states that were named."""
+        return _usual_deviations(self.model, self.task, input_limits(self.model, self.task.limits))
 
     @property
     def plan(self) -> Plan | None:
@@ -163,13 +165,14 @@ def design_controller(
             )  # fmt: skip
     if range is not None and not task.trust_beyond:
         _require_recorded(model, point, range)
+    own = _usual_deviations(model, task, bounds)
+    sums = {k: v for k, v in task.deviations.items() if k.startswith("integral_")}
     on_message("feedback")
     feedback = lqr(
-        model, point.x, point.u, deviations=task.deviations, range=range, integral=task.integral,
+        model, point.x, point.u, deviations=own | sums, range=range, integral=task.integral,
         delay=task.delay, limits=task.limits,
     )  # fmt: skip
     loop_margins = margins(model, feedback)
-    own = own_deviations(task)
     goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
     start, beyond, gains = None, None, feedback
     if task.start is not None:
@@ -226,9 +229,15 @@ def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None
         )  # fmt: skip
 
 
-def own_deviations(task: ControlTask) -> Deviations:
-    """The deviations of a task without those of integrals."""
-    return {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> Deviations:
+    """The deviations of a task without those of integrals; of inputs those that are usual.
+
+    Feedback that uses all of its limits for what is expected leaves nothing for the unexpected.
+    """
+    usual = _INPUT * (bounds.upper - bounds.lower)
+    inputs = {i.name: float(d) for i, d in zip(model.channels.inputs, usual, strict=True)}
+    own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
+    return inputs | own
 
 
 def _plan_motion(
@@ -245,7 +254,7 @@ def _plan_motion(
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
-    own = own_deviations(task)
+    own = _usual_deviations(model, task, bounds)
     middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
     planned = {
         i.name: (float(m - _PLANNED * h), float(m + _PLANNED * h))

@@ -348,7 +348,7 @@ def usual_noise(model: Model, range: Range | None = None) -> FilterNoise:
             or m, at 1 a second.
     """
     channels = model.channels
-    half = np.ones(2 * channels.n_q)
+    half = np.ones(channels.measured.stop)
     if range is not None:
         recorded = np.ptp(range.states[channels.measured], axis=1) / 2
         half = np.where(recorded > 0, recorded, half)

@@ -10,7 +10,6 @@ from tustinnet.control.dynamics import ControlledModel, InputLimits, require_kno
 from tustinnet.errors import InputError
 from tustinnet.simulate.range import Range
 
-_INPUT = 0.25  # acceptable deviation of an input, as a share of its limits' range
 _POSITION = 1.0  # acceptable deviation of a position whose range is unknown [rad or m]
 _SECONDS = (
     0.1  # in which a position may move by its deviation, where no range of the speed is known
@@ -40,9 +39,8 @@ def bryson_weights(
     """Weights `1 / d^2` by acceptable deviations `d`.
 
     Those that are given count first. Others are half of the range of the training records, where it
-    is known; else 1 rad or m, ten times that in a second for velocities. An input may use a quarter
-    of its limits' range: feedback that uses all of it leaves nothing for disturbances. Internal
-    states have no weight unless they are named.
+    is known; else 1 rad or m, ten times that in a second for velocities. An input may use half of
+    its limits' range. Internal states have no weight unless they are named.
 
     Args:
         system: the model.
@@ -73,6 +71,6 @@ def bryson_weights(
         measured = channels.measured
         states[measured] = np.where(half[measured] > 0, half[measured], states[measured])
     states = np.array([given.get(name, d) for name, d in zip(system.names, states, strict=True)])
-    usual = _INPUT * (limits.upper - limits.lower)
-    allowed = np.array([given.get(name, d) for name, d in zip(inputs, usual, strict=True)])
+    half = (limits.upper - limits.lower) / 2
+    allowed = np.array([given.get(name, d) for name, d in zip(inputs, half, strict=True)])
     return Weights(1 / states**2, 1 / allowed**2)

@@ -100,7 +100,8 @@ def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResul
         panels = figure.subplots(
             n_q + n_u, 1, sharex=True, squeeze=False, height_ratios=(5,) * n_q + (4,) * n_u
         )[:, 0]
-        for j, (axes, c) in enumerate(zip(panels[:n_q], channels.coordinates, strict=True)):
+        upper, lower = np.split(panels, [n_q])
+        for j, (axes, c) in enumerate(zip(upper, channels.coordinates, strict=True)):
             if plan is not None:
                 t = plan.dt * np.arange(len(plan.x))
                 plot_line(axes, t, plan.x[:, j], color="#b0b0b0", label="plan", linewidth=2.6)
@@ -114,7 +115,7 @@ def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResul
                     linewidth=1.4 if i == 0 else 1.0,
                 )  # fmt: skip
             axes.set_ylabel(f"{c.name} [{c.unit}]")
-        for j, (axes, i) in enumerate(zip(panels[n_q:], channels.inputs, strict=True)):
+        for j, (axes, i) in enumerate(zip(lower, channels.inputs, strict=True)):
             for k, (label, run) in reversed([*enumerate(runs.items())]):
                 t = run.dt * np.arange(len(run.inputs))
                 colour = INPUT if len(runs) == 1 else COLOURS[k % len(COLOURS)]

@@ -1,7 +1,7 @@
 """How quick and how good controllers are.
 
-python benchmarks/control.py plan
-python benchmarks/control.py mpc
+python benchmarks/controllers.py plan
+python benchmarks/controllers.py mpc
 
 `plan`: a swing-up of 450 steps of 10 ms, planned in a process of its own for every model: the first
 time, machine code included, the median of five more times, and from a plan for another start. Of

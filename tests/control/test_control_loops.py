@@ -206,7 +206,7 @@ def test_a_table_says_over_which_variants_a_controller_works():
     assert robustness["nominal"].successes == robustness["parameters"].successes == 3
     assert robustness["delay 2"].successes == 0
     assert robustness.worst_kind.kind == "delay 2"
-    assert "fewest where inputs act 2 samples later: 0 of 3" in robustness.sentence
+    assert "(inputs act 2 samples later): 0 of 3" in robustness.sentence
     assert 0.5 < robustness.share < 1
     row = robustness["delay 2"].as_plain()
     assert row["runs"] == 3
