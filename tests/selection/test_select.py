@@ -233,9 +233,9 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     assert "no candidate follows these records closely" in close[1][2]
 
 
-def with_errors(choice: Choice, *errors: float) -> Choice:
+def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
     """A choice whose chosen candidate has these errors, a record each, on one fold."""
-    rmse = {f"r{i}": error for i, error in enumerate(errors)}
+    rmse = {f"{kinds[i % len(kinds)]}{i}": error for i, error in enumerate(errors)}
     result = replace(choice.result("grey"), fits_by_fold={
         0: (replace(choice.result("grey").fits[0], rmse={"model-10": rmse}),)})  # fmt: skip
     results = [result if r.name == "grey" else r for r in choice.candidates.results]
@@ -249,10 +249,22 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     assert not any("pessimistic" in line for line in even.sentences)
     assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[3]
     assert "more than the motion; worst r3" in uneven.sentences[1]
+    two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").sentences[3]
+    assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9
     assert with_errors(made.choice, 0.1, 0.2).claim is None
     cut = replace(even, is_cut=True).sentences
     assert sum(line.startswith("optimistic: pieces of one record") for line in cut) == 1
+
+
+def test_a_candidate_is_not_compared_with_the_average_of_its_own_seeds(made):
+    choice = replace(made.choice, best="hybrid, seeds averaged")
+    assert choice.candidates.are_alike("hybrid", choice.best)
+    [line] = [
+        line for line in choice.sentences if " the next, " in line or " is better by " in line
+    ]
+    assert "the next, hybrid:" not in line
+    assert not line.startswith("hybrid is better")
 
 
 def test_the_time_of_a_selection_is_that_of_its_parts(made):

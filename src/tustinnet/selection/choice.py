@@ -1,7 +1,7 @@
 """The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,7 @@ from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.models.contract import Model
 from tustinnet.selection.final_models import FinalModel, SelectionResults
-from tustinnet.selection.folds import records_without_test
+from tustinnet.selection.folds import kind_of, records_without_test
 from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
 from tustinnet.selection.ranking import (
     CLEAR,
@@ -187,9 +187,12 @@ class Choice:
             mean, _ = mean_and_error(rmse.values())
             if mean > _UNEVEN * claim.typical:
                 large = [name for name, value in rmse.items() if value > mean]
+                by_kind = {kind: expected_range(errors) for kind, errors in self._by_kind.items()}
+                typical = [f"{kind} {r.typical:.2g}" for kind, r in by_kind.items() if r]
+                kinds = f"; typical of a kind: {', '.join(typical)} {unit}" * (len(typical) > 1)
                 sentences.append(
                     "the mean is pessimistic for most records, as few of them make it: "
-                    f"{', '.join(large)}; see what is special there"
+                    f"{', '.join(large)}; see what is special there{kinds}"
                 )
         if self.is_cut:
             sentences.append(
@@ -197,6 +200,14 @@ class Choice:
                 "as far off; record more of them"
             )
         return sentences
+
+    @property
+    def _by_kind(self) -> dict[str, list[float]]:
+        """The errors of the chosen candidate by kind of record, as folds know it."""
+        by_kind: dict[str, list[float]] = {}
+        for name, error in self.result(self.best).rmse().items():
+            by_kind.setdefault(kind_of(name), []).append(error)
+        return by_kind
 
     @property
     def _unscored(self) -> list[str]:
@@ -208,10 +219,12 @@ class Choice:
         return [f"without a score, {why}: {', '.join(names)}" for why, names in reasons.items()]
 
     def _comparison_with_next(self, best: CandidateResult) -> str:
-        results = self.candidates.choosable
-        if len(results) <= 1:
-            results = [r for r in self.candidates.all_results if r.fits_by_fold]
-        differences = {r.name: paired_difference(r, best) for r in results if r.name != best.name}
+        def others(results: Iterable[CandidateResult]) -> list[CandidateResult]:
+            are_alike = self.candidates.are_alike
+            return [r for r in results if r.fits_by_fold and not are_alike(r.name, best.name)]
+
+        results = others(self.candidates.choosable) or others(self.candidates.all_results)
+        differences = {r.name: paired_difference(r, best) for r in results}
         if not differences:
             return "nothing else was scored to compare it with"
         name = min(differences, key=lambda other: differences[other].mean)

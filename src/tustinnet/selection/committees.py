@@ -4,6 +4,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -112,24 +113,20 @@ def score_committee(
     if len(folds) < fewest:
         return None
 
-    def score(fold: int, shares: Shares, which: WhichStarts) -> RmseByStart:
+    def score(fold: int, shares: Shares, which: WhichStarts = "deciding") -> RmseByStart:
         weights = member_weights([r.fits_by_fold[fold] for r in members], shares)
         model = combine(models[fold], weights)
         return context.scoring.score(model, None, context.splits[fold], context.data, which)
 
     scored: dict[int, list[RmseByStart]] = {}
+
     for fold in folds:
+        if deadline.remaining <= 0:
+            break
         models[fold] = [context.load_model(s.model) for r in members for s in r.fits_by_fold[fold]]
-        rows = list[RmseByStart]()
-        for shares in options:
-            begun = time.monotonic()
-            rows.append(score(fold, shares, "deciding"))
-            # a first run is compiled, so the second one says how long the others take
-            seconds = time.monotonic() - begun if len(rows) > 1 or scored else 0.0
-            runs = len(options) * max(fewest - len(scored), 1) - len(rows) + len(scored)
-            if runs * seconds > deadline.remaining:
-                break
-        if len(rows) < len(options):
+        missing = len(options) * max(fewest - len(scored), 1) + len(scored)
+        rows = _score_in_time(options, partial(score, fold), deadline, missing, bool(scored))
+        if rows is None:
             break
         scored[fold] = rows
     if len(scored) < fewest:
@@ -155,6 +152,33 @@ def score_committee(
     shares = {r.name: share for r, share in zip(members, best, strict=True)}
     # the time of its members is that of other candidates
     return CommitteeResult(CandidateResult(name, scores, time.monotonic() - started), shares)
+
+
+def _score_in_time(
+    options: Sequence[Shares],
+    score: Callable[[Shares], RmseByStart],
+    deadline: Deadline,
+    missing: int,
+    is_compiled: bool,
+) -> list[RmseByStart] | None:
+    """The scores of all options in a fold; None where not enough folds could be scored in time.
+
+    Args:
+        options: the shares.
+        score: scores a committee with some shares.
+        deadline: when scores have to be there.
+        missing: how many scores have to be there then, those of the options among them.
+        is_compiled: whether a committee was scored before: a first one takes longer.
+    """
+    rows = list[RmseByStart]()
+    for shares in options:
+        begun = time.monotonic()
+        rows.append(score(shares))
+        seconds = time.monotonic() - begun if is_compiled else 0.0
+        is_compiled = True
+        if len(rows) < len(options) and (missing - len(rows)) * seconds > deadline.remaining:
+            return None
+    return rows
 
 
 def _is_close(result: CandidateResult, best: CandidateResult) -> bool:

@@ -60,6 +60,10 @@ class SelectionResults:
         """The result of a candidate or committee."""
         return next(r for r in self.all_results if r.name == name)
 
+    def are_alike(self, one: str, other: str) -> bool:
+        """Whether two are made into the same model, as a candidate and the average of its seeds."""
+        return self.members(one) == self.members(other)
+
     def members(self, name: str) -> list[tuple[CandidateResult, float]]:
         """The candidates that a committee, or a candidate by itself, is made of; their shares."""
         shares = self.committees[name].shares if name in self.committees else {name: 1.0}
@@ -170,7 +174,8 @@ def _first_as_promised(
     records = tuple(records_without_test(context.data))
     split, tried = FoldSplit(records, Roles((), ())), list[tuple[float, FinalModel]]()
     for final in ways:
-        rmse = next(iter(context.scoring.score(final.model, None, split, context.data).values()))
+        scores = context.scoring.score(final.model, None, split, context.data, "deciding")
+        rmse = next(iter(scores.values()))
         error = mean_and_error(rmse.values())[0]
         if error <= _AS_PROMISED * promised:
             break

@@ -42,6 +42,12 @@ def records_without_test(data: DataSet) -> list[Experiment]:
     return [e for e in data if e.split != "test"]
 
 
+def kind_of(name: str) -> str:
+    """The kind of a record: the letters that its name begins with."""
+    kind = re.match("[a-zA-Z]*", name)
+    return kind.group() if kind else ""
+
+
 def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
     """Splits records into folds as cards are dealt, those of a kind one after the other.
 
@@ -65,8 +71,7 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
         )  # fmt: skip
 
     def order(e: Experiment) -> tuple[str, str, str]:
-        kind = re.match("[a-zA-Z]*", e.name)
-        return kind.group() if kind else "", str(e.split), e.name
+        return kind_of(e.name), str(e.split), e.name
 
     ordered = sorted(records, key=order)
     piles = [tuple(ordered[f::folds]) for f in range(folds)]

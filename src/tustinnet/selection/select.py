@@ -271,6 +271,8 @@ def _choose(
     candidates = SelectionResults(halving.plan, tuple(halving.results.values()), names, committees)
     best = rank(candidates.choosable)[0]
     simplest = find_simplest(candidates.choosable, best)
+    if candidates.are_alike(simplest.name, best.name):
+        simplest = best
     models = make_final_models(
         candidates, best, simplest, context, reporter.make_job_listener, deadline
     )
