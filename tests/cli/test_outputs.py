@@ -179,7 +179,10 @@ def test_nothing_in_a_folder_is_replaced_unasked(verb, name, place, refused):
     there = place.out / name
     there.parent.mkdir(parents=True)
     there.write_text("mine")
-    refused(*asked(place, place.out), names="choose another" if verb in ("export", "control") else "--overwrite")
+    refused(
+        *asked(place, place.out),
+        names="choose another" if verb in ("export", "control") else "--overwrite",
+    )
 
 
 @pytest.mark.parametrize(
