@@ -9,8 +9,9 @@ def link_text(name: str, rng: np.random.Generator) -> str:
     """A link of the size of a forearm, its inertia that of points of mass."""
     points = rng.normal(size=(4, 3)) * [0.05, 0.1, 0.2]
     weights = rng.uniform(0.2, 1.0, 4)
-    tensor = sum(
-        w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, points, strict=True)
+    tensor = np.sum(
+        [w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, points, strict=True)],
+        axis=0,
     )
     xx, xy, xz, yy, yz, zz = tensor[np.triu_indices(3)]
     return (

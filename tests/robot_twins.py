@@ -64,7 +64,7 @@ def record_in_loop(
     inertia = np.diag(np.asarray(model.mass_matrix(jnp.zeros(n))))
     assert system.input_map is not None
     driven = [
-        int(np.argmax(system.input_map(jnp.zeros(n), jnp.zeros(n), one, values)))
+        int(np.argmax(system.input_map(jnp.zeros(n), jnp.zeros(n), jnp.asarray(one), values)))
         for one in np.eye(len(system.inputs))
     ]
     friction = np.array([values[f"{c.name}.coulomb"] for c in system.coordinates])

@@ -94,7 +94,9 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0, messages
     assert "motion:" in text
-    plan = tn.control.read_controller(out).plan
+    tracking = tn.control.read_controller(out)
+    assert isinstance(tracking, tn.control.Tracking)
+    plan = tracking.plan
     assert plan.x[0, 0] == pytest.approx(0.0, abs=0.1)
     assert plan.x[-1, 0] == pytest.approx(0.4, abs=0.05)
 

@@ -92,7 +92,7 @@ def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
     names = [c.name for c in system.coordinates]
     source = system.source
     assert source is not None
-    movers = source._assembly().moved_by
+    movers = source._assembly().moved_by  # pyright: ignore[reportAttributeAccessIssue]
     assert len(movers) > len(names)
     ratios = np.array([[m.ratio * (m.joint == name) for name in names] for m in movers.values()])
     offsets = np.array([m.offset for m in movers.values()])
@@ -145,7 +145,8 @@ def test_a_robot_of_mujoco_moves_as_there():
     seen = text.replace('<mesh name="cart" file="cart.stl"/>', "")
     there = InMuJoCo(seen.replace('<geom class="seen" mesh="cart"/>', ""))
     for x, (mass, bias) in zip(p := points(system), terms_of(system, p), strict=True):
-        q, v = (dict(zip(("slide", "pole"), part, strict=True)) for part in np.split(x, 2))
+        names: list[str] = ["slide", "pole"]
+        q, v = (dict(zip(names, part.tolist(), strict=True)) for part in np.split(x, 2))
         expected = there.terms(q, v)
         assert_near(mass, expected[0])
         assert_near(bias, expected[1])
@@ -189,7 +190,8 @@ def test_parameters_begin_at_the_files_values_within_ranges():
 
 def test_any_parameters_are_those_of_a_body():
     points = np.random.default_rng(0).normal(size=(5, 3))
-    tensor = sum(r @ r * np.eye(3) - np.outer(r, r) for r in points - points.mean(0))
+    parts = [r @ r * np.eye(3) - np.outer(r, r) for r in points - points.mean(0)]
+    tensor = np.sum(parts, axis=0)
     values = inertial_parameters(5.0, points.mean(0), tensor)
     assert min(values[name] for name in DIAGONAL) > 0
     rod = inertial_parameters(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.0]))

@@ -229,7 +229,7 @@ def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None
         )  # fmt: skip
 
 
-def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> Deviations:
+def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> dict[str, float]:
     """The deviations of a task without those of integrals; of inputs those that are usual.
 
     Feedback that uses all of its limits for what is expected leaves nothing for the unexpected.

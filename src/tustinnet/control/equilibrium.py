@@ -267,7 +267,7 @@ def find_modes(
     c = np.eye(n_x)[system.model.channels.position] * scale
     b = b / (np.linalg.norm(b, axis=0) + 1e-300)
     c = c / np.linalg.norm(c, axis=1)[:, None]
-    values, vectors = scipy.linalg.eig(a)
+    values, vectors = np.linalg.eig(a)
     order = np.argsort(-np.abs(values), kind="stable")
     modes = []
     for i in order:

@@ -222,10 +222,10 @@ def _find_rows(
         shape = find_table([dialect.split(line) for _, line in lines[::step]], dialect)
         is_sample = [shape.is_sample(dialect.split(line), is_whole=True) for _, line in lines]
         begin = next((k for k, is_one in enumerate(is_sample) if is_one), 0)
-        header = [line for line in lines[:begin] if len(dialect.split(line[1])) == shape.width]
+        heading = [line for line in lines[:begin] if len(dialect.split(line[1])) == shape.width]
         samples = [line for line, is_one in zip(lines, is_sample, strict=True) if is_one]
-        damaged = len(lines) - len(samples) - len(header)
-        lines = [*header, *samples]
+        damaged = len(lines) - len(samples) - len(heading)
+        lines = [*heading, *samples]
         if not samples:
             raise InputError(path, "no row of numbers", "rows of samples")
     rows = [row for row, _ in lines]

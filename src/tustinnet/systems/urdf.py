@@ -158,8 +158,9 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     if viscous < 0 or coulomb < 0:
         raise InputError(place, "a negative friction", "damping and friction of at least 0")
     effort, speed = (_number(limit, key, "0", place) for key in ("effort", "velocity"))
+    parent, child = ends
     return RobotJoint(
-        name, _KINDS[kind], *ends, rotation, position,
+        name, _KINDS[kind], parent, child, rotation, position,
         axis / (np.linalg.norm(axis) or 1.0), np.zeros(3),
         mimic=None if mimic is None else Mimic(
             mimic.get("joint", ""),
