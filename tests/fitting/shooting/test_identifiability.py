@@ -1,6 +1,8 @@
 """Parameters that records cannot tell apart."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +14,10 @@ import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.identifiability import ConfoundedParameters, find_confounded
 from tustinnet.fitting.shooting.normal import compute_products
+from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.segments import CutOptions, cut_records
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
+from tustinnet.fitting.shooting.stages import _fix_confounded_parameters
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.systems import qube_servo2, qube_servo2_twin
 
@@ -208,3 +212,19 @@ def test_with_the_named_parameters_fixed_the_others_are_identifiable(rotary):
 def test_falls_alone_leave_the_voltages_gain_open_too(rotary):
     confounded = directions(LOOSE, rotary[:2], LOOSE_SPACE)
     assert len(confounded) == 8
+
+
+@pytest.mark.parametrize("largest", [1e119, np.inf])
+def test_where_simulations_nearly_diverge_nothing_is_fixed(largest):
+    products = np.diag([1e38, largest, 1e20])
+    problem: Any = SimpleNamespace(
+        motion=SimpleNamespace(quarter_swing=5),
+        early_initial_treatment="anchored",
+        segments=lambda *options: None,
+        products=lambda *options: SimpleNamespace(pp=products[None]),
+    )
+    state = _fix_confounded_parameters(problem, SearchState(ABC, CENTRE))
+    assert state.space is ABC
+    assert state.remarks == (
+        "simulations with the first values diverge; identifiability was not checked",
+    )
