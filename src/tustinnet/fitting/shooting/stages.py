@@ -18,7 +18,7 @@ from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.horizons import find_horizons
-from tustinnet.fitting.shooting.identifiability import find_confounded
+from tustinnet.fitting.shooting.identifiability import find_confounded, has_diverged
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.problem import (
     Problem,
@@ -37,7 +37,6 @@ _TARGET = 0.25  # integration error allowed, in encoder counts: less than roundi
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _QUARTER_SWINGS = (4, 16)  # lengths of the early stages' segments
 _MOST_REWEIGHTINGS = 20
-_DIVERGED = 1e30  # squared derivatives: a change in the last digit moves the simulation by 1
 _LEAST_CHANGE = 1e-5  # of a logarithm, or of a range, by which new weights still matter
 
 
@@ -264,7 +263,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     steps = _QUARTER_SWINGS[0] * problem.motion.quarter_swing
     segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
     products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
-    if not np.isfinite(products).all() or np.diag(products).max(initial=0.0) > _DIVERGED:
+    if has_diverged(products):
         remark = "simulations with the first values diverge; identifiability was not checked"
         return replace(state, remarks=(*state.remarks, remark))
     confounded = find_confounded(space, vector, products)
