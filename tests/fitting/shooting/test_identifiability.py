@@ -10,7 +10,11 @@ from swinging import SWING, changed, falls, records
 
 import tustinnet as tn
 from tustinnet.fitting.residual import Residual
-from tustinnet.fitting.shooting.identifiability import ConfoundedParameters, find_confounded
+from tustinnet.fitting.shooting.identifiability import (
+    ConfoundedParameters,
+    find_confounded,
+    has_diverged,
+)
 from tustinnet.fitting.shooting.normal import compute_products
 from tustinnet.fitting.shooting.segments import CutOptions, cut_records
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
@@ -208,3 +212,8 @@ def test_with_the_named_parameters_fixed_the_others_are_identifiable(rotary):
 def test_falls_alone_leave_the_voltages_gain_open_too(rotary):
     confounded = directions(LOOSE, rotary[:2], LOOSE_SPACE)
     assert len(confounded) == 8
+
+
+@pytest.mark.parametrize(("largest", "diverged"), [(1e119, True), (np.inf, True), (1e9, False)])
+def test_derivatives_of_simulations_that_nearly_diverge_say_nothing(largest, diverged):
+    assert has_diverged(np.diag([1.0, largest, 1e3])) == diverged

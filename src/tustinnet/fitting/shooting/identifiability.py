@@ -12,6 +12,7 @@ from jaxtyping import Float
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
 _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
+_DIVERGED = 1e30  # squared derivatives: a change in the last digit moves the simulation by 1
 _MEMBER = 1e-3  # of the largest share
 
 
@@ -44,6 +45,15 @@ class ConfoundedParameters:
             f"{listed} are not identifiable separately: changed together ({changes}) they give "
             f"the same simulation; fix one of them, '{self.suggestion}' is known best"
         )
+
+
+def has_diverged(products: Float[np.ndarray, "n_p n_p"]) -> bool:
+    """Whether the simulations diverge, or nearly do, so that their derivatives say nothing.
+
+    Args:
+        products: `J'J` by the parameters, (n_p, n_p).
+    """
+    return bool(not np.isfinite(products).all() or np.diag(products).max(initial=0.0) > _DIVERGED)
 
 
 def find_confounded(

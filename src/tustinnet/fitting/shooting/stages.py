@@ -18,7 +18,7 @@ from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.horizons import find_horizons
-from tustinnet.fitting.shooting.identifiability import find_confounded
+from tustinnet.fitting.shooting.identifiability import find_confounded, has_diverged
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.problem import (
     Problem,
@@ -263,7 +263,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     steps = _QUARTER_SWINGS[0] * problem.motion.quarter_swing
     segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
     products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
-    if not np.isfinite(products).all():
+    if has_diverged(products):
         remark = "simulations with the first values diverge; identifiability was not checked"
         return replace(state, remarks=(*state.remarks, remark))
     confounded = find_confounded(space, vector, products)
