@@ -1,6 +1,7 @@
 """What verbs write never replaces what they read, nor other files, nor anything unasked."""
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -9,10 +10,13 @@ import pytest
 from test_options import _stand_in_for_the_measured_data, options
 from test_verbs import tustinnet
 
+from tustinnet.cli.automatic_report import AutomaticReport
 from tustinnet.data import catalog
+from tustinnet.errors import InputError
 from tustinnet.evaluate import scores
 from tustinnet.selection import final_models, jobs
 from tustinnet.store import model_file, run
+from tustinnet.store.files import lock_folder
 
 
 class Place(NamedTuple):
@@ -193,6 +197,47 @@ def test_nothing_is_written_among_the_records(verb, place, refused):
     told = "what the command reads" if verb == "simulate" else "the folder of the data"
     for more in ((), ("--overwrite",)):
         refused(*asked(place, place.logs), *more, names=told)
+
+
+@pytest.mark.parametrize(
+    "verb", [verb for verb in FOLDERS if verb not in ("evaluate", "compare", "fit by a plan")]
+)
+def test_a_folder_that_another_run_has_is_left_to_it(verb, place, refused):
+    asked, _ = FOLDERS[verb]
+    with lock_folder(place.out):
+        refused(*asked(place, place.out), names="another run is writing there")
+
+
+def test_a_fit_keeps_its_folder_until_the_report_is_there(place, monkeypatch, capsys):
+    """Another one would write its model beside the figures and the report of this one."""
+    asked, _ = FOLDERS["fit"]
+    taken = []
+
+    def write(report, models, out, *_):
+        try:
+            with lock_folder(out.parent):
+                taken.append(False)
+        except InputError:
+            taken.append(True)
+        return ""
+
+    monkeypatch.setattr(AutomaticReport, "write", write)
+    short = ("--set", "stages.*.epochs=1", "--quiet")
+    assert tustinnet(capsys, *asked(place, place.out), *short)[0] == 0
+    assert taken == [True]
+
+
+@pytest.mark.parametrize("option", ["--budget", "--plan", "--system"])
+def test_a_fit_that_cannot_begin_drafts_no_card(option, place, refused):
+    (place.logs / "dataset.toml").unlink()
+    refused("fit", place.logs, "--out", place.out, option, "=", names=option[2:])
+    assert not place.out.exists()
+
+
+def test_a_drafted_card_replaces_none_of_other_records(place, refused, tmp_path):
+    bare = shutil.copytree(place.logs, tmp_path / "bare")
+    (bare / "dataset.toml").unlink()
+    refused("fit", bare, "--out", place.logs, "--overwrite", names="a card of its own")
 
 
 @pytest.mark.parametrize("option", ["--physics", "--from"])

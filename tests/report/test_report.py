@@ -52,6 +52,16 @@ def test_units_in_brackets_are_printed_as_they_are():
         assert text in out.getvalue()
 
 
+@pytest.mark.parametrize("name", ["ahead.svg", "ahead.pdf", "ahead.png"])
+def test_the_bytes_of_a_figure_say_nothing_of_when_it_was_written(name, pendulum, tmp_path):
+    folders = [tmp_path / "first", tmp_path / "second"]
+    for folder in folders:
+        write_figure(ahead_figure({"m": np.array([0.1, 0.2])}, pendulum.channels), folder, name)
+    first, second = ((folder / name).read_bytes() for folder in folders)
+    assert first == second
+    assert b"CreationDate" not in first
+
+
 def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
     e = pendulum[0]
     run = np.column_stack([e.q, e.velocities()])

@@ -17,7 +17,7 @@ import tustinnet as tn
 from tustinnet.fitting.listener import Iteration, Listener, StageResult
 from tustinnet.fitting.task import Member, make_task
 from tustinnet.store.log import SearchLog, read_log, read_search_log
-from tustinnet.store.run import MODEL, Earlier, Run, run_task
+from tustinnet.store.run import MODEL, Earlier, Run, discard_results, run_task
 
 
 def arrays(path: Path) -> dict[str, bytes]:
@@ -133,19 +133,20 @@ def test_a_damaged_checkpoint_is_refused(run_folder, folder, small_recipe):
         run(tn.load(folder), small(small_recipe), [0], run_folder, "resume")
 
 
-@pytest.mark.parametrize("damage", ["gone", "cut", "list", "binary", "other keys", "deep"])
+@pytest.mark.parametrize("damage", ["gone", "cut", "list", "binary", "other keys", "deep", "again"])
 def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe, damage):
     log = run_folder / "seed-0" / "log.jsonl"
     lines = log.read_text().splitlines(keepends=True)
     content = {
         "gone": b"", "cut": ("".join(lines[:4]) + lines[4][:9]).encode(), "binary": b"\xff\x00",
         "list": ("".join(lines[:3]) + "[1]\n").encode(), "deep": b"[" * 100_000,
+        "again": "".join([*lines[:6], lines[0], *lines[6:]]).encode(),  # a stage that was over
         "other keys": (lines[0] + '{"stage": 3}\n').encode(),
     }[damage]  # fmt: skip
     log.write_bytes(content)
     if damage == "gone":
         log.unlink()
-    sound = {"cut": 4, "list": 3, "other keys": 1}.get(damage, 0)
+    sound = {"cut": 4, "list": 3, "other keys": 1, "again": 6}.get(damage, 0)
     told: list[str] = []
     task = make_task(tn.load(folder), small(small_recipe), [Member(0), Member(1)])
     run_task(task, "x", run_folder, "resume", lambda prepared: Listener(on_message=told.append))
@@ -154,6 +155,27 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
     assert log.read_text() == "".join(lines[:sound])
     assert log.with_name("log.damaged.jsonl").read_bytes() == content
     assert len(read_log(run_folder / "seed-0")) == sound
+
+
+def test_results_of_every_kind_of_run_are_discarded_and_nothing_else(tmp_path):
+    results = [
+        "model.safetensors", "summary.json", "report.html", "log.jsonl", "question.json",
+        "candidates.md", "candidates/grey/model.safetensors", "candidates/grey/fold-0/scores.json",
+        "seed-0/model.safetensors", "seed-0/log.jsonl", "seed-0/checkpoint.safetensors",
+        "figures/fall1.png", "figures/fall2.png", "figures/training.png", "figures/candidates.png",
+    ]  # fmt: skip
+    others = ["notes.txt", "figures/mine.png", "seed-1/notes.txt", "candidates/grey/notes.txt"]
+    for name in (*results, *others):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    (tmp_path / "summary.json").write_text(
+        '{"seeds": [{"rmse": {"fall1": 1.0}}],'
+        ' "candidates": [{"starts": {"file": {"rmse": {"fall2": 1.0}}}}]}'
+    )
+    discard_results(tmp_path)
+    left = [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()]
+    assert sorted(left) == sorted(others)
+    assert not (tmp_path / "seed-0").exists()
 
 
 def test_a_diverged_training_is_resumed_with_its_whole_log(folder, small_recipe, tmp_path):

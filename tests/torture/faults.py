@@ -36,9 +36,9 @@ class Faults:
         self.jobs = [*fits(place), *others(place)]
         self.job, self.place, self.random = self.jobs[0], place, Random(seed)
         self.box, self.part = place / "faults", Part("faults")
-        self.clean = self.box / "undisturbed"
+        self.clean = self.box / "undisturbed" / "run"  # reports say the name of the folder
         shutil.rmtree(self.box, ignore_errors=True)
-        self.box.mkdir()
+        self.clean.parent.mkdir(parents=True)
 
     def run(self, seconds: float) -> Part:
         """All faults for which there is time."""
@@ -71,11 +71,12 @@ class Faults:
         ]
         self.random.shuffle(every)
         faults += every
-        for name, fault in faults:
-            out = self.box / name.replace(" ", "-")
+        for number, (name, fault) in enumerate(faults):
             if time.monotonic() > end:
-                self.part.count("skipped", f"{name}: no time left", "")
-                continue
+                self.part.notes.append(f"{len(faults) - number} of {len(faults)}: no time left")
+                break
+            out = self.box / name.replace(" ", "-") / "run"
+            out.parent.mkdir()
             try:
                 outcome, told = oracle.judged(partial(fault, out))
             except Skipped as skipped:
@@ -118,7 +119,7 @@ class Faults:
             ended.require_told()
             oracle.require(ended.code != 0, "a run in 24 KiB that succeeds")
             oracle.require_readable(out)
-            kept = shutil.copytree(out / "run", self.box / "kept")
+            kept = shutil.copytree(out / "run", self.box / "kept" / "run")
         self._goes_on(kept)
 
     def _clean(self, job: Job) -> tuple[Path, Path]:
@@ -145,8 +146,6 @@ class Faults:
         clean, _ = self._clean(job)
         sizes = [path.stat().st_size for path in clean.rglob("*") if path.is_file()]
         largest = asked["largest"] or self.random.randrange(100, max(sizes))
-        out = out / "run"
-        out.parent.mkdir()
         job.prepare(out)
         ended = run(job.command(out), {"largest": largest})
         if out.exists():
@@ -170,15 +169,14 @@ class Faults:
             ended = run(job.command(place), {})
             if place.exists():
                 self._refused(job, ended, place)
-            kept = self.box / f"{out.name}-kept" / "run"
+            kept = out.parent / "kept" / "run"
             shutil.copytree(out, kept.parent)
         done(job.command(kept, *job.again))
         oracle.require_same_run(kept, clean)
 
     def _foreign(self, job: Job, out: Path) -> None:
         """A folder that belongs to another user; where nobody can be changed to, a closed one."""
-        out = out / "run"
-        out.mkdir(parents=True)
+        out.mkdir()
         job.prepare(out)
         before = {path: path.stat() for path in out.rglob("*")}
         root, more = os.geteuid() == 0, {}

@@ -59,15 +59,15 @@ def simulate(
     inputs = request.list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
     request.require_no_new_records(paths, data, card)
-    scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
-    bands: list[Band | None] = [None] * len(records)
-    if band_options is not None:
-        bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
-    training_range = Range.from_header(read_header(model), simulator)
-    simulations: list[dict[str, Any]] = []
     with lock_folder(out):
         require_outputs(paths, overwrite=overwrite)  # another command may have been faster
+        scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
+        bands: list[Band | None] = [None] * len(records)
+        if band_options is not None:
+            bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
         runs.print_notes()
+        training_range = Range.from_header(read_header(model), simulator)
+        simulations: list[dict[str, Any]] = []
         for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
             write_simulation(out, e, score.simulated, run_band)
             content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}

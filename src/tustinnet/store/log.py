@@ -68,13 +68,15 @@ _TYPES: dict[str, Any] = {
 
 def _valid_epochs(content: bytes) -> list[dict[str, Any]]:
     """The epochs of a log up to the first line that is none."""
-    epochs = []
+    epochs: list[dict[str, Any]] = []
+    stages = set[str]()
     for entry in _entries(content):
         last = epochs[-1] if epochs else None
         if not _has_types(entry, _TYPES):
             break
-        if last is None or entry["stage"] != last["stage"]:
-            follows = entry["epoch"] == 1
+        if last is None or entry["stage"] != last["stage"]:  # a stage has its name alone
+            follows = entry["epoch"] == 1 and entry["stage"] not in stages
+            stages.add(entry["stage"])
         else:  # the next one, or one that was taken back
             again = entry["epoch"] == last["epoch"] and bool(last["event"])
             follows = again or entry["epoch"] == last["epoch"] + 1
