@@ -84,7 +84,7 @@ def plan_row(name: str) -> list[str]:
         cold = time.perf_counter() - begin
         again = seconds(lambda: ilqr(model, hanging, upright, STEPS, limits=LIMITS))
         other = hanging + 0.05 * (np.arange(len(hanging)) < 2)
-        warm = seconds(lambda: ilqr(model, other, upright, STEPS, limits=LIMITS, guesses=[plan.u]))
+        warm = seconds(lambda: ilqr(model, other, upright, STEPS, limits=LIMITS, guesses=[plan]))
         verdict = "reached" if plan.reached and plan.converged else "not reached"
         times = [f"{cold:.2f}", f"{again:.2f}", f"{warm:.2f}", verdict]
     else:

@@ -130,10 +130,11 @@ def test_a_plan_is_a_first_guess_of_another():
     model, limits = example("qube"), {"voltage": (-5.0, 5.0)}
     plan = ilqr(model, HANGING, UPRIGHT, 300, limits=limits)
     again = ilqr(
-        model, HANGING + np.array([0.02, 0.05, 0, 0]), UPRIGHT, 300, limits=limits, guesses=[plan.u]
+        model, HANGING + np.array([0.02, 0.05, 0, 0]), UPRIGHT, 300, limits=limits, guesses=[plan]
     )
     assert again.reached
     assert again.iterations < 60
+    np.testing.assert_array_equal(again.goal, plan.goal)
 
 
 def test_a_late_input_is_planned_for():

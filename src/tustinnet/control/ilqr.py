@@ -20,10 +20,10 @@ from tustinnet.control.dynamics import (
     require_known,
     require_vector,
 )
-from tustinnet.control.lqr import feedback_gain, loop_matrices, riccati_solution
+from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices, riccati_solution
 from tustinnet.control.plan import Plan
 from tustinnet.control.riccati import Policy, backward_pass
-from tustinnet.control.weights import Deviations, bryson_weights
+from tustinnet.control.weights import Deviations, Weights, bryson_weights
 from tustinnet.engine.equations import Equations
 from tustinnet.engine.runs import Runs, simulate
 from tustinnet.errors import InputError
@@ -40,6 +40,8 @@ _EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every
 # random inputs of a first guess: for how long they last [s], their share of the limits' range
 _CORRELATED, _AMPLITUDE = 0.3, 0.3
 _BEGUN, _FINISHED = 20, 3  # iterations for every guess; guesses, the best so far, that are finished
+_FARTHEST = 1.5 * np.pi  # rad, of a goal from a start
+_SAME_GOAL = 1e-6  # of plans that are first guesses
 _HELD = 0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
 
 
@@ -169,15 +171,18 @@ class Solver:
             better = self.improve(motion, policy)
             if iterations % _EVERY == 0:
                 better = self.begin_earlier(better or motion, policy) or better
-            if better is not None:
-                motion, iterations = better, iterations + 1
-                damping = damping / _WEAKER if damping > _LEAST_DAMPING else 0.0
-                continue
-            if damping >= _MOST_DAMPING:
-                # rounding is all that is left, where little was expected
-                return motion, -policy.expected <= _CONVERGED * abs(motion.cost), iterations
-            damping = max(damping * _STRONGER, _LEAST_DAMPING)
+            motion, iterations = better or motion, iterations + 1
+            if better is None and damping >= _MOST_DAMPING:
+                return motion, small, iterations  # rounding is all that is left
+            damping = next_damping(damping, is_better=better is not None)
         return motion, False, iterations
+
+
+def next_damping(damping: float, *, is_better: bool) -> float:
+    """The damping of the next iteration: less after a better motion, more where there was none."""
+    if is_better:
+        return damping / _WEAKER if damping > _LEAST_DAMPING else 0.0
+    return min(max(damping * _STRONGER, _LEAST_DAMPING), _MOST_DAMPING)
 
 
 def closed_loop_equations(system: ControlledModel) -> Equations:
@@ -214,7 +219,7 @@ def ilqr(
     within: Limits | None = None,
     limits: Limits | None = None,
     end_weight: float = 100.0,
-    guesses: Sequence[ArrayLike] | int = 4,
+    guesses: Sequence[ArrayLike | Plan] | int = 4,
     turns: bool = True,
     delay: int = 0,
     iterations: int = 300,
@@ -239,8 +244,8 @@ def ilqr(
             thousand times the weight of the state, or of half of this range where that is more.
         limits: limits of inputs by name, instead of those that the model declares.
         end_weight: factor of the end's cost, so that the goal is reached rather than approached.
-        guesses: first guesses of the inputs, each (steps, n_u), as those of another plan; or how
-            many are made.
+        guesses: first guesses: inputs, (steps, n_u), or plans from other starts to this goal, which
+            feedback follows; or how many are made.
         turns: whether angles may arrive at the goal by whole turns, where the model is the same.
         delay: samples from when an input is computed to when it acts.
         iterations: the most, for each guess.
@@ -270,12 +275,12 @@ def ilqr(
     )  # fmt: skip
     before = bounds.clip(np.zeros(system.n_u))
     first = system.augment(x0, before)
-    begun = []
-    for target in _targets(system, x0, x_end) if turns else [x_end]:
-        solver = Solver(system, bounds, replace(cost, x=target))
-        for u in _first_guesses(guesses, steps, bounds, u_end, system.dt, seed):
-            few = min(iterations, _BEGUN)
-            begun.append((solver, *solver.minimise(solver.begin(first, u), few)))
+    targets = _targets(system, x0, x_end) if turns else [x_end]
+    solvers = [Solver(system, bounds, replace(cost, x=target)) for target in targets]
+    begun = [
+        (solver, *solver.minimise(motion, min(iterations, _BEGUN)))
+        for solver, motion in _first_motions(solvers, first, guesses, steps, seed)
+    ]
     finite = [search for search in begun if np.isfinite(search[1].cost)]
     if not finite:
         raise InputError(
@@ -373,30 +378,62 @@ def _targets(
             continue
         below = value + turn * np.floor((start[i] - value) / turn)
         # from where the start is nearly there, a whole turn is no way to it
-        near = [v for v in (below, below + turn) if abs(v - start[i]) <= np.pi * (1 + 1e-9)]
+        near = [v for v in (below, below + turn) if abs(v - start[i]) <= _FARTHEST]
         choices.append(near)
     return [np.array(target) for target in itertools.product(*choices)]
 
 
-def _first_guesses(
-    guesses: Sequence[ArrayLike] | int, steps: int, limits: InputLimits,
-    rest: Float[np.ndarray, " n_u"], dt: float, seed: int,
-) -> list[Float[np.ndarray, "steps n_u"]]:  # fmt: skip
-    """Inputs to begin a search with: those given, or the goal's and random smooth ones."""
-    n_u = len(rest)
+def _first_motions(
+    solvers: Sequence[Solver], start: Float[np.ndarray, " n_z"],
+    guesses: Sequence[ArrayLike | Plan] | int, steps: int, seed: int,
+) -> list[tuple[Solver, Motion]]:  # fmt: skip
+    """Motions to begin searches with, and the solver of each: one for each goal.
+
+    They are along the guesses, or of the goal's and random inputs. A plan keeps its own goal.
+    """
     if guesses == 0 or (not isinstance(guesses, int) and not len(guesses)):
         raise InputError("guesses", "none", "at least one")
-    if not isinstance(guesses, int):
-        given = [np.asarray(g, np.float64) for g in guesses]
-        for g in given:
-            if g.shape != (steps, n_u) or not np.isfinite(g).all():
-                raise InputError("guesses", f"inputs of shape {g.shape}", f"({steps}, {n_u})")
-        return [limits.clip(g) for g in given]
+    if isinstance(guesses, int):
+        made = _smooth_inputs(solvers[0], guesses, steps, seed)
+        return [(solver, solver.begin(start, u)) for solver in solvers for u in made]
+    system, motions = solvers[0].system, []
+    for guess in guesses:
+        u = np.asarray(guess.u if isinstance(guess, Plan) else guess, np.float64)
+        if u.shape != (steps, system.n_u) or not np.isfinite(u).all():
+            raise InputError("guesses", f"inputs of shape {u.shape}", f"({steps}, {system.n_u})")
+        if not isinstance(guess, Plan):
+            u = solvers[0].limits.clip(u)
+            motions += [(solver, solver.begin(start, u)) for solver in solvers]
+            continue
+        guess.require_for(system.n_x, system.n_u, system.dt, system.delay, "guesses")
+        goal = solvers[0].cost.x
+        if not np.allclose(guess.goal + turns_to(system, guess.goal, goal), goal, atol=_SAME_GOAL):
+            raise InputError("guesses", "a plan to another goal", "plans that end where this does")
+        solver = replace(solvers[0], cost=replace(solvers[0].cost, x=guess.goal))
+        motions.append((solver, _follow(solver, start, guess)))
+    return motions
+
+
+def _follow(solver: Solver, start: Float[np.ndarray, " n_z"], plan: Plan) -> Motion:
+    """The motion from a start by time-varying linear feedback along a plan."""
+    system, cost = solver.system, solver.cost
+    gains, _ = gains_along(system, plan, cost.end, Weights(cost.states, cost.inputs))
+    z = np.hstack([plan.x[:-1], plan.previous_inputs(system.previous)])
+    reference = Motion(np.concatenate([z, z[-1:]]), plan.u, np.inf)
+    policy = solver.without_feedback(len(plan.u))._replace(gain=-gains)
+    return solver.roll_out(start, reference, policy, np.ones(1))
+
+
+def _smooth_inputs(
+    solver: Solver, count: int, steps: int, seed: int
+) -> list[Float[np.ndarray, "steps n_u"]]:
+    """Inputs of the goal, and random smooth ones about them."""
+    rest, limits = solver.cost.u, solver.limits
     generator = np.random.default_rng(seed)
     made = [np.tile(rest, (steps, 1))]
-    span = max(1, round(_CORRELATED / dt))
-    for _ in itertools.repeat(None, guesses - 1):
-        knots = generator.uniform(-1, 1, (steps // span + 2, n_u))
+    span = max(1, round(_CORRELATED / solver.system.dt))
+    for _ in itertools.repeat(None, count - 1):
+        knots = generator.uniform(-1, 1, (steps // span + 2, len(rest)))
         knots = limits.clip(rest + _AMPLITUDE / 2 * (limits.upper - limits.lower) * knots)
         at = np.arange(steps) / span
         made.append(

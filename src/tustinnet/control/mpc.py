@@ -1,28 +1,31 @@
 """Model predictive control by iterative LQR, warm-started from sample to sample."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import Limits, controlled, input_limits, require_vector
-from tustinnet.control.ilqr import Motion, Solver, make_cost, shift, turns_to
-from tustinnet.control.lqr import gains_along
+from tustinnet.control.ilqr import Motion, Solver, make_cost, next_damping, shift, turns_to
+from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
+_ALL = np.ones(1)
+
 
 class Mpc:
     """A controller that plans some steps ahead at every sample, and applies the first input.
 
-    Each plan begins with the one before, shifted by a sample and corrected by its own feedback, and
-    is improved by a fixed number of iterations of `ilqr`. Its end costs what linear feedback needs
-    to hold the goal ever after. It can also follow a plan: the goal moves along it, then stays.
+    Each plan begins with the better of two: the one before, shifted by a sample and corrected by
+    its own feedback; and what linear feedback to the goal would do. It is improved by a fixed
+    number of iterations of `ilqr`. Its end costs what linear feedback needs to hold the goal ever
+    after. It can also follow a plan: the goal moves along it, then stays.
 
     Args:
         model: a model that steps from sample to sample.
@@ -68,28 +71,36 @@ class Mpc:
         if plan is not None:
             plan.require_for(system.n_x, system.n_u, system.dt, delay, "Mpc")
             x_end = x_end + turns_to(system, x_end, plan.goal)
-        self._system, self._limits, self._plan = system, bounds, plan
+        self._system, self._limits = system, bounds
         self._steps, self._iterations = steps, iterations
         self._cost = make_cost(
             system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
         )
+        weights, value = Weights(self._cost.states, self._cost.inputs), self._cost.end
+        hold = feedback_gain(loop_matrices(system, x_end, u_end), value, weights)
+        # what is followed, and the feedback about it: along the plan, then at the goal
+        goal = np.tile(system.augment(x_end, u_end), (steps + 1, 1))
+        rest, gains, ends = np.tile(u_end, (steps, 1)), np.tile(hold, (steps, 1, 1)), value[None]
+        self._before = bounds.clip(np.zeros(system.n_u))
         if plan is not None:
-            weights = Weights(self._cost.states, self._cost.inputs)
-            self._ends = gains_along(system, plan, self._cost.end, weights)[1]
+            along, values = gains_along(system, plan, value, weights)
+            past = plan.previous_inputs(system.previous)
+            goal = np.concatenate([np.hstack([plan.x[:-1], past]), goal])
+            rest, gains = np.concatenate([plan.u, rest]), np.concatenate([along, gains])
+            ends, self._before = values, plan.before
+        self._followed, self._gains, self._ends = Motion(goal, rest, np.inf), -gains, ends
         self._solver = Solver(system, bounds, self._cost)
         self.reset()
         # all machine code is made now, not at the first sample
         self.inputs(0, x_end)
+        self.inputs(1, x_end)
         self.reset()
 
     def reset(self) -> None:
         """Forgets the plan of the last sample and previous commands."""
         self.motion: Motion | None = None
-        self._gain = np.zeros((self._steps, self._system.n_u, self._system.size))
-        before = self._limits.clip(np.zeros(self._system.n_u))
-        if self._plan is not None:
-            before = self._plan.before
-        self._previous = np.tile(before, self._system.previous)
+        self._gain, self._damping = self._gains[: self._steps], 0.0
+        self._previous = np.tile(self._before, self._system.previous)
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,).
@@ -98,40 +109,36 @@ class Mpc:
             k: the sample, from 0 on.
             x: the estimated state, (n_x,).
         """
-        solver = self._solver
-        solver.cost = self._cost_at(k)
-        target = solver.cost.x if solver.cost.x.ndim == 1 else solver.cost.x[0]
-        near = x + turns_to(self._system, x, target)
+        solver, steps, n_x = self._solver, self._steps, self._system.n_x
+        first = min(k, len(self._followed.u) - steps)
+        z = self._followed.z[first : first + steps + 1]
+        u = self._followed.u[first : first + steps]
+        end = self._ends[min(first + steps, len(self._ends) - 1)]
+        solver.cost = replace(self._cost, x=z[:, :n_x], u=u, end=end)
+        near = x + turns_to(self._system, x, z[0, :n_x])
         start = np.concatenate([near, self._previous])
-        if self.motion is None:
-            u = np.broadcast_to(solver.cost.u, (self._steps, self._system.n_u))
-            motion = solver.begin(start, np.array(u))
-        else:
+        kept = solver.without_feedback(steps)
+        motion = solver.roll_out(
+            start,
+            Motion(z, u, np.inf),
+            kept._replace(gain=self._gains[first : first + steps]),
+            _ALL,
+        )
+        if self.motion is not None:
             # the plan of the last sample, turned as the state is: a step does not depend on turns
             states = shift(self.motion.z)
-            states[:, : len(x)] += turns_to(self._system, states[0, : len(x)], near)
-            reference = Motion(states, shift(self.motion.u), np.inf)
-            kept = solver.without_feedback(self._steps)._replace(gain=shift(self._gain))
-            motion = solver.roll_out(start, reference, kept, np.ones(1))
-        for _ in range(self._iterations):
-            policy = solver.policy(motion, 0.0)
+            states[:, :n_x] += turns_to(self._system, states[0, :n_x], near)
+            shifted = solver.roll_out(
+                start, Motion(states, shift(self.motion.u), np.inf),
+                kept._replace(gain=shift(self._gain)), _ALL,
+            )  # fmt: skip
+            motion = min(motion, shifted, key=lambda each: each.cost)
+        for _ in itertools.repeat(None, self._iterations):
+            policy = solver.policy(motion, self._damping)
             better = solver.improve(motion, policy)
+            self._damping = next_damping(self._damping, is_better=better is not None)
             motion, self._gain = better or motion, policy.gain
         self.motion = motion
         command = motion.u[0].copy()
         self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
         return command
-
-    def _cost_at(self, k: int) -> Cost:
-        """The cost of the steps from sample k on."""
-        if self._plan is None or k >= len(self._plan.u):
-            return self._cost
-        x, u = self._plan.x[k : k + self._steps + 1], self._plan.u[k : k + self._steps]
-        missing = self._steps - len(u)
-        if missing:
-            # beyond the plan's end the goal; the sample at its end is the goal, too
-            x = np.concatenate([x[:-1], np.tile(self._cost.x, (missing + 1, 1))])
-            u = np.concatenate([u, np.tile(self._cost.u, (missing, 1))])
-        return replace(
-            self._cost, x=x, u=u, end=self._ends[min(k + self._steps, len(self._ends) - 1)]
-        )
