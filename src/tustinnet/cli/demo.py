@@ -121,7 +121,7 @@ def demo(
             {"--split": "test", "--start": _START},
         )
         print_step(f"6/6 a controller that swings the twin up: {out / _CONTROLLER}")
-        swing_up = _swing_up(models[0], list(data.split("train")), out, overwrite=overwrite)
+        swing_up = _swing_up(models, list(data.split("train")), out, overwrite=overwrite)
         if not json:
             typer.echo(swing_up)
     file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN], _SWING_UP]
@@ -162,18 +162,26 @@ def _select_and_score(
 
 
 def _swing_up(
-    reported: "ReportedModel", records: "Sequence[Experiment]", out: Path, *, overwrite: bool
+    models: "Sequence[ReportedModel]", records: "Sequence[Experiment]", out: Path, *,
+    overwrite: bool,
 ) -> str:  # fmt: skip
-    """Designs a controller on a model, plays it on the twin, writes it as C; returns the result."""
+    """Designs a controller on a model, plays it on the twin, writes it as C; returns the result.
+
+    The model is the best one with equations of motion, which say what the voltage does upright.
+    """
     from tustinnet.control.design import ControlTask, design_controller, find_rest
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import qube_twin
+    from tustinnet.control.stepped_model import equations_in
     from tustinnet.control.trial import try_design
     from tustinnet.report.control import closed_loop_figure
     from tustinnet.report.figures import write_figure
     from tustinnet.simulate.range import Range
 
-    model, header = reported.model, reported.header
+    physical = [m for m in models if equations_in(m.model) is not None]
+    if not physical:
+        return "no swing-up: no model with equations of motion was fitted in time"
+    model, header, file = physical[0].model, physical[0].header, physical[0].file
     task = ControlTask(
         _UPRIGHT, find_rest(model, _UPRIGHT, _VOLTAGE), limits=_VOLTAGE, trust_beyond=True
     )
@@ -184,7 +192,7 @@ def _swing_up(
     export_controller(
         model, design.gains, design.noise, out / _CONTROLLER, deviations=design.deviations,
         within=design.task.within,
-        file=reported.file, overwrite=overwrite,
+        file=file, overwrite=overwrite,
     )  # fmt: skip
     write_figure(closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
     (row,) = trial.robustness.rows
