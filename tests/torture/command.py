@@ -16,7 +16,7 @@ from . import material
 from .oracle import require
 
 _CHILD = Path(__file__).with_name("child.py")
-_LONGEST = 180.0  # seconds that a small run may take
+_LONGEST = 600.0  # seconds that a small run may take, beside other work
 
 
 _OUT = "{out}"  # in arguments: the folder of what is written

@@ -61,18 +61,16 @@ class Kills:
         random = Random(f"kill {self.seed} {number}")
         # one of the fits, which have most to lose, as often as one of all the others together
         job = random.choice(list(random.choice(self.groups).values()))
-        with self._locks[job.name]:
-            if job.name not in self._lasts:
-                self._undisturbed(job)
         out = self.out / str(number) / "run"
         outcome, told = oracle.judged(lambda: self._case(job, out, random))
         repeat = f"--seed {self.seed} --kill {number}"
         self.part.count(outcome, f"{job.name}: {told}", repeat)
         if outcome != "finding":
-            shutil.rmtree(out.parent)
+            shutil.rmtree(out.parent, ignore_errors=True)
 
     def _undisturbed(self, job: Job) -> None:
         out, earlier = _folder(self.clean, job), _folder(self.clean, job, "earlier")
+        shutil.rmtree(self.clean / job.name, ignore_errors=True)
         for folder in (out, earlier):
             folder.parent.mkdir(parents=True)
             job.prepare(folder)
@@ -80,10 +78,14 @@ class Kills:
         process = start(job.command(out), {"slow": _SLOW})
         appeared = _first_file(process, out, before)
         ended = finish(process)
-        assert ended.code == 0, ended.err
+        ended.require_told()
+        oracle.require(ended.code == 0, f"failed undisturbed: {ended.last_line}")
         self._lasts[job.name] = appeared - begun, time.monotonic() - appeared
 
     def _case(self, job: Job, out: Path, random: Random) -> None:
+        with self._locks[job.name]:
+            if job.name not in self._lasts:
+                self._undisturbed(job)
         out.parent.mkdir(parents=True)
         job.prepare(out)
         clean, earlier = _folder(self.clean, job), _folder(self.clean, job, "earlier")
