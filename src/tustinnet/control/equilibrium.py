@@ -261,8 +261,9 @@ def find_modes(
     """
     n_x = system.n_x
     _, jacobian = value_and_jacobian(system.held_formula, np.concatenate([x, u]))
-    scaled, units = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False, separate=True)
-    scale = units[0]
+    # units that make rows and columns alike: T^-1 A T, T diagonal
+    scaled, units, *_ = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False)
+    scale = np.diag(units)
     a, b = scaled, jacobian[:, n_x:] / scale[:, None]
     c = np.eye(n_x)[system.model.channels.position] * scale
     b = b / (np.linalg.norm(b, axis=0) + 1e-300)
