@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -262,8 +263,8 @@ def find_modes(
     n_x = system.n_x
     _, jacobian = value_and_jacobian(system.held_formula, np.concatenate([x, u]))
     # units that make rows and columns alike: T^-1 A T, T diagonal
-    scaled, units, *_ = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False)
-    scale = np.diag(units)
+    result: Any = list(scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False))
+    scaled, scale = result[0], np.diag(result[1])
     a, b = scaled, jacobian[:, n_x:] / scale[:, None]
     c = np.eye(n_x)[system.model.channels.position] * scale
     b = b / (np.linalg.norm(b, axis=0) + 1e-300)
