@@ -61,9 +61,7 @@ def test_a_fitted_model_has_its_equilibrium_beside_the_position():
 def test_an_unobservable_mode_is_named_by_its_state():
     # an internal state that nothing shows
     class Hidden(LinearMachine):
-        @property
-        def internal(self):
-            return ("hidden",)
+        internal = ("hidden",)  # pyright: ignore[reportAssignmentType, reportIncompatibleMethodOverride]
 
     whole = double_integrator()
     a = np.eye(3)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -262,14 +261,13 @@ def find_modes(
     """
     n_x = system.n_x
     _, jacobian = value_and_jacobian(system.held_formula, np.concatenate([x, u]))
-    # units that make rows and columns alike: T^-1 A T, T diagonal
-    result: Any = list(scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False))
-    scaled, scale = result[0], np.diag(result[1])
+    scaled, units = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False, separate=True)
+    scale = units[0]
     a, b = scaled, jacobian[:, n_x:] / scale[:, None]
     c = np.eye(n_x)[system.model.channels.position] * scale
     b = b / (np.linalg.norm(b, axis=0) + 1e-300)
     c = c / np.linalg.norm(c, axis=1)[:, None]
-    values, vectors = scipy.linalg.eig(a)
+    values, vectors = np.linalg.eig(a)
     order = np.argsort(-np.abs(values), kind="stable")
     modes = []
     for i in order:

@@ -1,6 +1,7 @@
 """Margins of a feedback loop: how far it is from being unstable."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         InputError: the package control is not installed, or the loop is unstable without limits.
     """
     require_package("control", "control", "margins")
-    from control import FrequencyResponseData, StateSpace, stability_margins
+    from control import FrequencyResponseData, StateSpace, frequency_response, stability_margins
 
     system = controlled(model, feedback.delay)
     a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.integral)
@@ -88,7 +89,7 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             np.atleast_1d, stability_margins(response, returnall=True)
         )
         # at both ends the response is real: -180 degrees are reached there, not crossed
-        ends = np.real([complex(loop(z, warn_infinite=False)) for z in (1.0, -1.0)])
+        ends = [float(np.real(loop(z, warn_infinite=False))) for z in (1.0, -1.0)]
         gains = np.concatenate([gains, [-1 / end for end in ends if -np.inf < end < 0]])
         nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
         lags = np.radians(phases % 360) / crossings
@@ -104,7 +105,8 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         )
     # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
     sensitivity = StateSpace(a - b @ gain, b, -gain, np.eye(system.n_u), dt)
-    response = FrequencyResponseData(sensitivity, frequencies).frdata
+    found: Any = frequency_response(sensitivity, frequencies, squeeze=False)
+    response = found.complex
     peaks = np.linalg.norm(np.moveaxis(response, 2, 0), 2, axis=(1, 2))
     highest = int(np.argmax(peaks))
     return Margins(tuple(results), float(peaks[highest]), float(frequencies[highest]))
