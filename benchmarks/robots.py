@@ -27,7 +27,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
-from robot_files import random_urdf
+from robot_files import random_urdf  # pyright: ignore[reportMissingImports]
 
 ARM = ROOT / "examples" / "robots" / "arm7.urdf"
 

@@ -6,6 +6,9 @@ from tustinnet.fitting.report import Identification
 from tustinnet.report.figures import COLOURS, INPUT, figure_style
 from tustinnet.report.fits import position_in_range
 
+_MOST_NAMED = 30  # parameters that all have their names at the matrix
+_NAMED = 15  # names at a larger one
+
 
 def correlation_figure(result: Identification) -> Figure:
     """Figure of the parameters in their ranges with 95 % intervals, and of error correlations."""
@@ -31,8 +34,10 @@ def correlation_figure(result: Identification) -> Figure:
         ranges.grid(visible=False)
         ranges.set_title("value and 95 % interval", loc="left")
         image = correlations.imshow(result.correlation, vmin=-1, vmax=1, cmap="RdBu_r")
-        correlations.set_xticks(range(n), [e.name for e in estimates], rotation=90)
-        correlations.set_yticks(range(n), [e.name for e in estimates])
+        # with many parameters every few have their name, as there is no room for more
+        named = range(0, n, 1 if n <= _MOST_NAMED else -(-n // _NAMED))
+        correlations.set_xticks(named, [estimates[i].name for i in named], rotation=90)
+        correlations.set_yticks(named, [estimates[i].name for i in named])
         correlations.grid(visible=False)
         correlations.set_title("correlation of the errors", loc="left")
         cross = "; cross: in the model" if result.refit else ""
