@@ -121,6 +121,10 @@ def others(place: Path) -> list[Job]:
     has_ray = importlib.util.find_spec("ray") is not None
     on_cluster = [Job("selection on a cluster", (*selection, "--cluster", "auto"), ("--resume",))]
 
+    limits = ("--limits", "torque=-20:20", "--starts", "2", "--out", _OUT)
+    identified = str(place / "euler-lagrange.safetensors")
+    control = ("control", identified, "--system", str(place / "pendulum.py"), *limits)
+
     def replacing(name: str, target: str, *arguments: str, of: str = network) -> Job:
         """A verb that replaces what it made of another model."""
         verb, option = arguments[0], "--out"
@@ -145,9 +149,8 @@ def others(place: Path) -> list[Job]:
         Job("reproduce", ("reproduce", "--data", published, "--models", "linear", *_TO_FOLDER), ()),
         Job("init", ("init", _OUT, "--yes"), _REPLACE, beside=bare),
         replacing("report", "page.html", "report", logs),
-        Job("control", ("control", str(place / "euler-lagrange.safetensors"), "--system",
-                        str(place / "pendulum.py"), "--at", "angle=0.5", "--limits",
-                        "torque=-20:20", "--starts", "2", "--out", _OUT), _REPLACE),
+        Job("control", (*control, "--at", "angle=0.5", *_REPLACE), (),
+            (*control, "--at", "angle=0.4")),
         replacing("export", "", "export", "--to", "c"),
         replacing("export mat", "", "export", "--to", "mat,js"),
         replacing("committee", "committee.safetensors", "committee"),

@@ -62,7 +62,7 @@ def pairs(place: Path) -> list[Pair]:
         Pair("two reports", report, other["report"], replace),
         Pair("two exports alike", export, export),
         Pair("two exports, replacing", export, mat, replace),
-        Pair("two controllers", known["control"], known["control"], replace),
+        Pair("two controllers", known["control"], other["control"], replace),
         Pair("two committees", known["committee"], other["committee"], replace),
         Pair("two simulations", known["simulate"], other["simulate"], replace),
         Pair("two cross-validations", known["cross-validate"], known["cross-validate"], replace),

@@ -50,7 +50,11 @@ def fit(
     plan: _Plan = None,
     budget: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Without a recipe: time limit, as 10min. Default: none."),
+        typer.Option(
+            metavar="TIME",
+            help="Without a recipe: time limit, as 10min, or none. Default: 4min; with --plan or "
+            "--cluster none.",
+        ),
     ] = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
@@ -90,7 +94,10 @@ def fit(
             if value is not None:
                 raise InputError(option, "not applicable without a recipe", "a recipe",
                                  "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
-        selection = read_options(plan, budget, found_system, leave_out_spoiled=leave_out_spoiled)
+        selection = read_options(
+            plan, budget, found_system, on_cluster=cluster is not None,
+            leave_out_spoiled=leave_out_spoiled, quiet=quiet,
+        )  # fmt: skip
     else:
         for option, value in {"--plan": plan, "--budget": budget, "--cluster": cluster}.items():
             if value is not None:

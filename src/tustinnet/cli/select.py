@@ -19,25 +19,45 @@ if TYPE_CHECKING:
     from tustinnet.systems.files import AnySystem
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_USUAL_BUDGET = "4min"  # a report five minutes after a folder of logs; it costs little accuracy
+_NO_BUDGET = "none"
 
 
-def parse_seconds(budget: str | None) -> float | None:
-    """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`."""
+def parse_seconds(budget: str) -> float | None:
+    """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`; None for `none`."""
     from tustinnet.errors import InputError
 
-    if budget is None:
+    if budget.strip() == _NO_BUDGET:
         return None
     match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", budget.strip())
     seconds = float(match[1]) * _SECONDS[match[2]] if match else math.nan
     if not seconds > 0:
-        raise InputError("--budget", f"'{budget}'", "a time above 0, e.g. 90s, 10min, 1.5h")
+        expected = "a time above 0, e.g. 90s, 10min, 1.5h, or none"
+        raise InputError("--budget", f"'{budget}'", expected)
     return seconds
 
 
 def read_options(
-    plan: str | None, budget: str | None, system: "AnySystem | None", *, leave_out_spoiled: bool
+    plan: str | None,
+    budget: str | None,
+    system: "AnySystem | None",
+    *,
+    on_cluster: bool,
+    leave_out_spoiled: bool,
+    quiet: bool,
 ) -> "SelectionOptions":
-    """The options of a selection from words of the command line; its budget counts from now on."""
+    """The options of a selection from words of the command line; its budget counts from now on.
+
+    Without a word on the budget a plan of the user's own, and one on a cluster, has no limit;
+    another one has the usual, which is printed.
+    """
+    if budget is None and (plan is not None or on_cluster):
+        budget = _NO_BUDGET
+    elif budget is None:
+        budget = _USUAL_BUDGET
+        terminal.make_printer(quiet=quiet)(
+            f"takes {budget} at most (--budget 10min allows more, --budget none all it needs)"
+        )
     start_time = time.monotonic()  # the imports and records from here on take seconds
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import SelectionOptions
