@@ -10,7 +10,7 @@ from conftest import SYSTEM
 from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
-from tustinnet.cli.select import print_choice
+from tustinnet.cli.select import print_choice, read_options
 from tustinnet.report.tables import Table
 
 PLAN = """
@@ -71,6 +71,28 @@ def test_notes_are_printed_once(monkeypatch, capsys, quiet):
     )
     print_choice(choice, quiet=quiet)  # without `quiet` they were printed while it was made
     assert ("* left out: b" in capsys.readouterr().out) == quiet
+
+
+@pytest.mark.parametrize(
+    ("plan", "on_cluster", "budget", "seconds"),
+    [
+        (None, False, None, 240.0),
+        (None, False, "none", None),
+        (None, False, "90s", 90.0),
+        ("quick", False, None, None),
+        ("quick", False, "1.5h", 5400.0),
+        (None, True, None, None),
+    ],
+)
+def test_only_the_usual_plan_on_this_machine_has_a_usual_budget(
+    plan, on_cluster, budget, seconds, capsys
+):
+    options = read_options(
+        plan, budget, None, on_cluster=on_cluster, leave_out_spoiled=False, quiet=False
+    )
+    assert options.budget == seconds
+    is_usual = budget is None and seconds is not None
+    assert ("--budget none all it needs" in capsys.readouterr().err) == is_usual
 
 
 @pytest.mark.parametrize(

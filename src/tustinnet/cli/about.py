@@ -13,7 +13,7 @@ tustinnet: from logs of a mechanical system to a model that simulates it
 
   1  describe  tustinnet init LOGS     (writes LOGS/dataset.toml: times, coordinates, inputs, units)
   2  look      tustinnet inspect LOGS --figure records.png
-  3  fit       tustinnet fit LOGS --budget 10min --out RUN     (--system arm.py: your physics too)
+  3  fit       tustinnet fit LOGS --out RUN     (4 minutes; --system arm.py: your physics too)
   4  judge     tustinnet report RUN LOGS --out report.html     (a page that moves; or: evaluate)
   5  use       tustinnet export RUN/model.safetensors --to c --out model-c     (or: simulate)
 
