@@ -1,5 +1,6 @@
 """Ctrl-C, SIGTERM and SIGHUP: a checkpoint, one line, the usual exit code."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -52,6 +53,15 @@ def test_a_signal_is_one_line_and_the_usual_exit_code(capsys, name, code):
         signal.signal(number, before)
 
 
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_signal_while_the_process_ends_is_one_line(name, code):
+    late = f"import atexit, signal; atexit.register(signal.raise_signal, signal.{name})\n"
+    command = [sys.executable, "-c", late + COMMAND[-1], "--version"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (code, "interrupted\n")
+    assert ended.stdout.startswith("tustinnet ")  # all that was printed arrives
+
+
 class Callback:
     """What is collected while a signal arrives: Python drops what `__del__` raises."""
 
@@ -79,6 +89,7 @@ def test_a_library_that_turns_a_signal_into_an_error_does_not_change_the_exit_co
         except KeyboardInterrupt:
             raise SystemExit(ended_by) from None
 
+    importlib.import_module("tustinnet.data.catalog")  # else it would keep the name that follows
     monkeypatch.setattr(loading, "load_folder", lambda *_, **__: stopped())
     with pytest.raises(SystemExit) as ended, terminal.stoppable():
         run(["inspect", str(folder)])

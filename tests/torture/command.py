@@ -27,7 +27,7 @@ class Job:
     """A command that is disturbed while it writes.
 
     Attributes:
-        name: what it goes by.
+        name: what it goes by; in names of folders, so that a space would be quoted in results.
         arguments: of the command; `{out}` in them is the folder of what it writes.
         again: the options with which it is started again.
         earlier: the arguments of a command whose results are there before, and are replaced.
@@ -119,7 +119,7 @@ def others(place: Path) -> list[Job]:
 
     selection = ("fit", logs, "--plan", str(place / "plan.toml"), *_TO_FOLDER)
     has_ray = importlib.util.find_spec("ray") is not None
-    on_cluster = [Job("selection on a cluster", (*selection, "--cluster", "auto"), ("--resume",))]
+    on_cluster = [Job("selection-on-a-cluster", (*selection, "--cluster", "auto"), ("--resume",))]
 
     limits = ("--limits", "torque=-20:20", "--starts", "2", "--out", _OUT)
     identified = str(place / "euler-lagrange.safetensors")
@@ -143,7 +143,7 @@ def others(place: Path) -> list[Job]:
 
     return [
         Job("selection", selection, ("--resume",)),
-        Job("selection from the start", selection, _REPLACE),
+        Job("selection-from-the-start", selection, _REPLACE),
         *(on_cluster if has_ray else []),
         Job("learning-curve", ("learning-curve", logs, *table, "--out", _OUT), _REPLACE),
         Job("reproduce", ("reproduce", "--data", published, "--models", "linear", *_TO_FOLDER), ()),
@@ -152,7 +152,7 @@ def others(place: Path) -> list[Job]:
         Job("control", (*control, "--at", "angle=0.5", *_REPLACE), (),
             (*control, "--at", "angle=0.4")),
         replacing("export", "", "export", "--to", "c"),
-        replacing("export mat", "", "export", "--to", "mat,js"),
+        replacing("export-mat", "", "export", "--to", "mat,js"),
         replacing("committee", "committee.safetensors", "committee"),
         Job("calibrate", ("calibrate", committee, logs, *split, "--out",
                           f"{_OUT}/bands.safetensors"), _REPLACE),

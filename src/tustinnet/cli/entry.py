@@ -2,6 +2,8 @@
 
 import gc
 import os
+import sys
+from contextlib import suppress
 
 from tustinnet.cli.terminal import shorten_warnings, stoppable
 
@@ -13,7 +15,7 @@ _COLLECTED = 20_000  # new objects; by default 700, and a tenth of the time goes
 
 def run() -> None:
     """Runs the command."""
-    with stoppable():
+    with stoppable(is_whole_process=True):
         shorten_warnings()
         for name in _THREADS:  # before NumPy is loaded
             os.environ.setdefault(name, "1")
@@ -24,3 +26,5 @@ def run() -> None:
             command()
         finally:
             gc.freeze()  # the process ends: what it leaves need not be searched for garbage
+            with suppress(OSError, ValueError):  # nothing that was printed is lost to a late signal
+                sys.stdout.flush()

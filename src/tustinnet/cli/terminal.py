@@ -121,11 +121,15 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def stoppable() -> Iterator[None]:
+def stoppable(*, is_whole_process: bool = False) -> Iterator[None]:
     """Within the context, Ctrl-C, SIGTERM and SIGHUP end the command with one line.
 
     Signals that the parent process ignores stay ignored. One whose exception Python drops, as in
     `__del__`, is sent again.
+
+    Args:
+        is_whole_process: whether the process ends after the context. Then signals end it with one
+            line until it has; else the earlier handlers are back.
     """
     earlier_handlers, earlier_hook = {}, sys.unraisablehook
 
@@ -146,7 +150,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = earlier_hook
-        for number, handler in earlier_handlers.items():
+        for number, handler in () if is_whole_process else earlier_handlers.items():
             signal.signal(number, handler)
 
 
