@@ -126,6 +126,10 @@ class Channels:
     def __post_init__(self) -> None:
         object.__setattr__(self, "coordinates", tuple(self.coordinates))
         object.__setattr__(self, "inputs", tuple(self.inputs))
+        if not 0 <= self.dt < np.inf:
+            raise InputError(
+                "channels", f"sampling period {self.dt}", "a time above 0, or 0 in continuous time"
+            )
 
     @property
     def n_q(self) -> int:

@@ -60,7 +60,7 @@ def test_it_follows_a_plan_and_then_balances():
     for k in range(330):
         x = step(x, mpc.inputs(k, x))
     np.testing.assert_allclose(x, plan.goal, atol=1e-3)
-    with pytest.raises(tn.InputError, match="1 samples late"):
+    with pytest.raises(tn.InputError, match="1 sample late"):
         Mpc(model, np.zeros(4), np.zeros(1), plan=plan, limits=LIMITS, delay=1)
 
 

@@ -109,7 +109,7 @@ def test_a_period_that_is_no_time_is_refused(dt: float) -> None:
 
 
 def test_a_single_sample_is_no_record() -> None:
-    with pytest.raises(tn.InputError, match="1 samples; expected at least 2"):
+    with pytest.raises(tn.InputError, match="1 sample; expected at least 2"):
         tn.from_arrays([1.0], dt=DT, coordinates={"angle": "angular"})
 
 

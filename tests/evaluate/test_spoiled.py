@@ -120,19 +120,17 @@ def test_motion_from_rest_without_an_input_is_a_hand():
     assert find_without_model(quiet, held_equilibrium(quiet)) == []
 
 
-def test_inputs_beyond_or_at_their_limits_are_named_with_the_value():
+def test_inputs_that_are_often_at_an_extreme_value_are_named_with_it():
     e = records()[0]
     limited = replace(
         e, channels=replace(e.channels, inputs=(tn.Input("torque", "N m", limits=(-2.5, 2.5)),))
     )
-    (part,) = find_without_model(limited, held_equilibrium(limited))
-    assert part.cause == "saturated input"
-    assert "beyond its limits of -2.5 and 2.5 N m" in part.reason
-    assert not part.is_left_out
+    assert find_without_model(limited, held_equilibrium(limited)) == []  # the check says it
     t = e.t
     sine = np.clip(3 * np.sin(2 * t)[:, None], -2.0, 2.0)
     stuck = replace(e, u=sine)
     (part,) = find_without_model(stuck, held_equilibrium(stuck))
+    assert (part.cause, part.is_left_out) == ("saturated input", False)
     assert part.card == "limits = [-2, 2]  # of the input torque"
 
 

@@ -2,18 +2,21 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import record
 from test_model_file import rewrite
 
 import tustinnet as tn
 from tustinnet.cli.main import run
 from tustinnet.errors import InputError
+from tustinnet.fitting.report import data_header
 from tustinnet.models.sizes import MOST_LAYERS
-from tustinnet.store.header import check_header, read_header
+from tustinnet.store.header import check_header, find_fitted, read_header
 
 
 @pytest.fixture
@@ -148,3 +151,18 @@ def rewrite_without(path: Path, *names: str) -> None:
     header, arrays = read_sealed(path, FAMILIES.names())
     kept = {key: value for key, value in header.items() if key not in names}
     write_sealed(path.parent, path.name, kept, {k: np.asarray(a) for k, a in arrays.items()})
+
+
+@pytest.mark.parametrize(
+    ("first", "stop", "knows_rows", "is_fitted"),
+    [(50, 70, True, False), (30, 60, True, True), (0, 80, True, True), (50, 70, False, True)],
+)
+def test_other_rows_of_a_file_that_a_model_was_fitted_to_are_another_record(
+    first, stop, knows_rows, is_fitted
+):
+    whole = replace(record("fall1", 80, 1, "train"), source="long.csv", sha256="0" * 64)
+    data = data_header("one", [whole[:40]])
+    if not knows_rows:  # a file of an earlier version
+        del data["records"][0]["rows"]
+    judged = replace(whole[first:stop], name="fresh")
+    assert find_fitted({"data": data}, [judged]) == (["fresh"] if is_fitted else [])

@@ -37,7 +37,7 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
             # elements of a MAT file are other arrays
             if a.name.partition("[")[2] != b.name.partition("[")[2]:
                 continue
-            (start, stop), (first, last) = logged_rows(a), logged_rows(b)
+            (start, stop), (first, last) = a.logged_rows, b.logged_rows
             shared = min(stop, last) - max(start, first)
             if shared <= 0:
                 continue
@@ -50,12 +50,6 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
                 without_record(b) if is_inside else file_line(b, keep),
                 (a.name, b.name), time=float((begin - start) * a.dt),
             )  # fmt: skip
-
-
-def logged_rows(e: Experiment) -> tuple[int, int]:
-    """First row of a record in its file, and the row after the last."""
-    samples = len(e) if e.recording is None else e.recording.samples
-    return e.first_row, e.first_row + samples
 
 
 def copies(views: Sequence[RecordView]) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from tustinnet.check.card_lines import coordinate_line, input_line
 from tustinnet.check.finding import Finding, Severity
 from tustinnet.check.motion_model import make_regressors, record_equations
 from tustinnet.check.view import RecordView
+from tustinnet.wording import counted
 
 _COPY = 2.0  # counts, by which two columns of one sensor differ at most
 _TOGETHER = 0.995  # correlation of two speeds
@@ -29,7 +30,7 @@ def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
             continue
         yield _finding(
             views, "still input", "warning", f"{i.name} moves in no record",
-            f"{values[0]:.4g} {i.unit} in all {len(values)} samples",
+            f"{values[0]:.4g} {i.unit} in all {counted(len(values), 'sample')}",
             input_line(i.name, "column: is it the right one? else leave the block out"), i.name,
         )  # fmt: skip
 
@@ -44,7 +45,7 @@ def poor_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
         if levels < _LEVELS:
             yield _finding(
                 views, "poor input", "note", f"{i.name} takes few values",
-                f"{levels} levels in {len(columns)} records",
+                f"{counted(levels, 'level')} in {counted(len(columns), 'record')}",
                 "record more levels: nothing between them can be told", i.name,
             )  # fmt: skip
             continue

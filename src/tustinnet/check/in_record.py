@@ -23,6 +23,7 @@ from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
 from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
+from tustinnet.wording import counted
 
 _OTHER_PERIOD = 0.003  # relative; velocities and accelerations are wrong by it, and by twice it
 _FAR_PERIOD = 0.02
@@ -150,13 +151,13 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
         if not view.moving[j]:
             yield view.finding(
                 "dead sensor", "warning", f"{c.name} never changes",
-                f"{e.q[0, j]:.4g} {c.unit} in all {len(e)} samples",
+                f"{e.q[0, j]:.4g} {c.unit} in all {counted(len(e), 'sample')}",
                 coordinate_line(c.name, "column: is it the right one?"), c.name,
             )  # fmt: skip
         elif len(np.unique(e.q[:, j])) == 2 and _is_one_count(view, j):
             yield view.finding(
                 "dead sensor", "warning", f"{c.name} never changes by more than one count",
-                f"{np.ptp(e.q[:, j]):.4g} {c.unit} in all {len(e)} samples",
+                f"{np.ptp(e.q[:, j]):.4g} {c.unit} in all {counted(len(e), 'sample')}",
                 coordinate_line(c.name, "column: is it the right one?"), c.name,
             )  # fmt: skip
 
@@ -229,7 +230,7 @@ def jumps(view: RecordView) -> Iterator[Finding]:
             check = "swap" if cause.endswith("swapped?") else "counter"
             yield view.finding(
                 check, "severe", f"{c.name} jumps at sample {listed}: {cause}",
-                f"{len(rows)} jumps of {worst:.5g} {c.unit}", remedy, c.name,
+                f"{counted(len(rows), 'jump')} of {worst:.5g} {c.unit}", remedy, c.name,
                 view.seconds(int(rows[0])),
             )  # fmt: skip
             continue
@@ -389,7 +390,8 @@ def frozen_sensor(view: RecordView) -> Iterator[Finding]:
         times = f"{len(runs)} times, " if len(runs) > 1 else ""
         yield view.finding(
             "frozen sensor", "warning", f"{c.name} repeats a value while it moves",
-            f"{times}{total} samples, {1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
+            f"{times}{counted(total, 'sample')}, "
+            f"{1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
             _around(view, *longest), c.name, view.seconds(longest[0]),
         )  # fmt: skip
 
@@ -444,7 +446,8 @@ def clipped_sensor(view: RecordView) -> Iterator[Finding]:
             samples = int(np.sum((b - a + 1)[sharp]))
             yield view.finding(
                 "clipped sensor", "warning", f"{c.name} is clipped at {extreme:.5g} {c.unit}",
-                f"{sharp.sum()} times, {samples} samples, {samples / len(q):.1%} of them",
+                f"{sharp.sum()} times, {counted(samples, 'sample')}, "
+                f"{samples / len(q):.1%} of them",
                 "no line of the card: the sensor's range is too small", c.name,
                 view.seconds(int(a[sharp][0])),
             )  # fmt: skip
@@ -612,8 +615,10 @@ def limits(view: RecordView) -> Iterator[Finding]:
             reach = max(low - u.min(), u.max() - high)
             wide = f"limits = [{min(low, u.min()):.4g}, {max(high, u.max()):.4g}]"
             yield view.finding(
-                "limits", "warning", f"{i.name} goes beyond its limits",
-                f"by {reach:.3g} {i.unit} in {beyond.sum()} samples, {beyond.mean():.1%}",
+                "limits", "warning",
+                f"{i.name} goes beyond its limits: the actuator gave less than the log says",
+                f"by {reach:.3g} {i.unit} in {counted(beyond.sum(), 'sample')}, "
+                f"{beyond.mean():.1%}",
                 input_line(i.name, wide), i.name, view.seconds(int(np.argmax(beyond))),
             )  # fmt: skip
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.wording import counted
 
 
 def calibrate(
@@ -68,6 +69,6 @@ def calibrate(
                              "highest_level": calibration.highest_level})  # fmt: skip
         return
     terminal.messages().print(
-        f"{out}: bands from {len(records)} records, start '{start}'; their highest level is "
-        f"{100 * calibration.highest_level:.1f} %"
+        f"{out}: bands from {counted(len(records), 'record')}, start '{start}'; "
+        f"their highest level is {100 * calibration.highest_level:.1f} %"
     )

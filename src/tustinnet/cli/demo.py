@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,7 +78,7 @@ def demo(
         twin = qube_servo2_twin.twin(seed)
         write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
         data = load(logs)
-        print_step(f"2/6 looking at the {len(data)} records: {out / 'twin_records.png'}")
+        print_step(f"2/6 looking at the {counted(len(data), 'record')}: {out / 'twin_records.png'}")
         training = list(data.split("train"))
         reports = [inspect_experiment(e) for e in training]
         if not json:

@@ -96,7 +96,7 @@ def fit(
                                  "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
         selection = read_options(
             plan, budget, found_system, on_cluster=cluster is not None,
-            leave_out_spoiled=leave_out_spoiled, quiet=quiet,
+            leave_out_spoiled=leave_out_spoiled,
         )  # fmt: skip
     else:
         for option, value in {"--plan": plan, "--budget": budget, "--cluster": cluster}.items():
@@ -134,7 +134,7 @@ def fit(
         leave_out_spoiled=leave_out_spoiled,
     )
     if selection is not None:
-        select(fit_options, selection, cluster_address=cluster)
+        select(fit_options, selection, cluster_address=cluster, says_budget=budget is None)
     else:
         _fit_recipe(
             fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,

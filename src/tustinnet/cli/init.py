@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     from tustinnet.data.drafting.draft import Draft
@@ -189,7 +190,7 @@ def print_assumptions(draft: "Draft") -> None:
 def _print_draft(draft: "Draft", folder: Path) -> None:
     """Prints the columns with what they were taken for and why, a line each, and the splits."""
     records = len(draft.splits.records)
-    typer.echo(f"{folder}: {records} records, every {1e3 * draft.dt:.6g} ms")
+    typer.echo(f"{folder}: {counted(records, 'record')}, every {1e3 * draft.dt:.6g} ms")
     lines = [
         (c.name, (f"{c.use} [{c.unit}]" if c.unit else c.use) or "not used", c.because)
         for c in draft.columns

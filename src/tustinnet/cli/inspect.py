@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, request, terminal
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -156,7 +157,7 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     sampling = "no column of times found"
     if report.dt is not None and report.jitter is not None:
         sampling = f"every {1e3 * report.dt:.4g} ms, worst deviation {1e3 * report.jitter:.3g} ms"
-    title = f"{report.name}: {report.rows} rows; {sampling}; roles are guesses"
+    title = f"{report.name}: {counted(report.rows, 'row')}; {sampling}; roles are guesses"
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
     for note in report.notes:
         typer.echo(f"note: {note}")
@@ -262,7 +263,7 @@ def _list_records(names: "Sequence[str]", total: int) -> str:
     if len(names) <= _MOST_NAMED:
         return ", ".join(names)
     if len(names) == total:
-        return f"all {total} records"
+        return f"all {counted(total, 'record')}"
     return f"{', '.join(names[:_FIRST_NAMED])} and {len(names) - _FIRST_NAMED} others"
 
 

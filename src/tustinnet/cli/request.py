@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -443,7 +444,7 @@ def _leave_out_short(
             kept.append(e)
         else:
             terminal.messages().print(
-                f"left out: {e.name}: {len(e)} samples; expected at least {fewest}"
+                f"left out: {e.name}: {counted(len(e), 'sample')}; expected at least {fewest}"
             )
     return kept
 

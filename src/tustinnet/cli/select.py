@@ -44,20 +44,13 @@ def read_options(
     *,
     on_cluster: bool,
     leave_out_spoiled: bool,
-    quiet: bool,
 ) -> "SelectionOptions":
     """The options of a selection from words of the command line; its budget counts from now on.
 
-    Without a word on the budget a plan of the user's own, and one on a cluster, has no limit;
-    another one has the usual, which is printed.
+    Without a word on the budget a plan of the user's own, and one on a cluster, has no limit.
     """
-    if budget is None and (plan is not None or on_cluster):
-        budget = _NO_BUDGET
-    elif budget is None:
-        budget = _USUAL_BUDGET
-        terminal.make_printer(quiet=quiet)(
-            f"takes {budget} at most (--budget 10min allows more, --budget none all it needs)"
-        )
+    if budget is None:
+        budget = _USUAL_BUDGET if plan is None and not on_cluster else _NO_BUDGET
     start_time = time.monotonic()  # the imports and records from here on take seconds
     from tustinnet.selection.plan import USUAL, read_plan
     from tustinnet.selection.select import SelectionOptions
@@ -68,11 +61,15 @@ def read_options(
 
 
 def select(
-    fit_options: "FitOptions", selection: "SelectionOptions", *, cluster_address: str | None
+    fit_options: "FitOptions",
+    selection: "SelectionOptions",
+    *,
+    cluster_address: str | None,
+    says_budget: bool,
 ) -> None:
     """Fits the candidates of a plan and keeps the best as one model; prints and draws the results.
 
-    Without a cluster this process is used.
+    Without a cluster this process is used. A budget that nobody named is said.
     """
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.cli.request import open_cluster
@@ -85,6 +82,10 @@ def select(
 
     quiet, report = fit_options.quiet, fit_options.report
     records = fit_options.load()
+    if says_budget and selection.budget is not None:
+        terminal.make_printer(quiet=quiet)(
+            f"takes {_USUAL_BUDGET} at most (--budget 10min allows more, --budget none all it needs)"
+        )
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
         with (

@@ -5,6 +5,7 @@ from typing import Any
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.wording import counted
 
 _LONGEST_LINE = 1000  # characters
 Lines = list[tuple[str, str]]
@@ -61,7 +62,7 @@ def _fit_lines(header: dict[str, Any]) -> Lines:
         lines.append(("begun with", f"{origin['file']}, sha256 {origin['sha256']}"))
     if "data" in header:
         data = header["data"]
-        lines.append(("data", f"{data['name']}, {len(data['records'])} records"))
+        lines.append(("data", f"{data['name']}, {counted(len(data['records']), 'record')}"))
     return lines
 
 

@@ -19,6 +19,7 @@ from tustinnet.signals.encoder import encoder_count
 from tustinnet.simulate.filtering import FilterNoise, FilterResult, KalmanFilter, kalman_filter
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import initial_states, step_equations
+from tustinnet.wording import counted
 
 Vector = Float[np.ndarray, " _"]
 
@@ -304,7 +305,7 @@ def _parts(model: Model, records: Sequence[Experiment]) -> list[Experiment]:
     parts = [e[:length] for e in records if len(e) >= _SHORTEST]
     if not parts:
         raise InputError(
-            "the filter's noise", f"{len(records)} records",
+            "the filter's noise", counted(len(records), "record"),
             f"at least one of {_SHORTEST} samples or more",
         )  # fmt: skip
     return parts[: samples // _SHORTEST]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.errors import InputError
+from tustinnet.wording import counted
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,6 @@ class Plan:
             )  # fmt: skip
         if not np.isclose(self.dt, dt, rtol=1e-6) or self.delay != delay:
             raise InputError(
-                where, f"a plan of {self.dt:g} s a sample, {self.delay} samples late",
-                f"{dt:g} s a sample, {delay} samples late",
+                where, f"a plan of {self.dt:g} s a sample, {counted(self.delay, 'sample')} late",
+                f"{dt:g} s a sample, {counted(delay, 'sample')} late",
             )  # fmt: skip

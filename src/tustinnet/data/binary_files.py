@@ -21,6 +21,7 @@ from tustinnet.data.columns import Column, Listing, require_different
 from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.registry import load_place
+from tustinnet.wording import counted
 
 LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
 _ADDRESS_SPACE = 6 * 2**30  # bytes: these columns, their sources, and the libraries
@@ -91,7 +92,7 @@ def _places(path: Path, shapes: list[tuple[str, Shape]]) -> dict[str, _Place]:
     vectors = [len(shape) == 1 or 1 in shape for _, shape in shapes]
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
     if count > _MOST_COLUMNS:
-        raise InputError(path, f"{count} columns", f"at most {_MOST_COLUMNS}")
+        raise InputError(path, counted(count, "column"), f"at most {_MOST_COLUMNS}")
     columns: list[tuple[str, _Place]] = []
     for (name, shape), one in zip(shapes, vectors, strict=True):
         numbers = [None] if one else range(shape[1])

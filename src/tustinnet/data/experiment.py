@@ -13,6 +13,7 @@ from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitation
+from tustinnet.wording import counted
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
@@ -113,7 +114,7 @@ class Experiment(HasChannels):
         self._freeze("t", (None,))
         n = len(self.t)
         if n < 2:
-            raise InputError(self.name, f"{n} samples", "at least 2")
+            raise InputError(self.name, counted(n, "sample"), "at least 2")
         self._freeze("q", (n, len(self.coordinates)))
         self._freeze("u", (n, len(self.inputs)))
         if self.v is not None:
@@ -151,6 +152,12 @@ class Experiment(HasChannels):
             )
         array.setflags(write=False)
         object.__setattr__(self, attribute, array)
+
+    @property
+    def logged_rows(self) -> tuple[int, int]:
+        """First row in the source, and the row after the last."""
+        samples = len(self) if self.recording is None else self.recording.samples
+        return self.first_row, self.first_row + samples
 
     def __len__(self) -> int:
         return len(self.t)
@@ -245,7 +252,8 @@ class Experiment(HasChannels):
         if last - first < 2:
             raise InputError(
                 self.name,
-                f"trimming to {start:g}..{end:g} s leaves {max(last - first, 0)} samples",
+                f"trimming to {start:g}..{end:g} s leaves "
+                + counted(max(last - first, 0), "sample"),
                 f"times within 0..{elapsed[-1]:g} s",
             )
         return self[first:last]
@@ -374,7 +382,7 @@ class Experiment(HasChannels):
         if len(self) < _STENCIL_SAMPLES:
             raise InputError(
                 self.name,
-                f"{len(self)} samples, too few to derive velocities from",
+                f"{counted(len(self), 'sample')}, too few to derive velocities from",
                 f"at least {_STENCIL_SAMPLES}",
                 "leave the record out",
             )

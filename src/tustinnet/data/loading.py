@@ -23,6 +23,7 @@ from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
+from tustinnet.wording import counted
 
 _SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
 _LEAST_RATIO = 1e-300  # of a median interval to dt, whose logarithm is taken
@@ -212,7 +213,9 @@ def _load_file(
     def read(columns: Columns, where: object, name: str) -> _LoadedRecord:
         count = len(columns.names)
         if card.format.columns is not None and count != card.format.columns:
-            raise InputError(path, f"{count} columns", f"{card.format.columns} as in the card")
+            raise InputError(
+                path, counted(count, "column"), f"{card.format.columns} as in the card"
+            )
         reader = _ColumnReader(columns, where, entry.rows)
         return _read_record(
             reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
@@ -283,7 +286,7 @@ class _ColumnReader:
             if not 1 <= key <= len(names):
                 raise InputError(
                     self.where,
-                    f"{len(names)} columns",
+                    counted(len(names), "column"),
                     f"a column {key} as in the card",
                     "columns count from 1",
                 )
@@ -385,7 +388,7 @@ def _read_record(
         factors = [c.sign * c.velocity_factor() for c in card.coordinates]
         v = reader.read_matrix([c.column for c in velocities]) * factors
     if len(q) < 2:
-        raise InputError(where, f"{len(q)} samples", "at least 2")
+        raise InputError(where, counted(len(q), "sample"), "at least 2")
     if not np.ptp(q, axis=0).any():
         names = ", ".join(c.name for c in card.coordinates)
         raise InputError(
@@ -436,7 +439,11 @@ def _times(reader: _ColumnReader, card: Card, n: int) -> tuple[Float[np.ndarray,
         return np.arange(n) * card.dt, card.dt
     t = reader.read(card.time.column) * card.time.factor()
     if len(t) != n:
-        raise InputError(reader.where, f"{len(t)} timestamps for {n} samples", "equal numbers")
+        raise InputError(
+            reader.where,
+            f"{len(t)} timestamps for {n} samples",
+            "equal numbers",
+        )
     backward = np.flatnonzero(np.diff(t) <= 0)
     if len(backward):
         row = int(backward[0]) + 1

@@ -27,6 +27,7 @@ from tustinnet.data.text_dialect import (
 )
 from tustinnet.data.text_pairs import Pairs, find_pairs
 from tustinnet.errors import InputError, describe_error
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     import polars as pl
@@ -128,7 +129,7 @@ def read_text(
     notes = [
         *([file.remark] if file.remark else []),
         *([described] if described and not _prefers_tabs(path) else []),
-        *([f"{file.skipped} rows before the header skipped"] if file.skipped else []),
+        *([f"{counted(file.skipped, 'row')} before the header skipped"] if file.skipped else []),
         *([f"{file.damaged} {DAMAGED_ROWS}"] if file.damaged else []),
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
         *(["pairs of columns, times and values"] if file.pairs is not None else []),

@@ -21,6 +21,7 @@ from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.signals.transients import rest_thresholds, settling_index
 from tustinnet.simulate.starts import start_named
+from tustinnet.wording import counted
 
 KEY = "bands"  # in headers of model files
 _FLOOR = 0.2  # of the errors' root mean square
@@ -358,7 +359,7 @@ def calibrate_bands(
         InputError: fewer than two records, or a free run that is not finite.
     """
     if len(predictions) < 2:
-        raise InputError("calibrate", f"{len(predictions)} records", "at least 2")
+        raise InputError("calibrate", counted(len(predictions), "record"), "at least 2")
     for prediction in predictions:
         if not (np.isfinite(prediction.simulated).all() and np.isfinite(prediction.spread).all()):
             raise InputError(

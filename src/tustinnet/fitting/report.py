@@ -331,7 +331,7 @@ def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
         "quanta": quanta,
         "records": [
             {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256,
-             "fingerprint": make_fingerprint(e, quanta)}
+             "rows": [*e.logged_rows], "fingerprint": make_fingerprint(e, quanta)}
             | ({"groups": dict(e.groups)} if e.groups else {})
             for e in records
         ],

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.wording import counted
 
 TRAIN, VALIDATION = "train", "validation"
 
@@ -49,7 +50,7 @@ class Roles:
 def describe_left_out(records: Iterable[Experiment], fewest: int) -> list[str]:
     """Sentences on validation records that are left out for having fewer samples."""
     return [
-        f"left out of validation: {e.name}: {len(e)} samples; expected at least {fewest}"
+        f"left out of validation: {e.name}: {counted(len(e), 'sample')}; expected at least {fewest}"
         for e in records
     ]
 

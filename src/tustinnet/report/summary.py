@@ -11,6 +11,7 @@ from tustinnet.report.progress import duration
 from tustinnet.report.tables import number
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import MODEL, Run
+from tustinnet.wording import counted
 
 
 def fit_summary(run: Run, data: str) -> tuple[str, ...]:
@@ -24,7 +25,7 @@ def fit_summary(run: Run, data: str) -> tuple[str, ...]:
     motion = sum(e.seconds for e in records)
     seconds = sum(member.result.seconds for member in run.members)
     return (
-        f"fitted: {run.best.result.recipe.name}, to {len(records)} records with "
+        f"fitted: {run.best.result.recipe.name}, to {counted(len(records), 'record')} with "
         f"{duration(motion)} of motion, in {duration(seconds)}",
         f"how good: {_describe_accuracy(run)}",
         f"next: {next_steps(run.folder / MODEL, data)}",
@@ -44,7 +45,7 @@ def _describe_accuracy(run: Run) -> str:
     scores, channels = run.best.scores, run.roles.train[0].channels
     finite = [s for s in scores if math.isfinite(s.rmse)]
     if not finite:
-        return f"all free runs of {len(scores)} records diverge"
+        return f"all free runs of {counted(len(scores), 'record')} diverge"
     shares = ", ".join(
         f"{100 * share:.0f} % of {c.name}'s"
         for c, share in zip(

@@ -24,6 +24,7 @@ from tustinnet.reproduce.published import (
     load_authors_weights,
 )
 from tustinnet.store.run import MODEL, Run, run_task
+from tustinnet.wording import counted
 
 START = "file"  # Table 1 starts from the first row as it is stored
 
@@ -244,7 +245,7 @@ def as_table(rows: Sequence[Row], split: str) -> Table:
         medians = [number(statistics.median(column)) for column in columns]
         means = [row.mean for row in group]
         mean = f"{number(statistics.median(means))} ({number(min(means))}..{number(max(means))})"
-        label = f"{name}, median of {len(group)} seeds{_other_start(group[0])}"
+        label = f"{name}, median of {counted(len(group), 'seed')}{_other_start(group[0])}"
         lines.append([label, *medians, mean])
     note = "" if same_records else "; * the paper's mean over its own (test) records"
     title = f"Table 1 on the {split} split: free-run RMSE [rad], start '{START}'{note}"

@@ -10,6 +10,7 @@ from tustinnet.errors import InputError
 from tustinnet.signals.smoother import kalman_smoother
 from tustinnet.signals.transients import is_moving
 from tustinnet.signals.wiener import trapezoidal_response, wiener_velocities
+from tustinnet.wording import counted
 
 VelocityMethod = Literal["stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 Positions = Float[np.ndarray, "n n_q"]
@@ -47,7 +48,7 @@ def differentiate(
             "velocity", f"unknown method '{method}'", ", ".join(get_args(VelocityMethod))
         )
     if len(q) < len(_STENCIL):
-        raise InputError("velocity", f"{len(q)} samples", f"at least {len(_STENCIL)}")
+        raise InputError("velocity", counted(len(q), "sample"), f"at least {len(_STENCIL)}")
     if method == "kalman":
         if resolution is None or not np.all(resolution > 0):
             raise InputError(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from tustinnet.errors import InputError
+from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -118,7 +119,7 @@ class Start(ABC):
             raise InputError("start", f"'{self.name}'", f"at least {fewest} samples for {purpose}")
         if self.samples > len(e):
             raise InputError(
-                e.name, f"{len(e)} samples",
+                e.name, counted(len(e), "sample"),
                 f"at least {self.samples} for the start '{self.name}'",
                 "leave the record out, or take another start",
             )  # fmt: skip

@@ -4,6 +4,7 @@ Whatever is read from a header is declared here, or by the family in `families.d
 is checked when the file is read. A header that passes can be used by every verb as it is.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -119,6 +120,7 @@ class _Record(Entries):
     sha256: str
     split: str | None = None
     source: str = ""
+    rows: Annotated[list[Count], Field(min_length=2, max_length=2)] | None = None
     groups: dict[str, str] = Field(default_factory=dict)
     fingerprint: str = Field(default="", pattern=FINGERPRINT)
 
@@ -357,22 +359,41 @@ def records_in_header(header: Mapping[str, Any]) -> dict[str, str]:
 def find_fitted(header: Mapping[str, Any], records: Iterable[Experiment]) -> list[str]:
     """Names of the records that a model was made from, among some.
 
-    A record is one of them where its file is identical, or where its samples are those of a copy:
-    with other times, line ends or digits, or a part of it. Records of a model that the fit began
-    with are known by their files only.
+    A record is one of them where it shares rows of an identical file, or where its samples are
+    those of a copy: with other times, line ends or digits, or a part of it. Of records that a model
+    was made from which the fit began with, and of those in files of earlier versions, the whole
+    file counts.
 
     Args:
         header: the header of the model's file.
         records: the records.
     """
-    checksums = records_in_header(header)
     known = _fingerprints(header)
     return [
         e.name
         for e in records
-        if (e.sha256 and e.sha256 in checksums)
+        if _shares_rows(e, header)
         or any(is_among(e, texts, quanta) for quanta, texts in known.items())
     ]
+
+
+def _shares_rows(experiment: Experiment, header: Mapping[str, Any]) -> bool:
+    """Whether a record is of a file that a model was made from, and of rows of it that were."""
+    first, stop = experiment.logged_rows
+    element, whole = experiment.name.partition("[")[2], (0, math.inf)
+    rows = [
+        r.get("rows") or whole
+        for r in _fitted_entries(header)
+        if r["sha256"] == experiment.sha256
+        # elements of a MAT file are other arrays
+        and ("rows" not in r or r["name"].partition("[")[2] == element)
+    ]
+    if experiment.sha256 in header.get(ORIGIN, {}).get("made_from", {}):
+        rows.append(whole)
+    return bool(experiment.sha256) and (
+        any(first < end and begin < stop for begin, end in rows)
+        or any(_shares_rows(experiment, part) for part in header.get("files", ()))
+    )
 
 
 def _fitted_entries(header: Mapping[str, Any]) -> list[Mapping[str, Any]]:

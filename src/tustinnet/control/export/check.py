@@ -18,6 +18,7 @@ from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.simulate.filtering import FilterNoise, KalmanFilter
 from tustinnet.store.files import write_into
+from tustinnet.wording import counted
 
 BOUND = 1e-9  # of the difference, relative to 1 + the value
 _LIBRARY = ("-std=c99", "-O1", "-fPIC", "-shared")
@@ -134,7 +135,7 @@ def _compare(
         call("model_step", x, inputs)
         if not (np.isfinite(x).all() and np.isfinite(estimator).all()):
             raise InputError(
-                "the controller", f"its closed loop diverges after {k} samples",
+                "the controller", f"its closed loop diverges after {counted(k, 'sample')}",
                 "one that holds the model itself", "change its weights, its plan or its start",
             )  # fmt: skip
         compare(x, expected)

@@ -23,6 +23,7 @@ from tustinnet.data.drafting.relations import compare_slopes
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
 from tustinnet.errors import InputError
+from tustinnet.wording import counted
 
 _MOST_SAMPLES = 200_000  # on which the evidence rests
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
@@ -216,7 +217,8 @@ def _usable_pieces(
             continue
         if len(rows) < len(finite):
             on_message(
-                f"{place}: {len(finite) - len(rows)} rows at its ends are not finite; cut off"
+                f"{place}: cut off at its ends, not finite: "
+                + counted(len(finite) - len(rows), "row")
             )
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
         if (np.diff(piece.t) <= 0).any():

@@ -18,6 +18,7 @@ from tustinnet.data.readers import is_text, read_columns
 from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
+from tustinnet.wording import counted
 
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
@@ -233,7 +234,10 @@ def _read_whole_file(folder: Path, file: str) -> list[Log]:
         parts = {label: columns.part(label) for label in columns.parts}
         columns.fetch_parts({name for part in parts.values() for name in part.names})
         logs = [replace(_read_log(part, file, None), record=k) for k, part in parts.items()]
-        return [replace(log, notes=(f"{file}: {len(logs)} records", *log.notes)) for log in logs]
+        return [
+            replace(log, notes=(f"{file}: {counted(len(logs), 'record')}", *log.notes))
+            for log in logs
+        ]
     if not columns.elements:
         return [_read_log(columns, file, None)]
     elements = [columns.element(number) for number in range(1, columns.elements + 1)]
@@ -372,7 +376,9 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     dt, worst = _period(intervals * TIME[unit])
     if not SHORTEST_DT <= dt <= LONGEST_DT:
         return Clock(None, others={**others, best: f"rises, but {dt:.3g} s apart"})
-    return Clock(best, unit, f"{reason}; {because}", dt, worst, sure, others)
+    if not because.endswith(reason):  # a unit in the name says what the name is
+        because = f"{reason}; {because}"
+    return Clock(best, unit, because, dt, worst, sure, others)
 
 
 def _speaks_of_motion(reading: NameReading) -> bool:

@@ -94,7 +94,11 @@ _TIME_UNITS = {
     **dict.fromkeys(("us", "usec", "micros", "microseconds", "mikrosekunden", "µs", "μs"), "us"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanoseconds", "nanosekunden"), "ns"),
 }
-_OTHER_UNITS = {"degc", "°c", "c", "k", "hz", "w", "kg", "g/s", "l/min", "celsius", "db", "lux"}
+_OTHER_UNITS = {
+    **dict.fromkeys(("degc", "°c", "c", "celsius"), "degC"),
+    **{unit.lower(): unit for unit in ("K", "Hz", "W", "kg", "g/s", "l/min", "dB", "lx")},
+    "lux": "lx",
+}
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
 _SYMBOL = re.compile(
@@ -257,7 +261,7 @@ def _look_up(text: str) -> tuple[str, Quantity | None] | None:
         if candidate in _TIME_UNITS:
             return _TIME_UNITS[candidate], "time"
         if candidate in _OTHER_UNITS:
-            return candidate, "other"
+            return _OTHER_UNITS[candidate], "other"
     return None
 
 

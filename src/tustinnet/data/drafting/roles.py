@@ -195,12 +195,12 @@ def _name_evidence(reading: NameReading) -> Iterator[Evidence]:
     if is_command:
         speaks_of_input = any(q in INPUTS and w >= 3 for q, w in reading.quantities.items())
         if speaks_of_input:
-            yield Evidence("input", 2.0, "a command by its name")
+            yield Evidence("input", 2.0, "named a command")
         else:
-            yield Evidence("set point", 4.0 if top >= 3 else 2.5, "a command by its name")
-            yield Evidence("input", 2.0, "a command by its name")
+            yield Evidence("set point", 4.0 if top >= 3 else 2.5, "named a command")
+            yield Evidence("input", 2.0, "named a command")
     if reading.qualifier == "model":
-        yield Evidence("other", 4.0, "simulated or predicted by its name")
+        yield Evidence("other", 4.0, "named simulated or predicted")
 
 
 def _number_evidence(numbers: Numbers) -> Iterator[Evidence]:

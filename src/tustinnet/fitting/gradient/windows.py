@@ -16,6 +16,7 @@ from tustinnet.models.contract import Model
 from tustinnet.signals.windows import random_windows, strided_windows
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.input_signal import input_signal
+from tustinnet.wording import counted
 
 _LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _RECORD_SHARE = 4  # and at most the median record over this
@@ -117,7 +118,7 @@ def draw_stage_windows(
         shorter = " or what its start needs" if lead else ""
         raise InputError(
             shortest.name,
-            f"{len(shortest)} samples",
+            counted(len(shortest), "sample"),
             f"more than a window of {reach} steps{before}",
             f"leave the record out, or shorten `length`{shorter} in the recipe",
         )

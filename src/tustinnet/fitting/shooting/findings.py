@@ -20,6 +20,7 @@ from tustinnet.fitting.report import (
 )
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.wording import counted
 
 _POOR_CONDITION = 1e3
 _AT_NOISE = 1.5  # times the rms error of rounding to counts: residuals that show no more
@@ -285,7 +286,7 @@ def describe_errors(
     else:
         residuals = f"residuals are {size}independent from sample to sample"
     if uncertainty.clustered is not None:
-        return f"{residuals}; trust the errors from how the {n_records} records disagree"
+        return f"{residuals}; trust the errors from how the {counted(n_records, 'record')} disagree"
     few = f"{n_records} record{'s are' if n_records > 1 else ' is'} too few"
     if is_correlated:
         return f"{residuals}, {few} to say by how much"

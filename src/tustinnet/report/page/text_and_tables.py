@@ -26,6 +26,7 @@ from tustinnet.report.tables import Table, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import find_fitted, records_in_header
+from tustinnet.wording import counted
 
 _DIGITS = 12  # of a checksum
 
@@ -115,7 +116,7 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
     size = f"{number(scores['mean'])}{spread} {unit or ''}".strip()
     return (
         "On records that they were not fitted to, models made in the same way are off by "
-        f"{size} on average ({len(count or ())} records, on folds)."
+        f"{size} on average ({counted(len(count or ()), 'record')}, on folds)."
     )
 
 
@@ -228,7 +229,8 @@ def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) 
             reported.label,
             family_of(reported.model).kind,
             f"{recipe['name']}{seed}" if recipe else "–",
-            f"{count} records of {header['data']['name']}" if header.get("data") else "–",
+            f"{counted(count, 'record')} of {header['data']['name']}"
+            if header.get("data") else "–",
             hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] if file else "–",
             " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
         ])  # fmt: skip

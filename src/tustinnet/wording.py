@@ -1,0 +1,6 @@
+"""Wording of messages that is the same everywhere."""
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things in words: `1 record`, `3 records`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
