@@ -84,7 +84,7 @@ def select(
     records = fit_options.load()
     if says_budget and selection.budget is not None:
         terminal.make_printer(quiet=quiet)(
-            f"takes {_USUAL_BUDGET} at most (--budget 10min allows more, --budget none all it needs)"
+            f"takes {_USUAL_BUDGET} at most (--budget 10min: more; --budget none: no limit)"
         )
     with FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
