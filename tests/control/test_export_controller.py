@@ -96,7 +96,8 @@ def some_feedback(model: tn.Model, integral: tuple[int, ...] = ()) -> Feedback:
     gain = 0.1 * np.random.default_rng(0).normal(size=(n_u, n_z))
     return Feedback(
         gain=gain, x0=np.linspace(-0.1, 0.1, n_x), u0=np.full(n_u, 0.05), lower=np.full(n_u, -0.2),
-        upper=np.full(n_u, 0.15), dt=model.dt, integral=integral, periodic=(0,),
+        upper=np.full(n_u, 0.15), dt=model.dt,
+        speeds=np.full(model.channels.n_q, 0.3), integral=integral, periodic=(0,),
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """Linear-quadratic feedback against scipy and python-control, and in the loop."""
 
 import control
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
@@ -17,6 +18,7 @@ from tustinnet.control import (
     margins,
     time_varying_lqr,
 )
+from tustinnet.models import forces
 from tustinnet.simulate.range import Range
 
 
@@ -53,6 +55,29 @@ def test_weights_follow_from_the_records_and_from_what_is_named():
     np.testing.assert_allclose(from_range.gain, named.gain)
     stiffer = lqr(model, np.zeros(2), np.zeros(1), range=ranges, deviations={"s": 0.01})
     assert stiffer.gain[0, 0] > 2 * named.gain[0, 0]
+
+
+def test_dry_friction_is_a_force_whatever_the_speed_at_which_it_is_rounded():
+    """At the point itself it is viscous friction of `force / width`, here up to 5000 N s/m."""
+    gains = []
+    for width in (1e-2, 1e-3, 1e-4):
+        cart = tn.LagrangianSystem(
+            name="cart",
+            coordinates=(tn.Coordinate("s", "linear"),),
+            inputs=(tn.Input("force", "N", limits=(-5.0, 5.0)),),
+            parameters=(tn.Parameter("friction", "N", 0.5, 0.0, 5.0),),
+            kinetic=lambda q, v, p: v[0] ** 2 / 2,
+            dissipation=lambda q, v, p, width=width: forces.coulomb(v, p["friction"], width),
+            input_map=lambda q, v, u, p: u,
+        )
+        model = tn.discretise(cart.model({"friction": jnp.asarray(0.5)}), 0.01, 5)
+        gains.append(lqr(model, np.zeros(2), np.zeros(1), deviations={"der_s": 1.0}).gain)
+    np.testing.assert_allclose(gains[1:], [gains[0]] * 2, rtol=0.02)
+    # a force of 0.5 N at a speed of 0.1 m/s
+    a, b = np.array([[1.0, 0.01], [0.0, 1.0 - 0.01 * 0.5 / 0.1]]), np.array([[0.0], [0.01]])
+    viscous = LinearMachine(a, b, model.channels)
+    expected = lqr(viscous, np.zeros(2), np.zeros(1), deviations={"der_s": 1.0}).gain
+    np.testing.assert_allclose(gains[2], expected, rtol=0.05)
 
 
 def test_a_sample_of_delay_is_accounted_for():

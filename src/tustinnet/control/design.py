@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
-from tustinnet.control.dynamics import InputLimits, Limits, input_limits
+from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
 from tustinnet.control.ilqr import ilqr
@@ -17,7 +17,7 @@ from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
 from tustinnet.control.stepped_model import equations_in
-from tustinnet.control.weights import Deviations
+from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
@@ -156,7 +156,10 @@ def design_controller(
     """
     bounds = input_limits(model, task.limits)
     on_message("equilibrium")
-    point = find_equilibrium(model, task.at, task.limits)
+    own = _usual_deviations(model, task, bounds)
+    weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
+    speeds = weights.usual_speeds(model.channels)
+    point = find_equilibrium(model, task.at, task.limits, speeds=speeds)
     for mode in point.modes:
         if not mode.observable and not mode.is_stable:
             raise InputError(
@@ -165,7 +168,6 @@ def design_controller(
             )  # fmt: skip
     if range is not None and not task.trust_beyond:
         _require_recorded(model, point, range)
-    own = _usual_deviations(model, task, bounds)
     sums = {k: v for k, v in task.deviations.items() if k.startswith("integral_")}
     on_message("feedback")
     feedback = lqr(
@@ -177,7 +179,7 @@ def design_controller(
     start, beyond, gains = None, None, feedback
     if task.start is not None:
         on_message("motion")
-        start = find_equilibrium(model, task.start, task.limits)
+        start = find_equilibrium(model, task.start, task.limits, speeds=speeds)
         plan = _plan_motion(model, task, start, point, bounds, range)
         beyond = None if range is None else range.extrapolation_point(
             model.channels, plan.x[:-1], plan.u

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from math import ceil, log2
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Float
 
 from tustinnet.engine.equations import Formula
@@ -124,14 +126,43 @@ class ControlledModel:
         )  # fmt: skip
 
     def tangent(
-        self, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+        self,
+        x: Float[np.ndarray, " n_x"],
+        u: Float[np.ndarray, " n_u"],
+        speeds: Float[np.ndarray, " n_q"] | None = None,
     ) -> tuple[Float[np.ndarray, "n_z n_z"], Float[np.ndarray, "n_z n_u"]]:
-        """Derivatives of the step about a point, by the state and by the command: `A`, `B`.
+        """The linear model of the step about a point, by the state and by the command: `A`, `B`.
+
+        With `speeds` it is the one that fits best in the mean over motions about the point, by
+        statistical linearisation. At the point itself dry friction looks like a huge viscous one,
+        and inputs seem to move nothing; no motion meets that.
+
+        Args:
+            x: the state, (n_x,).
+            u: the inputs, (n_u,).
+            speeds: usual speeds about the point [rad/s or m/s], (n_q,), 0 of a coordinate for the
+                slope at the point; by default all are 0.
 
         Raises:
-            InputError: they are not finite there.
+            InputError: derivatives are not finite there.
+
+        References:
+            Gelb and Vander Velde (1968), Multiple-input describing functions.
         """
-        jacobian = self.derivatives(self.augment(x, u)[None], u[None])[0]
+        z = self.augment(x, u)[None]
+        moved = np.array([], int) if speeds is None else np.flatnonzero(speeds)
+        if len(moved):
+            # columns of a Hadamard matrix have no part of one another, with its opposite no squares
+            half = scipy.linalg.hadamard(2 ** ceil(log2(len(moved) + 1)))[:, 1 : len(moved) + 1]
+            signs = np.concatenate([half, -half])
+            z = np.tile(z, (len(signs), 1))
+            columns = moved + self.model.channels.n_q
+            z[:, columns] += signs * speeds[moved]
+        inputs = np.tile(u, (len(z), 1))
+        jacobian = self.derivatives(z, inputs).mean(axis=0)
+        if len(moved):
+            slopes = self.steps(z, inputs).T @ signs / len(signs)
+            jacobian[:, columns] = slopes / speeds[moved]
         if not np.isfinite(jacobian).all():
             raise InputError(
                 "operating point", "derivatives that are not finite",

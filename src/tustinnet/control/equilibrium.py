@@ -119,6 +119,7 @@ def find_equilibrium(
     at: Mapping[str, float],
     limits: Limits | None = None,
     tolerance: float = 0.1,
+    speeds: Float[np.ndarray, " n_q"] | None = None,
 ) -> OperatingPoint:
     """An equilibrium of a model at named positions, with inputs within their limits.
 
@@ -130,6 +131,8 @@ def find_equilibrium(
         at: positions by name [rad or m].
         limits: limits of inputs by name, instead of those that the model declares.
         tolerance: how far an equilibrium may be from the named positions [rad or m].
+        speeds: usual speeds about it for which the modes are found [rad/s or m/s], (n_q,); by
+            default the model is linearised at rest, where dry friction holds it.
 
     Returns:
         The equilibrium, its modes, and in words its stability, controllability, observability.
@@ -202,7 +205,7 @@ def find_equilibrium(
     if found is None or distance(found) > tolerance:
         raise _no_equilibrium(at, found, positions, bounds, channels.inputs)
     x, u = found[:n_x], bounds.clip(found[n_x:])
-    return OperatingPoint(x, u, system.names, find_modes(system, x, u))
+    return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
 
 
 def _other_starts(
@@ -244,7 +247,10 @@ def _no_equilibrium(
 
 
 def find_modes(
-    system: ControlledModel, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"]
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    speeds: Float[np.ndarray, " n_q"] | None = None,
 ) -> tuple[Mode, ...]:
     """The modes of a model about a point, those that grow fastest first.
 
@@ -255,15 +261,18 @@ def find_modes(
         system: the model.
         x: the state, (n_x,).
         u: the inputs, (n_u,).
+        speeds: usual speeds about the point, (n_q,), see `ControlledModel.tangent`.
 
     References:
         Hautus (1969), Controllability and observability conditions of linear autonomous systems.
     """
     n_x = system.n_x
-    _, jacobian = value_and_jacobian(system.held_formula, np.concatenate([x, u]))
-    scaled, units = scipy.linalg.matrix_balance(jacobian[:, :n_x], permute=False, separate=True)
+    a, b = system.tangent(x, u, speeds)
+    # every command of the past is that of now
+    b = (b + a[:, n_x:].reshape(len(a), -1, system.n_u).sum(axis=1))[:n_x]
+    a, units = scipy.linalg.matrix_balance(a[:n_x, :n_x], permute=False, separate=True)
     scale = units[0]
-    a, b = scaled, jacobian[:, n_x:] / scale[:, None]
+    b = b / scale[:, None]
     c = np.eye(n_x)[system.model.channels.position] * scale
     b = b / (np.linalg.norm(b, axis=0) + 1e-300)
     c = c / np.linalg.norm(c, axis=1)[:, None]
@@ -307,14 +316,18 @@ def _moving_states(vector: np.ndarray, system: ControlledModel) -> tuple[str, ..
 
 
 def require_stabilisable(
-    system: ControlledModel, x: Float[np.ndarray, " n_x"], u: Float[np.ndarray, " n_u"], where: str
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    speeds: Float[np.ndarray, " n_q"] | None,
+    where: str,
 ) -> None:
     """Raises where a mode that does not decay cannot be moved by the inputs.
 
     Raises:
         InputError: such a mode, by its coordinates and its eigenvalue.
     """
-    for mode in find_modes(system, x, u):
+    for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
             raise InputError(
                 where, f"{mode} is not controllable from the inputs and does not decay",

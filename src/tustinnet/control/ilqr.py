@@ -311,7 +311,7 @@ def _holding_gain(
 ) -> Float[np.ndarray, "n_u n_z"]:  # fmt: skip
     """The gain of the linear feedback that holds a goal."""
     weights = bryson_weights(system, limits, deviations, range)
-    matrices = loop_matrices(system, x, u)
+    matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
     return feedback_gain(matrices, riccati_solution(system, matrices, weights), weights)
 
 
@@ -360,7 +360,8 @@ def make_cost(
         half = (high - low) / 2
         own = 1 / half**2 if np.isfinite(half) else 0.0
         penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
-    end = riccati_solution(system, loop_matrices(system, x, u), weights)
+    matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
+    end = riccati_solution(system, matrices, weights)
     return Cost(
         x, u, weights.states, weights.inputs, end_weight * end, lower, upper, penalty
     )  # fmt: skip

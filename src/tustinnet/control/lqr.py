@@ -45,6 +45,8 @@ class Feedback:
         lower: lower limits of the inputs, (n_u,).
         upper: upper limits of the inputs, (n_u,).
         dt: sampling period [s].
+        speeds: usual speeds for which the model was linearised [rad/s or m/s], (n_q,), see
+            `ControlledModel.tangent`.
         integral: indices of the coordinates with integral action.
         delay: samples from when an input is computed to when it acts.
         periodic: indices of the angles whose errors are wrapped into -pi..pi: those that the model
@@ -57,6 +59,7 @@ class Feedback:
     lower: Float[np.ndarray, " n_u"]
     upper: Float[np.ndarray, " n_u"]
     dt: float
+    speeds: Float[np.ndarray, " n_q"]
     integral: tuple[int, ...] = ()
     delay: int = 0
     periodic: tuple[int, ...] = ()
@@ -110,6 +113,8 @@ def lqr(
     """Discrete linear-quadratic feedback about an operating point, mostly an equilibrium.
 
     It minimises the sum of squared errors and inputs, each divided by its acceptable deviation.
+    The model is linearised in the mean over a tenth of the acceptable speeds, where dry friction is
+    a force and not the huge viscous friction that it looks like at rest.
 
     Args:
         model: a model that steps from sample to sample.
@@ -130,7 +135,8 @@ def lqr(
             the model does not have.
 
     References:
-        Anderson and Moore (1990), Optimal control: linear quadratic methods.
+        Anderson and Moore (1990), Optimal control: linear quadratic methods; Gelb and Vander Velde
+        (1968), Multiple-input describing functions.
     """
     system, bounds = controlled(model, delay), input_limits(model, limits)
     x0 = require_vector(x, system.n_x, "lqr, x")
@@ -153,13 +159,14 @@ def lqr(
         dict.fromkeys(set(deviations or {}) - set(own)), sorted(known) or ["states"], "weights",
         "integrals",
     )  # fmt: skip
-    require_stabilisable(system, x0, u0, "lqr")
-    matrices = loop_matrices(system, x0, u0, indices)
+    speeds = weights.usual_speeds(model.channels)
+    require_stabilisable(system, x0, u0, speeds, "lqr")
+    matrices = loop_matrices(system, x0, u0, speeds, indices)
     value = riccati_solution(system, matrices, weights, sums)
     gain = feedback_gain(matrices, value, weights)
     return Feedback(
         gain=gain, x0=x0, u0=u0, lower=bounds.lower, upper=bounds.upper, dt=system.dt,
-        integral=indices, delay=delay, periodic=system.periodic,
+        integral=indices, delay=delay, periodic=system.periodic, speeds=speeds,
     )  # fmt: skip
 
 
@@ -167,10 +174,11 @@ def loop_matrices(
     system: ControlledModel,
     x: Float[np.ndarray, " n_x"],
     u: Float[np.ndarray, " n_u"],
+    speeds: Float[np.ndarray, " n_q"],
     integral: Sequence[int] = (),
 ) -> LoopMatrices:
     """The linearised model with integrals of errors, in the order of `Feedback`."""
-    a, b = system.tangent(x, u)
+    a, b = system.tangent(x, u, speeds)
     n_x, n_i = system.n_x, len(integral)
     sums = np.zeros((n_i, len(a)))
     sums[np.arange(n_i), list(integral)] = system.dt
@@ -236,7 +244,8 @@ def time_varying_lqr(
     plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "time_varying_lqr")
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
-    value = riccati_solution(system, loop_matrices(system, final.x0, final.u0), weights)
+    matrices = loop_matrices(system, final.x0, final.u0, final.speeds)
+    value = riccati_solution(system, matrices, weights)
     gains, _ = gains_along(system, plan, value, weights)
     return Tracking(plan, gains, final)
 

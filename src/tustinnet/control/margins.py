@@ -69,7 +69,7 @@ def margins(model: Model, feedback: Feedback) -> Margins:
     from control import FrequencyResponseData, StateSpace, frequency_response, stability_margins
 
     system = controlled(model, feedback.delay)
-    a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.integral)
+    a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.speeds, feedback.integral)
     gain, dt = feedback.gain, feedback.dt
     largest = np.abs(np.linalg.eigvals(a - b @ gain)).max()
     if largest >= 1:

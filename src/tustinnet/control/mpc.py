@@ -77,7 +77,8 @@ class Mpc:
             system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
         )
         weights, value = Weights(self._cost.states, self._cost.inputs), self._cost.end
-        hold = feedback_gain(loop_matrices(system, x_end, u_end), value, weights)
+        speeds = weights.usual_speeds(model.channels)
+        hold = feedback_gain(loop_matrices(system, x_end, u_end, speeds), value, weights)
         # what is followed, and the feedback about it: along the plan, then at the goal
         goal = np.tile(system.augment(x_end, u_end), (steps + 1, 1))
         rest, gains, ends = np.tile(u_end, (steps, 1)), np.tile(hold, (steps, 1, 1)), value[None]

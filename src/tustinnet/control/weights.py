@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import Channels
 from tustinnet.control.dynamics import ControlledModel, InputLimits, require_known
 from tustinnet.errors import InputError
 from tustinnet.simulate.range import Range
@@ -14,6 +15,8 @@ _POSITION = 1.0  # acceptable deviation of a position whose range is unknown [ra
 _SECONDS = (
     0.1  # in which a position may move by its deviation, where no range of the speed is known
 )
+
+_USUAL = 0.1  # share of an acceptable speed that is usual about an equilibrium
 
 Deviations = Mapping[str, float]
 
@@ -28,6 +31,14 @@ class Weights(NamedTuple):
 
     states: Float[np.ndarray, " n_x"]
     inputs: Float[np.ndarray, " n_u"]
+
+    def usual_speeds(self, channels: Channels) -> Float[np.ndarray, " n_q"]:
+        """Speeds that are usual about an equilibrium, a share of the acceptable ones, (n_q,).
+
+        0 where any speed is acceptable.
+        """
+        prices = self.states[channels.velocity]
+        return np.where(prices > 0, _USUAL / np.sqrt(np.where(prices > 0, prices, 1.0)), 0.0)
 
 
 def bryson_weights(

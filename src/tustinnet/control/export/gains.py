@@ -111,6 +111,7 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     feedback = {
         "gain": f.gain, "x0": f.x0, "u0": f.u0, "lower": f.lower, "upper": f.upper,
         "integral": np.array(f.integral, int), "periodic": np.array(f.periodic, int),
+        "speeds": f.speeds,
         "delay": f.delay,
     }  # fmt: skip
     if isinstance(controller, Feedback):
@@ -176,5 +177,5 @@ def _read_feedback(read: Reader, period: float) -> Feedback:
         gain=read("gain", (len(u0), None)), x0=x0, u0=u0,
         lower=read("lower", (len(u0),)), upper=read("upper", (len(u0),)),
         integral=integral, periodic=tuple(int(i) for i in read("periodic", (None,))),
-        delay=int(read("delay", ())), dt=period,
+        delay=int(read("delay", ())), dt=period, speeds=read("speeds", (None,)),
     )  # fmt: skip
