@@ -114,7 +114,11 @@ def require_same_size(found: tn.Experiment, clean: tn.Experiment) -> None:
 
 def require_as_csv_reads(e: tn.Experiment, content: bytes) -> None:
     """The samples that Python's own reader finds in a file with the columns time, angle, torque."""
-    lines = re.split("\r\n|\r|\n", content.decode("utf-8-sig", "replace"))
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")  # in which 0xA0 is a space
+    lines = re.split("\r\n|\r|\n", text)
     kept = [line for line in lines if line.strip() and not line.startswith("#")]
     require(len(kept) == len(e) + 1, "another number of samples than the file has lines")
     names, *rows = csv.reader(kept)
