@@ -122,9 +122,15 @@ def load(out: Path, name: str) -> tuple[tn.Model, dict[str, object]]:
 
 
 def design(out: Path, name: str) -> Design:
-    """Filter by the training records, plan and feedback by the model alone."""
-    model, header = load(out, name)
+    """The controller of a family."""
     data = tn.load(records(out, driven=name.endswith("+")))
+    return design_on(name, *load(out, name), list(data.split("train")))
+
+
+def design_on(
+    name: str, model: tn.Model, header: dict[str, object], training: list[tn.Experiment]
+) -> Design:
+    """Filter by the training records, plan and feedback by the model alone."""
     begun = time.perf_counter()
     try:
         point = tc.find_equilibrium(model, {"alpha": 0.0, "theta": 0.0})
@@ -144,7 +150,7 @@ def design(out: Path, name: str) -> Design:
         },
     )  # fmt: skip
     seconds = time.perf_counter() - begun
-    noise = tc.find_noise(model, list(data.split("train")))
+    noise = tc.find_noise(model, training)
     tracking = tc.time_varying_lqr(model, plan, feedback, deviations=DEVIATIONS)
     if not plan.reached:
         print(f"{name}: the plan misses the goal by {np.round(plan.miss[:4], 2)}")

@@ -20,6 +20,7 @@ from swinging import CREEPING, records
 import tustinnet as tn
 from tustinnet.export.environment import ModelEnv, ModelVectorEnv
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.physical_values import with_values
 from tustinnet.simulate.range import KEY, recorded_range
 
 ID = "tustinnet.gym:TustinNet-v0"
@@ -294,6 +295,65 @@ def test_random_starts_do_not_stretch_a_stiff_belt(belt_file, start):
     ids=lambda part: next(iter(part)) if isinstance(part, dict) else "",
 )
 def test_what_cannot_be_asked_is_one_line(options, told):
+    with pytest.raises(tn.InputError, match=told):
+        made(**options)
+
+
+@pytest.mark.parametrize("share", [True, 0.3])
+def test_parameters_are_drawn_at_every_reset(share, identified):
+    file = identified / "model.safetensors"
+    estimates = tn.read_header(file)["identification"]["estimates"]
+    free = [e["name"] for e in estimates if e["error"]]
+    given = {
+        "model": file,
+        "system": identified / "system.py",
+        "randomise": share,
+        "start": [0.3, 0.0],
+    }
+    env = gymnasium.make(ID, **given).unwrapped
+    assert isinstance(env, ModelEnv)
+    drawn = [env.reset(seed=seed)[1] for seed in range(200)]
+    nominal = env.rules.source.physical_values
+    assert drawn[0].keys() == nominal.keys()
+    assert drawn[0] == env.reset(seed=0)[1]
+    for estimate in estimates:
+        name, values = estimate["name"], np.array([d[estimate["name"]] for d in drawn])
+        if share is True and name in free:
+            assert np.std(values) == pytest.approx(estimate["error"], rel=0.3)
+        elif share is not True:
+            off = np.abs(values / nominal[name] - 1)
+            assert 0.25 < off.max() < 0.3
+    # what is simulated is the model with these values
+    model = with_values(env.rules.source.model, {k: jnp.asarray(v) for k, v in drawn[7].items()})
+    x, _ = env.reset(seed=7)
+    following, *_ = env.step(np.array([0.5]))
+    expected = model.step(jnp.asarray(x), jnp.asarray(env.rules.inputs_of([0.5])))
+    np.testing.assert_allclose(following, expected, rtol=1e-12)
+    own = env.rules.source.model.step(jnp.asarray(x), jnp.asarray(env.rules.inputs_of([0.5])))
+    assert not np.allclose(following, own)
+
+
+def test_many_have_parameters_of_their_own():
+    envs = many(3, randomise=0.2, start=[0.5, 0.0, 0.0], noise=0.0)
+    envs.reset(seed=1)
+    first, *_ = envs.step(np.zeros((3, 1)))
+    assert len({*first[:, 1].tolist()}) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"randomise": True}, "no errors of its parameters"),
+        ({"randomise": 1.5}, "randomise: 1.5"),
+        (
+            {"randomise": 0.1, "model": example("network taps"),
+             "range": {"states": [[-1.0, 1.0]] * 2, "inputs": [[-1.0, 1.0]]}},
+            "without physical parameters",
+        ),
+    ],
+    ids=("no errors", "more than all", "network"),
+)  # fmt: skip
+def test_parameters_that_nobody_knows_are_not_drawn(options, told):
     with pytest.raises(tn.InputError, match=told):
         made(**options)
 

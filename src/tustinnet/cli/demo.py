@@ -173,8 +173,8 @@ def _swing_up(
     from tustinnet.control.design import ControlTask, design_controller, find_rest
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import qube_twin
-    from tustinnet.control.stepped_model import equations_in
     from tustinnet.control.trial import try_design
+    from tustinnet.models.physical_values import equations_in
     from tustinnet.report.control import closed_loop_figure
     from tustinnet.report.figures import write_figure
     from tustinnet.simulate.range import Range

@@ -16,11 +16,11 @@ from tustinnet.control.ilqr import ilqr
 from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
-from tustinnet.control.stepped_model import equations_in
 from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+from tustinnet.models.physical_values import equations_in
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.simulate.range import ExtrapolationPoint, Range, features
 

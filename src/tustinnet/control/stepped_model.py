@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -13,7 +12,7 @@ from tustinnet.engine.runs import evaluate, make_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model, with_dtype
-from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.physical_values import equations_in, with_values
 
 Vector = Float[np.ndarray, " _"]
 
@@ -92,31 +91,3 @@ class SteppedModel:
             values: the parameters, as `vector` returns them.
         """
         return self._step(x, np.concatenate([inputs, values]) if len(values) else inputs)
-
-
-def _is_equations(node: Any) -> bool:
-    """Whether a part of a model are equations of motion; those of committees are many in one."""
-    return isinstance(node, LagrangianModel) and all(
-        np.ndim(value) == 0 for value in node.values.values()
-    )
-
-
-def equations_in(model: Model) -> LagrangianModel | None:
-    """The first equations of motion in a model, None where there are none."""
-    nodes = jax.tree.leaves(model, is_leaf=_is_equations)
-    return next((node for node in nodes if _is_equations(node)), None)
-
-
-def with_equations(model: Model, equations: LagrangianModel) -> Model:
-    """A model with others in the place of its first equations of motion."""
-    leaves, structure = jax.tree.flatten(model, is_leaf=_is_equations)
-    place = next(i for i, leaf in enumerate(leaves) if _is_equations(leaf))
-    return jax.tree.unflatten(structure, [*leaves[:place], equations, *leaves[place + 1 :]])
-
-
-def with_values(model: Model, values: Mapping[str, Any]) -> Model:
-    """A model with some other values of the parameters of its equations of motion."""
-    equations = equations_in(model)
-    if equations is None or not values:
-        return model
-    return with_equations(model, LagrangianModel(equations.system, equations.values | dict(values)))

@@ -10,13 +10,14 @@ import numpy as np
 
 from tustinnet.control.plants import ModelPlant
 from tustinnet.control.sampled_plant import USUAL, PlantOptions, SampledPlant
-from tustinnet.control.stepped_model import SteppedModel, equations_in, with_equations
+from tustinnet.control.stepped_model import SteppedModel
 from tustinnet.families.euler_lagrange import FAMILY as EULER_LAGRANGE
 from tustinnet.families.euler_lagrange import draw_values
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.parameters import Parameter
+from tustinnet.models.physical_values import equations_in, with_equations
 from tustinnet.simulate.filtering import FilterNoise
 
 FRICTION = "friction factor"  # the parameter that multiplies all dissipation

@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
+from tustinnet.families.euler_lagrange import FAMILY as EULER_LAGRANGE
+from tustinnet.families.euler_lagrange import draw_values
 from tustinnet.simulate.range import Range
 
 STATE = "x"  # of the options of `reset`: the state to start from
@@ -50,10 +52,14 @@ class Rules:
         noise: the largest noise on `start`, as a share of the widths of the range: of positions and
             velocities a share of the difference of two random states of the records, if known.
         margin: how far beyond the range an episode goes on, as a share of its widths.
+        randomise: whether each episode has physical parameters of its own: `True` for draws from
+            the errors of their identification, a share for uniform ones of up to so much of their
+            values. Initial internal states are those of the model's own values.
 
     Raises:
         InputError: the range of the training records is unknown, or no input moves in them; a
-            start of another size or out of range, shares out of range.
+            start of another size or out of range, shares out of range; `randomise` of a model
+            without physical parameters, or `True` where its file does not have their errors.
     """
 
     source: Source
@@ -62,8 +68,10 @@ class Rules:
     start: ArrayLike | None = None
     noise: float = 0.01
     margin: float = 0.1
+    randomise: bool | float = False
 
     def __post_init__(self) -> None:
+        self._require_random_values()
         if not (0 <= self.noise < np.inf and 0 < self.margin < np.inf):
             raise InputError(
                 "environment", f"noise {self.noise}, margin {self.margin}",
@@ -75,6 +83,40 @@ class Rules:
             )
         if self.start is not None:
             self.complete_state(self.start, "start")
+
+    def _require_random_values(self) -> None:
+        """Raises where parameters are to be drawn that nobody knows."""
+        if self.randomise is False:
+            return
+        if self.randomise is not True and not 0 < self.randomise < 1:
+            raise InputError("randomise", f"{self.randomise}", "True, False or a share below 1")
+        if not self.source.physical_values:
+            raise InputError(
+                "randomise", "a model without physical parameters", "a grey box, or a hybrid",
+                "leave it out",
+            )  # fmt: skip
+        if self.randomise is True and not self._draw_by_errors(1, 0):
+            raise InputError(
+                "randomise", "the file of the model has no errors of its parameters",
+                "a model that was identified", "give a share, as randomise=0.2",
+            )  # fmt: skip
+
+    def _draw_by_errors(self, count: int, seed: int) -> list[dict[str, float]]:
+        """Values drawn from the errors of the identification; none where there are no errors."""
+        if not EULER_LAGRANGE.owns(self.source.model):
+            return []
+        return draw_values(self.source.model, self.source.about, count, seed)  # pyright: ignore[reportArgumentType]
+
+    def draw_values(
+        self, count: int, generator: np.random.Generator
+    ) -> Float[np.ndarray, "count n_p"]:
+        """Random values of the physical parameters, in the order of their names."""
+        nominal = self.source.physical_values
+        if self.randomise is True:
+            drawn = self._draw_by_errors(count, int(generator.integers(2**31)))
+            return np.array([[v.get(name, x) for name, x in nominal.items()] for v in drawn])
+        spread = float(self.randomise) * generator.uniform(-1.0, 1.0, (count, len(nominal)))
+        return np.array([*nominal.values()]) * (1 + spread)
 
     @property
     def range(self) -> Range:
@@ -236,10 +278,27 @@ class _Simulations:
         self._before = np.full((count, max(0, -min(offsets)), len(rules.inputs)), np.nan)
         # the places in [the inputs now, those before] of the samples that a step takes
         self._places = np.array([0 if offset >= 0 else -offset for offset in offsets])
+        self._values = np.tile([*rules.source.physical_values.values()], (count, 1))
 
-    def restart(self, which: Bool[np.ndarray, " count"], x: Float[np.ndarray, "some n_x"]) -> None:
-        """Sets some of them to new states, without past inputs."""
-        self.x[which], self._before[which] = x, np.nan
+    def restart(
+        self,
+        which: Bool[np.ndarray, " count"],
+        generator: np.random.Generator,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Starts episodes of some of them, without past inputs."""
+        some = int(which.sum())
+        self.x[which] = self.rules.draw_starts(some, generator, options)
+        self._before[which] = np.nan
+        if self.rules.randomise is not False:
+            self._values[which] = self.rules.draw_values(some, generator)
+
+    def values(self, i: int) -> dict[str, float]:
+        """The physical parameters of one by name, where they are drawn."""
+        if self.rules.randomise is False:
+            return {}
+        names = self.rules.source.physical_values
+        return dict(zip(names, self._values[i].tolist(), strict=True))
 
     def step(self, action: ArrayLike) -> tuple[Vector, Bool[np.ndarray, " count"]]:
         """Steps all, and returns the rewards and which of them leave the bounds.
@@ -253,10 +312,13 @@ class _Simulations:
         self._before = samples[:, :-1]
         w = samples[:, self._places].reshape(len(u), -1)
         # the environment computes in double precision, whatever else JAX is used for
+        source = self.rules.source
         with jax.enable_x64(True):
-            following = evaluate(
-                self.rules.source.batched_step, np.concatenate([self.x, w], axis=1)
-            )
+            if self.rules.randomise is False:
+                following = evaluate(source.batched_step, np.concatenate([self.x, w], axis=1))
+            else:
+                points = np.concatenate([self.x, w, self._values], axis=1)
+                following = evaluate(source.batched_step_of_values, points)
         x, (self.x, is_out) = self.x, self.rules.observe(self.x, following)
         return self._rewards(x, u, self.x), is_out
 
@@ -278,11 +340,13 @@ class ModelEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts a new episode, from the state `options={"x": state}` if given."""
+        """Starts a new episode, from the state `options={"x": state}` if given.
+
+        The parameters of the episode are in `info`, where they are drawn.
+        """
         super().reset(seed=seed)
-        starts = self.rules.draw_starts(1, self.np_random, options)
-        self._simulations.restart(np.array([True]), starts)
-        return self._simulations.x[0].copy(), {}
+        self._simulations.restart(np.array([True]), self.np_random, options)
+        return self._simulations.x[0].copy(), dict(self._simulations.values(0))
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Steps by one sampling period."""
@@ -319,8 +383,7 @@ class ModelVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Starts new episodes of all, from the state `options={"x": state}` if given."""
         super().reset(seed=seed)
-        starts = self.rules.draw_starts(self.num_envs, self.np_random, options)
-        self._simulations.restart(np.ones(self.num_envs, bool), starts)
+        self._simulations.restart(np.ones(self.num_envs, bool), self.np_random, options)
         self._ended[:], self._steps[:] = False, 0
         return self._simulations.x.copy(), {}
 
@@ -332,8 +395,7 @@ class ModelVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         rewards, is_out = self._simulations.step(actions)
         self._steps = np.where(is_new, 0, self._steps + 1)
         if is_new.any():
-            starts = self.rules.draw_starts(int(is_new.sum()), self.np_random)
-            self._simulations.restart(is_new, starts)
+            self._simulations.restart(is_new, self.np_random)
             rewards, is_out = np.where(is_new, 0.0, rewards), is_out & ~is_new
         most = np.inf if self.max_episode_steps is None else self.max_episode_steps
         is_cut = self._steps >= most

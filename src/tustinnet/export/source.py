@@ -16,6 +16,7 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
+from tustinnet.models.physical_values import equations_in, with_values
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
@@ -127,6 +128,27 @@ class Source:
             lambda point: self.function(point[:n_x], point[n_x:]), n_x + self.n_w,
             where=f"the model ({type(self.model).__name__})",
         )  # fmt: skip
+
+    @cached_property
+    def physical_values(self) -> dict[str, float]:
+        """The parameters of the equations of motion in the model by name; none of a network."""
+        equations = equations_in(self.model)
+        values = {} if equations is None else equations.values
+        return {name: float(values[name]) for name in sorted(values)}
+
+    @cached_property
+    def batched_step_of_values(self) -> Formula:
+        """The step for the engine with its physical parameters, many [x, w, values] at once."""
+        n_x, n_w, names = self.n_x, self.n_w, tuple(self.physical_values)
+
+        def step(point: Array) -> Array:
+            values = dict(zip(names, point[n_x + n_w :], strict=True))
+            variant = with_values(self.model, values)
+            return step_by_samples(variant, self.input_layout)(point[:n_x], point[n_x : n_x + n_w])
+
+        return Formula(
+            step, n_x + n_w + len(names), where=f"the model ({type(self.model).__name__})"
+        )
 
     @cached_property
     def step(self) -> Program:

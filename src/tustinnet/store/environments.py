@@ -25,7 +25,7 @@ def environment(model: str | Path | Model, **options: Any) -> ModelEnv:
             a model with values by group those to take; `range`, where states and inputs lie, of a
             model that does not say it: `{"states": [[low, high], ...], "inputs": [[low, high],
             ...]}`, optionally with `recorded_states` to start from; and what `Rules` has: `reward`,
-            `target`, `start`, `noise`, `margin`.
+            `target`, `start`, `noise`, `margin`, `randomise`.
 
     Raises:
         InputError: see `load_model`, `make_source` and `Rules`; nobody says where states and inputs
