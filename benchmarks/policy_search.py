@@ -25,13 +25,13 @@ import tustinnet as tn
 import tustinnet.control as tc
 
 SEEDS = 3
-POPULATION, GENERATIONS = 48, 60
-EPISODES, LENGTH = 4, 400  # of each policy; samples
+POPULATION, GENERATIONS = 96, 200
+EPISODES, LENGTH = 4, 600  # of each policy; samples
 LIMIT = 4.0  # V, as was recorded
 KINDS = {"none": False, "from their errors": True, "uniform, 30 %": 0.3}
 # gains of theta, alpha, der_theta, der_alpha near upright; where that begins [rad]; gain and
 # weight of the energy, and of theta, elsewhere
-BOUNDS = [(-10, 0), (0, 100), (-6, 0), (0, 12), (0.2, 0.9), (0, 30), (0.002, 0.02), (0, 5)]
+BOUNDS = [(-10, 10), (-100, 100), (-6, 6), (-12, 12), (0.2, 0.9), (-30, 30), (0.002, 0.02), (-5, 5)]
 
 
 def policy(parameters: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -58,8 +58,8 @@ def search(file: Path, *, randomise: bool | float, seed: int) -> tuple[np.ndarra
     def cost(columns: np.ndarray) -> np.ndarray:
         """Costs of policies, (8, some) to (some,)."""
         some = columns.reshape(len(BOUNDS), -1).T
-        rows = np.repeat(some, count // len(some) + 1, axis=0)[:count]
-        which = np.repeat(np.arange(len(some)), count // len(some) + 1)[:count]
+        which = np.arange(count) % len(some)
+        rows = some[which]
         # every generation has episodes of its own
         x, _ = envs.reset(seed=int(drawn.integers(2**31)))
         earned, alive = np.zeros(count), np.ones(count, bool)
