@@ -257,16 +257,25 @@ def _plan_motion(
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
     own = _usual_deviations(model, task, bounds)
-    middle, half = (bounds.lower + bounds.upper) / 2, (bounds.upper - bounds.lower) / 2
+    middle, half = (bounds.lower + bounds.upper) / 2, _PLANNED * (bounds.upper - bounds.lower) / 2
+    lower, upper, within = middle - half, middle + half, dict(task.within or {})
+    if range is not None and not task.trust_beyond:
+        # nobody knows the model beyond what was recorded; what holds the goal is always allowed
+        lower = np.maximum(lower, np.minimum(range.inputs[:, 0], point.u))
+        upper = np.minimum(upper, np.maximum(range.inputs[:, 1], point.u))
+        speeds = range.states[channels.velocity]
+        for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
+            if slowest < 0 < fastest:
+                within.setdefault(f"der_{c.name}", (float(slowest), float(fastest)))
     planned = {
-        i.name: (float(m - _PLANNED * h), float(m + _PLANNED * h))
-        for i, m, h in zip(channels.inputs, middle, half, strict=True)
+        i.name: (float(low), float(high))
+        for i, low, high in zip(channels.inputs, lower, upper, strict=True)
     }
     best = None
     for seconds in durations:
         plan = ilqr(
             model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
-            deviations=own, range=range, within=task.within, limits=planned, delay=task.delay,
+            deviations=own, range=range, within=within, limits=planned, delay=task.delay,
         )  # fmt: skip
         if plan.reached:
             return plan
