@@ -67,6 +67,8 @@ def fit(folder: Path, training: Sequence[tn.Experiment], recipe: Sequence[str]) 
         split = [replace(e, split="train") for e in training] if len(training) < 3 else [
             *(replace(e, split="train") for e in training[:-1]), *held
         ]  # fmt: skip
+        if any(e.v is None for e in split):  # logs of closed loops have no velocities
+            split = [replace(e, v=None) for e in split]
         write_data_set(tn.DataSet("twin", tuple(split)), data, "Simulated twin", overwrite=True)
         words = ["fit", str(data), *recipe, "--out", str(file.parent), "--no-report", "-q",
                  "--overwrite"]  # fmt: skip
