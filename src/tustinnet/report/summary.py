@@ -13,6 +13,8 @@ from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import MODEL, Run
 from tustinnet.wording import counted
 
+_MOST_NAMED = 3  # coordinates whose errors are all in a sentence
+
 
 def fit_summary(run: Run, data: str) -> tuple[str, ...]:
     """Sentences on a run: what was fitted, how good it is, what to do next.
@@ -46,12 +48,14 @@ def _describe_accuracy(run: Run) -> str:
     finite = [s for s in scores if math.isfinite(s.rmse)]
     if not finite:
         return f"all free runs of {counted(len(scores), 'record')} diverge"
+    percent = 100 * np.mean([s.nrmse for s in finite], axis=0)
     shares = ", ".join(
-        f"{100 * share:.0f} % of {c.name}'s"
-        for c, share in zip(
-            channels.coordinates, np.mean([s.nrmse for s in finite], axis=0), strict=True
-        )
+        f"{share:.2g} % of {c.name}'s"
+        for c, share in zip(channels.coordinates, percent, strict=True)
     )
+    if len(percent) > _MOST_NAMED:  # the largest says what is wrong
+        worst = channels.coordinates[int(np.argmax(percent))].name
+        shares = f"{percent.min():.2g} to {percent.max():.2g} %, most of {worst}'s,"
     diverged = f"; {len(scores) - len(finite)} diverge" if len(finite) < len(scores) else ""
     recipe = run.best.result.recipe
     remark = ""
