@@ -44,7 +44,7 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     assert by_name["arm"].count == pytest.approx(1)
     assert by_name["rate"].remark.startswith("slope of 'arm'")
     assert by_name["a"].remark.startswith("held levels")
-    assert by_name["b"].remark == "rough"
+    assert by_name["b"].remark == "rough; check the unit: 1 is assumed"
 
 
 BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}

@@ -8,7 +8,13 @@ import numpy as np
 
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels
-from tustinnet.data.drafting.findings import Choice, Findings, Question
+from tustinnet.data.drafting.findings import (
+    Choice,
+    CoordinateChoice,
+    Findings,
+    InputChoice,
+    Question,
+)
 from tustinnet.data.drafting.logs import (
     Clock,
     Log,
@@ -278,12 +284,18 @@ def _columns(
             role, because = verdicts[name].role, verdicts[name].because
             if name in coordinates:
                 use, unit = "coordinate", coordinates[name].unit
-                because = "; ".join(coordinates[name].because)
+                because = _with_doubts(coordinates[name])
             elif name in inputs:
                 use, unit = "input", inputs[name].unit
+                because = _with_doubts(inputs[name])
             elif name in velocities:
                 use, unit = "velocity", velocities[name].unit or ""
             else:
                 because = choice.unused.get(name, because)
         columns.append(DraftColumn(name, role, use, because, unit, numbers[name]))
     return columns
+
+
+def _with_doubts(channel: CoordinateChoice | InputChoice) -> str:
+    """Why a column was chosen, and what to check, as the card says it."""
+    return "; ".join([*channel.because, *(f"check {doubt}" for doubt in channel.doubts)])
