@@ -149,20 +149,18 @@ class ControlledModel:
         References:
             Gelb and Vander Velde (1968), Multiple-input describing functions.
         """
-        z = self.augment(x, u)[None]
-        moved = np.array([], int) if speeds is None else np.flatnonzero(speeds)
-        if len(moved):
-            # columns of a Hadamard matrix have no part of one another, with its opposite no squares
-            half = scipy.linalg.hadamard(2 ** ceil(log2(len(moved) + 1)))[:, 1 : len(moved) + 1]
-            signs = np.concatenate([half, -half])
-            z = np.tile(z, (len(signs), 1))
-            columns = moved + self.model.channels.n_q
-            z[:, columns] += signs * speeds[moved]
+        usual = np.zeros(self.model.channels.n_q) if speeds is None else speeds
+        moved = np.flatnonzero(usual)
+        columns = moved + self.model.channels.n_q
+        # columns of a Hadamard matrix have no part of one another, with its opposite no squares
+        half = scipy.linalg.hadamard(2 ** ceil(log2(len(moved) + 1)))[:, 1 : len(moved) + 1]
+        signs = np.concatenate([half, -half])
+        z = np.tile(self.augment(x, u), (len(signs), 1))
+        z[:, columns] += signs * usual[moved]
         inputs = np.tile(u, (len(z), 1))
         jacobian = self.derivatives(z, inputs).mean(axis=0)
-        if len(moved):
-            slopes = self.steps(z, inputs).T @ signs / len(signs)
-            jacobian[:, columns] = slopes / speeds[moved]
+        slopes = self.steps(z, inputs).T @ signs / len(signs)
+        jacobian[:, columns] = slopes / usual[moved]
         if not np.isfinite(jacobian).all():
             raise InputError(
                 "operating point", "derivatives that are not finite",
