@@ -102,6 +102,9 @@ class Faults:
             oracle.require(path.name in ended.err, "a log is set aside without a word")
             path.unlink()
             shutil.copy(self.clean / path.parent.name / "log.jsonl", path.parent)
+        curves = Path("figures", "training.png")  # are not drawn without the beginning of a log
+        if aside and not (out / curves).exists():
+            shutil.copy(self.clean / curves, out / curves)
         oracle.require_same_run(out, self.clean)
 
     def _told_or_done(self, ended: Ended, out: Path) -> None:
