@@ -20,10 +20,6 @@ _NOBODY = 65534  # the user without rights
 _BUDGET = 120.0  # seconds that a selection of 60 may take on a machine with other work
 
 
-class Skipped(Exception):
-    """This machine does not allow what a fault needs."""
-
-
 class Faults:
     """Every fault once on a training; files and folders that cannot be written with every verb.
 
@@ -82,7 +78,7 @@ class Faults:
             out.parent.mkdir()
             try:
                 outcome, told = oracle.judged(partial(fault, out))
-            except Skipped as skipped:
+            except oracle.Skipped as skipped:
                 self.part.count("skipped", f"{name}: {skipped}", "")
                 continue
             self.part.count(outcome, f"{name}: {told}", "--parts faults")
@@ -197,7 +193,7 @@ class Faults:
         try:
             ended = run(job.command(out), {}, **more)
         except PermissionError:  # before the command begins
-            raise Skipped("another user may not start this Python") from None
+            raise oracle.Skipped("another user may not start this Python") from None
         finally:
             out.chmod(0o755)
         ended.require_told()
@@ -224,7 +220,7 @@ class Faults:
             (["chattr", "+i"], ["chattr", "-i"]) if root else (["chmod", "a-w"], ["chmod", "u+w"])
         )
         if shutil.which(forbid[0]) is None or subprocess.run([*forbid, out]).returncode != 0:
-            raise Skipped("a folder cannot be closed to the superuser here")
+            raise oracle.Skipped("a folder cannot be closed to the superuser here")
         try:
             ended = run(self.job.command(out), {})
         finally:
@@ -277,7 +273,7 @@ def _small_disk(place: Path, size: str) -> Iterator[None]:
     place.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)]
     if subprocess.run(command, capture_output=True).returncode != 0:
-        raise Skipped("no file system may be mounted")
+        raise oracle.Skipped("no file system may be mounted")
     try:
         yield
     finally:

@@ -39,6 +39,10 @@ class Finding(Exception):
     """Something that must not be."""
 
 
+class Skipped(Exception):
+    """This machine does not allow what a fault needs."""
+
+
 def require(holds: bool, told: str) -> None:
     """Raises a `Finding` where a rule is broken."""
     if not holds:
@@ -61,7 +65,7 @@ def judged(action: Callable[[], object]) -> tuple[str, str]:
         return "refused", text
     except Finding as finding:
         return "finding", str(finding)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Skipped):
         raise
     except BaseException as error:
         words = re.sub(r"['\"\[].*|\d+", "..", str(error)[:80], flags=re.DOTALL)
