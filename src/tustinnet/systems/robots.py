@@ -20,6 +20,7 @@ from tustinnet.models.chains import (
     Chain,
     Rows3,
     Vector3,
+    body_inertia,
     inertial_parameters,
 )
 from tustinnet.models.kinematics import BASE, Link
@@ -27,6 +28,7 @@ from tustinnet.models.lagrangian import ChannelSource, LagrangianSystem, Paramet
 from tustinnet.systems.files import ROBOT_ENDINGS, find_system
 from tustinnet.systems.mjcf import read_mjcf
 from tustinnet.systems.robot import LinkInertia, Mimic, Robot, RobotJoint, rotation_about
+from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
 from tustinnet.systems.urdf import read_urdf
 
 ANY_UNIT = "1"  # of an input with a gain of the file: whatever the card says
@@ -124,6 +126,38 @@ class RobotFile(ChannelSource):
                 another unit than that of a force.
         """
         return self._assembly().arranged(coordinates, inputs, where).system(self)
+
+    def with_values(self, values: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
+        """The file's text with values of parameters in it, and the names of those that it lacks.
+
+        A body of several links that do not move against one another has one inertia: what the other
+        links have by the file is taken from it, the rest is that of the link that moves.
+
+        Args:
+            values: the parameters of the system by name.
+
+        Raises:
+            InputError: the rest is the inertia of no body; a file whose inertias do not count.
+        """
+        assembly = self._assembly()
+        is_urdf = self.path.suffix == ".urdf"
+        links = {
+            body.name: assembly.link_inertia(i, values)
+            for i, body in enumerate(assembly.bodies)
+            if body.has_mass
+        }
+        joints = assembly.joint_values(values)
+        if is_urdf:
+            text = write_urdf(self.text, links, joints)
+        else:
+            text = write_mjcf(self.text, links, joints, self.path)
+        held = {f"{body}.{name}" for body in links for name in INERTIAL}
+        kinds = ("viscous", "coulomb") if is_urdf else ("viscous", "coulomb", "armature")
+        held |= {f"{joint}.{kind}" for joint in joints for kind in kinds}
+        held |= {f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None}
+        nominal = self.load().nominal()
+        lacking = [name for name, x in values.items() if name not in held and x != nominal[name]]
+        return text, tuple(lacking)
 
     def _assembly(self) -> "_Assembly":
         read = read_urdf if self.path.suffix == ".urdf" else read_mjcf
@@ -274,6 +308,7 @@ class _Assembly:
         self.bodies: list[Body] = []
         self.body_joints: list[RobotJoint] = []
         inertias: list[list[LinkInertia]] = []
+        self.carried: list[list[LinkInertia]] = []  # by body, of links that are fixed to its own
         for joint in robot.joints:
             owner, pose = places[joint.parent]
             frame = pose @ _Pose(joint.rotation, joint.position)
@@ -285,6 +320,7 @@ class _Assembly:
                     _Pose(np.eye(3), -joint.anchor),
                 )
                 inertias.append([])
+                self.carried.append([])
                 if link.inertia is None and not link.is_frame:
                     raise InputError(
                         f"{self.path}, link '{link.name}'", f"moves by the joint '{joint.name}' "
@@ -296,6 +332,8 @@ class _Assembly:
             places[joint.child] = owner, frame
             if link.inertia is not None and owner is not None:
                 inertias[owner].append(frame.place(link.inertia))
+                if joint.name not in self.moved_by:
+                    self.carried[owner].append(inertias[owner][-1])
         self.nominal: dict[str, float] = {}
         for i, parts in enumerate(inertias):
             body = self.bodies[i]
@@ -317,6 +355,57 @@ class _Assembly:
                     f"of at most {a + b:.3g}",
                 ) from None
             self.nominal |= {f"{body.name}.{name}": x for name, x in values.items()}
+
+    def link_inertia(self, i: int, values: Mapping[str, float]) -> LinkInertia:
+        """The inertia of a moving link in its own frame, by the values of its body's parameters.
+
+        Raises:
+            InputError: what is left for it is the inertia of no body.
+        """
+        body = self.bodies[i]
+        own = body_inertia(body, {name: float(x) for name, x in values.items()})
+        mass, moment = float(own.mass), np.asarray(own.moment, float)
+        tensor = np.asarray(own.tensor, float)  # about the joint
+        for part in self.carried[i]:
+            r = part.center
+            mass, moment = mass - part.mass, moment - part.mass * r
+            tensor = tensor - part.tensor - part.mass * (r @ r * np.eye(3) - np.outer(r, r))
+        center = moment / mass
+        tensor = tensor - mass * (center @ center * np.eye(3) - np.outer(center, center))
+        try:
+            if not mass > 0:
+                raise ValueError(f"a mass of {mass:.3g} kg")
+            inertial_parameters(mass, center, tensor)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise InputError(
+                f"{self.path}, link '{body.name}'",
+                f"an inertia that no body has, less those of the links that are fixed to it: {error}",
+                "heavier values, or links that weigh less",
+                "give these links their true inertias, and identify again",
+            ) from None
+        return LinkInertia(mass, center + np.array(body.anchor), tensor)
+
+    def joint_values(self, values: Mapping[str, float]) -> dict[str, JointValues]:
+        """The values of joints; what joints that follow have by the file is taken off first."""
+        found = {}
+        for name in self.free:
+            followers = [
+                (self.joints[other], abs(m.ratio))
+                for other, m in self.moved_by.items()
+                if m.joint == name and other != name
+            ]
+            less = {
+                "viscous": sum(j.viscous * r**2 for j, r in followers),
+                "coulomb": sum(j.coulomb * r for j, r in followers),
+                "armature": sum(j.armature * r**2 for j, r in followers),
+            }
+            own = {kind: max(values[f"{name}.{kind}"] - x, 0.0) for kind, x in less.items()}
+            found[name] = JointValues(**own)
+        for name in self.moved_by:
+            if self.joints[name].stiffness:
+                known = found.get(name, JointValues())
+                found[name] = replace(known, stiffness=values[f"{name}.stiffness"])
+        return found
 
     def _add_body(self, joint: RobotJoint, parent: int | None, frame: _Pose, mover: Mimic) -> int:
         """Adds the body that a joint carries; its frame is at the joint."""

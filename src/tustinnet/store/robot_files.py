@@ -1,0 +1,46 @@
+"""Files of robots with identified values."""
+
+from pathlib import Path
+
+from tustinnet.errors import InputError
+from tustinnet.models.contract import ContinuousModel, Model
+from tustinnet.models.physical_values import equations_in
+from tustinnet.store.files import require_outputs, write_into
+from tustinnet.systems.robots import RobotFile
+
+
+def write_robot(
+    model: Model | ContinuousModel, path: str | Path, *, overwrite: bool = False
+) -> tuple[str, ...]:
+    """Writes the file of a robot with the values of an identified model.
+
+    Masses, centres and inertias of the links that move, frictions, in MuJoCo's format also
+    armatures and springs. Only these numbers change: comments, order and all else stay as they are.
+
+    Args:
+        model: a model of a robot that was made from a URDF file, or one in MuJoCo's format.
+        path: the file to write, with the ending of the robot's own.
+        overwrite: replace a file that is there.
+
+    Returns:
+        Names of the parameters that differ from the file and that its format cannot hold, as
+        offsets, and armatures in a URDF.
+
+    Raises:
+        InputError: a model without such a file, another ending, a file that is there, or an inertia
+            that no body has.
+    """
+    equations, path = equations_in(model), Path(path)  # pyright: ignore[reportArgumentType]
+    source = None if equations is None else equations.system.source
+    if equations is None or not isinstance(source, RobotFile):
+        raise InputError(
+            "write_robot", "a model that was not made from a robot's file", "one that was",
+            "fit with --system arm.urdf",
+        )  # fmt: skip
+    if path.suffix != source.path.suffix:
+        raise InputError(path, f"ending '{path.suffix}'", f"'{source.path.suffix}' as of the robot")
+    require_outputs([path], overwrite=overwrite, read=[source.path])
+    values = {name: float(value) for name, value in equations.values.items()}
+    text, lacking = source.with_values(values)
+    write_into(path.parent, path.name, text)
+    return lacking
