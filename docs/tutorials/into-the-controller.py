@@ -12,7 +12,7 @@
 # 4. compile it in C, the code for a microcontroller;
 # 5. run the model as an FMU, and see how to use it in Simulink.
 #
-# You need a C compiler (`cc`) and the extras `control` and `fmu`: `pip install 'tustinnet[control,fmu]'`. The page is a
+# You need a C compiler (`cc`) and the extra `fmu`: `pip install 'tustinnet[fmu]'`. The page is a
 # notebook with Python cells and shell commands. Start in an empty folder: all files are written there.
 
 # %% [markdown]

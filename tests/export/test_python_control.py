@@ -1,6 +1,5 @@
 """Models as systems of python-control: the simulation is the rollout, the matrices are exact."""
 
-import sys
 from importlib import import_module
 
 import numpy as np
@@ -64,13 +63,3 @@ def test_the_pages_program_designs_a_controller_and_tries_it_on_the_model():
 def test_shapes_that_the_model_does_not_have_are_refused():
     with pytest.raises(InputError, match=r"x of shape \(2,\), u of shape \(1,\).*\(4,\) and"):
         tn.state_space(example("qube"), np.zeros(2), np.zeros(1))
-
-
-@pytest.mark.parametrize("call", [
-    lambda model: tn.control_system(model),
-    lambda model: tn.state_space(model, np.zeros(4), np.zeros(1)),
-])  # fmt: skip
-def test_they_ask_for_the_package(call, monkeypatch):
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(InputError, match=r"control is not installed.*'tustinnet\[control\]'"):
-        call(example("qube"))

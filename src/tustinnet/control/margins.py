@@ -7,7 +7,7 @@ import numpy as np
 
 from tustinnet.control.dynamics import controlled
 from tustinnet.control.lqr import Feedback, loop_matrices
-from tustinnet.errors import InputError, require_package
+from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 
 # frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
@@ -63,9 +63,8 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         feedback: the feedback, as `lqr` gives it.
 
     Raises:
-        InputError: the package control is not installed, or the loop is unstable without limits.
+        InputError: the loop is unstable without limits.
     """
-    require_package("control", "control", "margins")
     from control import FrequencyResponseData, StateSpace, frequency_response, stability_margins
 
     system = controlled(model, feedback.delay)
