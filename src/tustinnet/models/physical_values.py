@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from tustinnet.models.contract import Model
+from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.lagrangian import LagrangianModel
 
 
@@ -17,7 +17,7 @@ def _is_equations(node: Any) -> bool:
     )
 
 
-def equations_in(model: Model) -> LagrangianModel | None:
+def equations_in(model: Model | ContinuousModel) -> LagrangianModel | None:
     """The first equations of motion in a model, None where there are none."""
     nodes = jax.tree.leaves(model, is_leaf=_is_equations)
     return next((node for node in nodes if _is_equations(node)), None)

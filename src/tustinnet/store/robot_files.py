@@ -30,7 +30,7 @@ def write_robot(
         InputError: a model without such a file, another ending, a file that is there, or an inertia
             that no body has.
     """
-    equations, path = equations_in(model), Path(path)  # pyright: ignore[reportArgumentType]
+    equations, path = equations_in(model), Path(path)
     source = None if equations is None else equations.system.source
     if equations is None or not isinstance(source, RobotFile):
         raise InputError(

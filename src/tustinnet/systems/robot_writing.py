@@ -114,6 +114,17 @@ class _Text:
         else:
             self._edits.append((parent.stop, parent.stop, f"{space}  {content}".encode()))
 
+    def remove(self, element: _Element | None) -> None:
+        """Takes an element out, with all that is in it."""
+        if element is not None:
+            # with the space before it, so that no empty line is left
+            start, stop = len(self._text[: element.start].rstrip()), element.stop
+            if element.end is not None:
+                found = _TAG_END.match(self._text, element.end)
+                assert found is not None
+                stop = found.end()
+            self._edits.append((start, stop, b""))
+
     def written(self) -> str:
         """The text with all changes."""
         text = self._text
@@ -127,19 +138,22 @@ def _numbers(*values: float) -> str:
 
 
 def write_urdf(
-    text: str, links: Mapping[str, LinkInertia], joints: Mapping[str, JointValues]
+    text: str, links: Mapping[str, LinkInertia | None], joints: Mapping[str, JointValues]
 ) -> str:
     """The text of a URDF file with other inertias and frictions; it has no armatures or springs.
 
     Args:
         text: the file's text.
-        links: inertias by link, in the frame of the link.
+        links: inertias by link, in the frame of the link; None for a link that is to have none.
         joints: values by joint.
     """
     written = _Text(text)
     for name, inertia in links.items():
         element = written.named("link", name)
         assert element is not None
+        if inertia is None:
+            written.remove(element.child("inertial"))
+            continue
         tensor = inertia.tensor
         origin = {"xyz": _numbers(*inertia.center), "rpy": "0 0 0"}
         mass = {"value": _numbers(inertia.mass)}
@@ -172,18 +186,21 @@ def write_urdf(
 
 
 def write_mjcf(
-    text: str, links: Mapping[str, LinkInertia], joints: Mapping[str, JointValues], where: object
+    text: str,
+    links: Mapping[str, LinkInertia | None],
+    joints: Mapping[str, JointValues],
+    where: object,
 ) -> str:
     """The text of a file in MuJoCo's format with other inertias, frictions and armatures.
 
     Args:
         text: the file's text.
-        links: inertias by body, in the frame of the body.
+        links: inertias by body, in the frame of the body; None for one that is to have none.
         joints: values by joint.
         where: the file, for messages.
 
     Raises:
-        InputError: the file takes inertias from shapes only.
+        InputError: the file takes inertias from shapes only, or a body is to have none.
     """
     written = _Text(text)
     for element in written.elements:
@@ -195,6 +212,11 @@ def write_mjcf(
     for name, inertia in links.items():
         element = written.named("body", name)
         assert element is not None
+        if inertia is None:
+            raise InputError(
+                f"{where}, body '{name}'", "what it is fixed to weighs less than both by the file",
+                "bodies that weigh less", "give it its true inertia, and identify again",
+            )  # fmt: skip
         t = inertia.tensor
         values = {
             "pos": _numbers(*inertia.center), "mass": _numbers(inertia.mass),

@@ -130,22 +130,15 @@ class RobotFile(ChannelSource):
     def with_values(self, values: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
         """The file's text with values of parameters in it, and the names of those that it lacks.
 
-        A body of several links that do not move against one another has one inertia: what the other
-        links have by the file is taken from it, the rest is that of the link that moves.
-
         Args:
             values: the parameters of the system by name.
 
         Raises:
-            InputError: the rest is the inertia of no body; a file whose inertias do not count.
+            InputError: a file whose inertias do not count.
         """
         assembly = self._assembly()
         is_urdf = self.path.suffix == ".urdf"
-        links = {
-            body.name: assembly.link_inertia(i, values)
-            for i, body in enumerate(assembly.bodies)
-            if body.has_mass
-        }
+        links = assembly.link_inertias(values)
         joints = assembly.joint_values(values)
         if is_urdf:
             text = write_urdf(self.text, links, joints)
@@ -308,7 +301,8 @@ class _Assembly:
         self.bodies: list[Body] = []
         self.body_joints: list[RobotJoint] = []
         inertias: list[list[LinkInertia]] = []
-        self.carried: list[list[LinkInertia]] = []  # by body, of links that are fixed to its own
+        # by body, names and inertias of the links that are fixed to its own
+        self.carried: list[list[tuple[str, LinkInertia]]] = []
         for joint in robot.joints:
             owner, pose = places[joint.parent]
             frame = pose @ _Pose(joint.rotation, joint.position)
@@ -333,7 +327,7 @@ class _Assembly:
             if link.inertia is not None and owner is not None:
                 inertias[owner].append(frame.place(link.inertia))
                 if joint.name not in self.moved_by:
-                    self.carried[owner].append(inertias[owner][-1])
+                    self.carried[owner].append((link.name, inertias[owner][-1]))
         self.nominal: dict[str, float] = {}
         for i, parts in enumerate(inertias):
             body = self.bodies[i]
@@ -356,34 +350,26 @@ class _Assembly:
                 ) from None
             self.nominal |= {f"{body.name}.{name}": x for name, x in values.items()}
 
-    def link_inertia(self, i: int, values: Mapping[str, float]) -> LinkInertia:
-        """The inertia of a moving link in its own frame, by the values of its body's parameters.
+    def link_inertias(self, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
+        """The inertias of links in their own frames, by the values of the bodies' parameters.
 
-        Raises:
-            InputError: what is left for it is the inertia of no body.
+        Of a body of several links the others keep what they have by the file, as long as what is
+        left for the link that moves is the inertia of a body; else this link has all of it and the
+        others have none.
         """
-        body = self.bodies[i]
-        own = body_inertia(body, {name: float(x) for name, x in values.items()})
-        mass, moment = float(own.mass), np.asarray(own.moment, float)
-        tensor = np.asarray(own.tensor, float)  # about the joint
-        for part in self.carried[i]:
-            r = part.center
-            mass, moment = mass - part.mass, moment - part.mass * r
-            tensor = tensor - part.tensor - part.mass * (r @ r * np.eye(3) - np.outer(r, r))
-        center = moment / mass
-        tensor = tensor - mass * (center @ center * np.eye(3) - np.outer(center, center))
-        try:
-            if not mass > 0:
-                raise ValueError(f"a mass of {mass:.3g} kg")
-            inertial_parameters(mass, center, tensor)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise InputError(
-                f"{self.path}, link '{body.name}'",
-                f"an inertia that no body has, less those of the links that are fixed to it: {error}",
-                "heavier values, or links that weigh less",
-                "give these links their true inertias, and identify again",
-            ) from None
-        return LinkInertia(mass, center + np.array(body.anchor), tensor)
+        found: dict[str, LinkInertia | None] = {}
+        for i, body in enumerate(self.bodies):
+            if not body.has_mass:
+                continue
+            own = body_inertia(body, values)
+            whole = _about_center(float(own.mass), np.asarray(own.moment), np.asarray(own.tensor))
+            carried = [part for _, part in self.carried[i]]
+            rest = _without(whole, carried) if carried else whole
+            if rest is None:
+                found |= {name: None for name, _ in self.carried[i]}
+                rest = whole
+            found[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
+        return found
 
     def joint_values(self, values: Mapping[str, float]) -> dict[str, JointValues]:
         """The values of joints; what joints that follow have by the file is taken off first."""
@@ -744,6 +730,32 @@ def _joined(parts: Sequence[LinkInertia]) -> LinkInertia:
         r = part.center - center
         tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
     return LinkInertia(mass, center, tensor)
+
+
+def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
+    """An inertia whose tensor and moment were about the origin of the frame."""
+    center = moment / mass
+    return LinkInertia(
+        mass, center, tensor - mass * (center @ center * np.eye(3) - np.outer(center, center))
+    )
+
+
+def _without(whole: LinkInertia, parts: Sequence[LinkInertia]) -> LinkInertia | None:
+    """What is left of an inertia without some parts of it; None where no body has that."""
+    mass, moment, tensor = whole.mass, whole.mass * whole.center, whole.tensor
+    for part, sign in ((whole, 1.0), *((part, -1.0) for part in parts)):
+        r, shift = part.center, sign * part.mass
+        tensor = tensor + shift * (r @ r * np.eye(3) - np.outer(r, r))
+        if sign < 0:
+            mass, moment, tensor = mass - part.mass, moment - part.mass * r, tensor - part.tensor
+    if mass <= 0:
+        return None
+    rest = _about_center(mass, moment, tensor)
+    try:
+        inertial_parameters(rest.mass, rest.center, rest.tensor)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return rest
 
 
 def _motion(joint: RobotJoint, position: float) -> _Pose:

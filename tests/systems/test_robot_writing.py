@@ -1,0 +1,109 @@
+"""Identified values in the files of robots: only numbers change, MuJoCo reads what was meant."""
+
+from importlib import import_module
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robot_twins import true_values
+
+import tustinnet as tn
+
+mujoco = import_module("mujoco")  # no types are known
+
+ROBOTS = Path(__file__).parents[2] / "examples" / "robots"
+NAMES = ("arm7.urdf", "scara.urdf", "gripper.urdf", "double_pendulum.urdf", "cart_pole.xml")
+CHANGED = ("<origin", "<mass", "<inertia", "<dynamics", "<inertial", "</inertial", "<joint")
+
+
+def moved(system, **others):
+    """A model of a robot that is not just as its file says, and its values."""
+    values = true_values(system, 3) | others
+    return system.model({name: jnp.asarray(x) for name, x in values.items()}), values
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_written_is_read_again(name, tmp_path):
+    system = tn.load_system(ROBOTS / name)
+    model, values = moved(system)
+    lacking = tn.write_robot(model, tmp_path / name)
+    again = tn.load_system(tmp_path / name).nominal()
+    kept = [key for key in values if key not in lacking]
+    np.testing.assert_allclose([again[k] for k in kept], [values[k] for k in kept], rtol=1e-9,
+                               atol=1e-12)  # fmt: skip
+    formats = {"offset"} if name.endswith(".xml") else {"offset", "armature"}
+    assert {key.rpartition(".")[2] for key in lacking} == formats
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_comments_order_and_all_else_stay(name, tmp_path):
+    model, _ = moved(tn.load_system(ROBOTS / name))
+    tn.write_robot(model, tmp_path / name)
+    before, after = (
+        [line for line in (place / name).read_text().splitlines()
+         if not line.strip().startswith(CHANGED)]
+        for place in (ROBOTS, tmp_path)
+    )  # fmt: skip
+    assert before == after
+
+
+def test_mujoco_simulates_what_the_model_does(tmp_path):
+    system = tn.load_system(ROBOTS / "double_pendulum.urdf")
+    none = {
+        name: 0.0 for name in system.nominal() if name.endswith(("coulomb", "offset", "armature"))
+    }
+    model, _ = moved(system, **none)
+    file = tmp_path / "identified.urdf"
+    assert tn.write_robot(model, file) == ()
+    spec = mujoco.MjSpec.from_string(file.read_text())
+    spec.option.timestep = 5e-4
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    compiled = spec.compile()
+    data = mujoco.MjData(compiled)
+    step = tn.compiled_step(tn.discretise(model, 0.01, 20))
+    x = np.array([0.6, -0.4, 0.0, 0.0])
+    places = [compiled.joint(c.name).dofadr[0] for c in system.coordinates]
+    data.qpos[places] = x[:2]
+    for _ in range(200):
+        x = step(x, np.zeros(len(system.inputs)))
+        mujoco.mj_step(compiled, data, 20)
+        np.testing.assert_allclose(data.qpos[places], x[:2], atol=1e-6)
+
+
+def test_a_file_in_another_hand_keeps_its_ways(tmp_path):
+    text = """<?xml version='1.0' encoding='utf-8'?>
+<!-- Größe: 3 > 2 -->
+<robot name="two"><link name='base'/><joint name="a" type="revolute"><parent link="base"/>
+  <child link="arm"/><axis xyz="0 1 0"/></joint>
+  <link name="arm"><inertial><inertia ixx='0.02' ixy='0' ixz='0' iyy='0.02' iyz='0'
+    izz='0.002' note="a > b"/><mass   value = '1.5'/></inertial></link>
+</robot>
+"""
+    (file := tmp_path / "two.urdf").write_text(text, encoding="utf-8")
+    system = tn.load_system(file)
+    model, values = moved(system)
+    tn.write_robot(model, tmp_path / "new.urdf")
+    written = (tmp_path / "new.urdf").read_text(encoding="utf-8")
+    assert "<!-- Größe: 3 > 2 -->" in written
+    assert 'note="a > b"' in written
+    again = tn.load_system(tmp_path / "new.urdf").nominal()
+    assert again["arm.mass"] == pytest.approx(values["arm.mass"])
+    assert again["arm.center_x"] == pytest.approx(values["arm.center_x"])
+    assert again["a.viscous"] == pytest.approx(values["a.viscous"])
+
+
+def test_what_cannot_be_written_is_one_line(tmp_path):
+    model, _ = moved(tn.load_system(ROBOTS / "scara.urdf"))
+    with pytest.raises(tn.InputError, match=r"ending '.xml'; expected '.urdf'"):
+        tn.write_robot(model, tmp_path / "scara.xml")
+    tn.write_robot(model, tmp_path / "scara.urdf")
+    with pytest.raises(tn.InputError, match=r"scara\.urdf"):
+        tn.write_robot(model, tmp_path / "scara.urdf")
+    tn.write_robot(model, tmp_path / "scara.urdf", overwrite=True)
+    with pytest.raises(tn.InputError, match="read"):
+        tn.write_robot(model, ROBOTS / "scara.urdf", overwrite=True)
+    pendulum = tn.load_system("qube-servo2")
+    values = {name: jnp.asarray(x) for name, x in pendulum.nominal().items()}
+    with pytest.raises(tn.InputError, match="not made from a robot's file"):
+        tn.write_robot(pendulum.model(values), tmp_path / "q.urdf")
