@@ -3,6 +3,7 @@
     python benchmarks/robots.py [CHAINS]      (default: 50 random chains of up to 7 joints)
     python benchmarks/robots.py twins OUT [COUNT]     (default: 50 arms of 7 joints)
     python benchmarks/robots.py halves OUT [COUNT]    two halves of an arm's records
+    python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
 
 Needs the extras `bench` and `robots`. Each chain is compared at three states; differences of mass
 matrices, bias forces and energies are relative to the largest number of each quantity, and the
@@ -42,7 +43,7 @@ from tustinnet.store.data_set_folder import write_data_set
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 from robot_files import random_urdf  # pyright: ignore[reportMissingImports]
-from robot_twins import record_in_loop, true_values  # pyright: ignore[reportMissingImports]
+from robot_twins import record_in_loop, true_values, with_payload  # pyright: ignore[reportMissingImports]
 
 _DECIDED = 0.5  # share of a prior's standard deviation below which records decide
 ARM = ROOT / "examples" / "robots" / "arm7.urdf"
@@ -290,7 +291,29 @@ def halves(out: Path, count: int) -> None:
     print(f"base parameters that agree: {agreed} of {compared} ({agreed / compared:.1%})")
 
 
+def payload(count: int) -> None:
+    """A ball of 2.5 kg at the flange: four records without it and four with it, and one more."""
+    system, center = tn.load_system(ARM), np.array([0.05, 0.02, 0.1])
+    robot = tn.load_robot(ARM, per={"flange": "payload"})
+    for seed in range(count):
+        empty = true_values(system, seed)
+        records = [
+            replace(e, name=f"{e.name}-{group}", groups=(("payload", group),))
+            for group, values, more in (
+                ("none", empty, 0), ("ball", with_payload(empty, "flange", 2.5, center), 1000),
+            )
+            for e in record_in_loop(system, values, 5, 10.0, seed=seed + more)
+        ]  # fmt: skip
+        begun = time.perf_counter()
+        result = tn.identify(tn.DataSet("arm", tuple(records)), robot, "inverse-dynamics")
+        (sentence,) = [s for s in result.findings if "carries" in s]
+        print(f"{seed}: {sentence}; {time.perf_counter() - begun:.0f} s", flush=True)
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["payload"]:
+        payload(int(sys.argv[2]) if len(sys.argv) > 2 else 10)
+        sys.exit()
     parts = {"twins": twins, "halves": halves}
     if sys.argv[1:2] and sys.argv[1] in parts:
         parts[sys.argv[1]](Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 50)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
+from tustinnet.models.chains import Body, body_inertia, inertial_parameters
 from tustinnet.models.lagrangian import LagrangianSystem
 
 COUNT = 2 * np.pi / 2**16
@@ -33,6 +34,30 @@ def true_values(system: LagrangianSystem, seed: int, change: float = 0.3) -> dic
         else:
             values[p.name] = p.nominal + change * (p.prior or 0.0) * rng.uniform(-1, 1)
     return values
+
+
+def with_payload(
+    values: Mapping[str, float], link: str, mass: float, center: np.ndarray, radius: float = 0.02
+) -> dict[str, float]:
+    """Values of a robot one of whose links carries a ball.
+
+    Args:
+        values: the robot's values without it.
+        link: the link.
+        mass: mass of the ball [kg].
+        center: its centre in the frame of the link, (3,) [m].
+        radius: its radius of gyration about any axis [m].
+    """
+    rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    body = Body(link, None, "angular", rows[2], rows, (0.0, 0.0, 0.0), 0)
+    own = body_inertia(body, values)
+    whole = float(own.mass) + mass
+    middle = (np.asarray(own.moment) + mass * center) / whole
+    tensor = np.asarray(own.tensor) + mass * radius**2 * np.eye(3)
+    for m, r in ((mass, center), (-whole, middle)):
+        tensor = tensor + m * (r @ r * np.eye(3) - np.outer(r, r))
+    changed = inertial_parameters(whole, middle, tensor)
+    return dict(values) | {f"{link}.{name}": x for name, x in changed.items()}
 
 
 def record_in_loop(

@@ -65,6 +65,7 @@ def load_robot(
     *,
     locked: Mapping[str, float] | None = None,
     motor_constants: Mapping[str, float] | None = None,
+    per: Mapping[str, str] | None = None,
 ) -> LagrangianSystem:
     """A robot as a system, from a URDF file or one in MuJoCo's format.
 
@@ -73,6 +74,8 @@ def load_robot(
         locked: joints that do not move, with their positions [rad or m].
         motor_constants: joints whose input is the current of a motor, with the force or torque by
             current [N m/A or N/A].
+        per: links whose mass, centre and inertia differ between groups of records, with the name of
+            the group, `{"flange": "payload"}`.
 
     Raises:
         InputError: a file that cannot be read, or a robot without equations here.
@@ -81,7 +84,8 @@ def load_robot(
     if isinstance(file, str) or file.is_code:
         raise InputError(path, "no file of a robot", f"a file with {', '.join(ROBOT_ENDINGS)}")
     positions, constants = (tuple(sorted((x or {}).items())) for x in (locked, motor_constants))
-    return RobotFile(file.text, file.path, positions, constants).load()
+    groups = tuple(sorted((per or {}).items()))
+    return RobotFile(file.text, file.path, positions, constants, groups).load()
 
 
 @dataclass(frozen=True)
@@ -93,12 +97,14 @@ class RobotFile(ChannelSource):
         path: the file.
         locked: joints that do not move, with their positions [rad or m].
         motor_constants: joints whose input is a current, with the force by current [N m/A or N/A].
+        per: links that differ between groups of records, with the name of the group.
     """
 
     text: str
     path: Path
     locked: tuple[tuple[str, float], ...] = ()
     motor_constants: tuple[tuple[str, float], ...] = ()
+    per: tuple[tuple[str, str], ...] = ()
 
     def load(self) -> LagrangianSystem:
         """The system with all joints that move freely, and all actuators.
@@ -154,8 +160,8 @@ class RobotFile(ChannelSource):
 
     def _assembly(self) -> "_Assembly":
         read = read_urdf if self.path.suffix == ".urdf" else read_mjcf
-        constants = dict(self.motor_constants)
-        return _Assembly(read(self.text, self.path), self.path, dict(self.locked), constants)
+        constants, per = dict(self.motor_constants), dict(self.per)
+        return _Assembly(read(self.text, self.path), self.path, dict(self.locked), constants, per)
 
 
 class _Assembly:
@@ -166,6 +172,7 @@ class _Assembly:
         path: its file, for messages.
         locked: positions of locked joints.
         motor_constants: force or torque by current, by joint.
+        per: groups of records between which links differ, by link.
     """
 
     def __init__(
@@ -174,8 +181,9 @@ class _Assembly:
         path: Path,
         locked: dict[str, float],
         motor_constants: dict[str, float],
+        per: dict[str, str],
     ) -> None:
-        self.robot, self.path = robot, path
+        self.robot, self.path, self.per = robot, path, per
         self.joints = {joint.name: joint for joint in robot.joints}
         moving = [joint.name for joint in robot.joints if joint.kind != "fixed"]
         for option, names in (("locked", locked), ("motor_constants", motor_constants)):
@@ -204,6 +212,13 @@ class _Assembly:
         )
         self._assemble()
         self.inputs, self.drives = self._drives()
+        moved = [body.name for body in self.bodies if body.has_mass]
+        for name in per:
+            if name not in moved:
+                raise InputError(
+                    path, f"per: no link '{name}' that moves and has a mass",
+                    f"one of {_list(moved)}",
+                )  # fmt: skip
 
     def arranged(
         self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
@@ -476,7 +491,10 @@ class _Assembly:
             else:
                 most = _MASS * widest
                 lower, upper, prior = value - most, value + most, _SHARE * widest
-            parameters.append(Parameter(full, unit, value, lower, upper, fixed, prior))
+            group = None if fixed else self.per.get(body.name)
+            if group is not None and name == "mass":
+                prior = None  # nobody knows what is carried
+            parameters.append(Parameter(full, unit, value, lower, upper, fixed, prior, group))
         return parameters
 
     def _joint_parameters(self, k: int) -> list[Parameter]:

@@ -1,12 +1,13 @@
 """Parameters of robots by the forces along their motion, with a controller in the loop."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from robot_twins import record_in_loop, true_values
+from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
@@ -57,6 +58,39 @@ def test_friction_is_found_and_intervals_are_true(result, truth):
     ]
     assert len(inside) > 50
     assert np.mean(inside) > 0.9
+
+
+def test_what_a_link_carries_is_weighed(system, truth):
+    """Records with and without a ball at the spindle; how high it is does not matter to a SCARA."""
+    center = np.array([0.05, 0.02, -0.01])
+    records = [
+        replace(e, name=f"{e.name}-{group}", groups=(("payload", group),))
+        for group, values in (
+            ("none", truth),
+            ("ball", with_payload(truth, "spindle", 0.5, center)),
+        )
+        for e in record_in_loop(system, values, count=3, seconds=4.0)
+    ]
+    robot = tn.load_robot(SCARA, per={"spindle": "payload"})
+    result = tn.identify(tn.DataSet("scara", tuple(records)), robot, "inverse-dynamics")
+    (sentence,) = [s for s in result.findings if "carries" in s]
+    numbers = re.search(
+        r"'spindle' carries (\S+) ± (\S+) kg \(95 %\) more in records of ball than in those "
+        r"of none, centre at (\S+) ± (\S+), (\S+) ± (\S+), ",
+        sentence,
+    )
+    assert numbers is not None
+    mass, error, x, x_error, y, y_error = map(float, numbers.groups())
+    assert mass == pytest.approx(0.5, rel=0.02)
+    assert error < 0.02
+    assert abs(mass - 0.5) < error
+    assert abs(x - 0.05) < x_error < 0.03
+    assert abs(y - 0.02) < y_error < 0.03
+
+
+def test_a_link_that_is_not_there_carries_nothing():
+    with pytest.raises(InputError, match=r"per: no link 'hook' that moves .*inner_arm"):
+        tn.load_robot(SCARA, per={"hook": "payload"})
 
 
 def test_what_records_know_nothing_of_stays_at_the_files_value(result, system):

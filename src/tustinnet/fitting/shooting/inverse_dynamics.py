@@ -33,6 +33,7 @@ from tustinnet.fitting.shooting.problem import (
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.signals.low_pass import low_pass, occupied_band
 
 STAGE = "inverse dynamics"
@@ -395,6 +396,7 @@ def _make_identification(
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
+        *_describe_carried(space, point, covariance, quantile),
     ]
     matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
@@ -430,6 +432,59 @@ def _make_identification(
         iterations=iterations,
         force_errors=tuple(errors),
     )
+
+
+def _describe_carried(
+    space: SearchSpace,
+    point: _Point,
+    covariance: Float[np.ndarray, "n_p n_p"],
+    quantile: float,
+) -> list[str]:
+    """Sentences on what links carry in groups of records beside what they do in the lightest one.
+
+    The error of a mass is that of the difference: most of what is not known of a link is the same
+    in all groups.
+    """
+    values = space.to_values_in_range(point.vector)
+    slopes = np.abs(space.derivatives(point.vector))
+    linear = covariance * np.outer(slopes, slopes)
+    groups: dict[str, list[str]] = {}  # by link, the ends of its names: "[1kg]"
+    for name in space.names:
+        link, is_mass, group = name.partition(f".{INERTIAL[0]}[")
+        if is_mass:
+            groups.setdefault(link, []).append(f"[{group}")
+    sentences = []
+    for link, ends in groups.items():
+        lightest = min(ends, key=lambda end: values[f"{link}.mass{end}"])
+        less = values[f"{link}.mass{lightest}"]
+        for end in ends:
+            if end == lightest:
+                continue
+            own = values[f"{link}.mass{end}"]
+            mass = own - less
+
+            def half(slope: Mapping[str, float]) -> float:
+                """Half the interval of a quantity with these derivatives."""
+                places = [space.names.index(name) for name in slope]
+                row = np.array([*slope.values()])
+                return quantile * float(np.sqrt(row @ linear[np.ix_(places, places)] @ row))
+
+            width = half({f"{link}.mass{end}": 1.0, f"{link}.mass{lightest}": -1.0})
+            centers = []
+            for c in CENTER:
+                there, here = values[f"{link}.{c}{end}"], values[f"{link}.{c}{lightest}"]
+                center = (own * there - less * here) / mass
+                error = half({
+                    f"{link}.mass{end}": (there - center) / mass, f"{link}.{c}{end}": own / mass,
+                    f"{link}.mass{lightest}": (center - here) / mass,
+                    f"{link}.{c}{lightest}": -less / mass,
+                })  # fmt: skip
+                centers.append(f"{center:.3g} ± {error:.2g}")
+            sentences.append(
+                f"'{link}' carries {mass:.4g} ± {width:.2g} kg (95 %) more in records of "
+                f"{end[1:-1]} than in those of {lightest[1:-1]}, centre at {', '.join(centers)} m"
+            )
+    return sentences
 
 
 def _rank(point: _Point, prior: _Prior) -> int:
