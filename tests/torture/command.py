@@ -165,11 +165,14 @@ def others(place: Path) -> list[Job]:
 
 
 def start(arguments: tuple[str, ...], asked: dict[str, Any], **more: Any) -> subprocess.Popen[str]:
-    """Starts the command; `asked` is what `child` is to do, `more` goes to `Popen`."""
+    """Starts the command; `asked` is what `child` is to do.
+
+    `by` are words before it, as of a program that changes the user; all `more` goes to `Popen`.
+    """
     env = {**os.environ, "JAX_PLATFORMS": "cpu", "TORTURE": json.dumps(asked)}
     env |= more.pop("env", {})
     return subprocess.Popen(
-        [sys.executable, str(_CHILD), *arguments],
+        [*more.pop("by", ()), sys.executable, str(_CHILD), *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", env=env,
         **more,
     )  # fmt: skip
