@@ -456,9 +456,13 @@ def _positive(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange
     return lambda motion: (1e-3 * most(motion), 1e-6 * most(motion), most(motion))
 
 
-def _from_hundredth(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
-    """A range that begins at a hundredth: from less, frictions with memory are often not found."""
-    return lambda motion: (1e-2 * most(motion), 1e-6 * most(motion), most(motion))
+def _sticking_forces(motion: Motion) -> SearchRange:
+    """Up to twice the force: what sticks can be no larger, or nothing would move.
+
+    Wider ranges, and initial values below a tenth of the force, lead to friction that is all spring
+    or all damping.
+    """
+    return 0.1 * motion.force, 1e-3 * motion.force, 2.0 * motion.force
 
 
 def _relaxation_rates(motion: Motion) -> SearchRange:
@@ -490,7 +494,7 @@ _STRIBECK_SPEED = ForceParameter(
     "stribeck_speed", "v_s", "{position}/s",
     lambda m: (10.0 * m.slow, 2.0 * m.slow, 100.0 * m.slow),
 )  # fmt: skip
-_STICKING = ForceParameter("sticking", "c", "{force}", _from_hundredth(lambda m: m.largest_force))
+_STICKING = ForceParameter("sticking", "c", "{force}", _sticking_forces)
 _PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflections)
 
 
@@ -621,9 +625,7 @@ _LAWS: tuple[Law, ...] = (
         "`g = c + b exp(-(v / v_s)²)`",
         parameters=(
             _STICKING,
-            ForceParameter(
-                "breakaway", "b", "{force}", _from_hundredth(lambda m: m.largest_force)
-            ),
+            ForceParameter("breakaway", "b", "{force}", _sticking_forces),
             _STRIBECK_SPEED,
             _PRESLIDING,
             ForceParameter(
