@@ -148,6 +148,16 @@ SYSTEMS: Registry[Any] = Registry(
         "qube-servo2-rubbing": "tustinnet.systems.qube_servo2:WITH_CABLE_FRICTION",
         "qube-servo2-turned": "tustinnet.systems.qube_servo2:WITH_INITIAL_DEFLECTION",
         "mechanism": "tustinnet.systems.mechanism:MECHANISM",
+        "cart-pole": "tustinnet.systems.library.cart_pole:SYSTEM",
+        "2-link-chain": "tustinnet.systems.library.link_chain:TWO_LINKS",
+        "3-link-chain": "tustinnet.systems.library.link_chain:THREE_LINKS",
+        "two-mass-drive": "tustinnet.systems.library.two_mass_drive:SYSTEM",
+        "crane": "tustinnet.systems.library.crane:SYSTEM",
+        "ball-and-beam": "tustinnet.systems.library.ball_and_beam:SYSTEM",
+        "reaction-wheel": "tustinnet.systems.library.reaction_wheel:SYSTEM",
+        "propeller-pendulum": "tustinnet.systems.library.propeller_pendulum:SYSTEM",
+        "positioning-axis": "tustinnet.systems.library.positioning_axis:SYSTEM",
+        "duffing": "tustinnet.systems.library.duffing:SYSTEM",
     },
 )
 TARGETS: Registry[Any] = Registry(

@@ -22,9 +22,11 @@ X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
 VALUES = {
     "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
     "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
-    "lag": 0.5, "initial_share": 0.7, "constant": 0.4,
+    "lag": 0.5, "initial_share": 0.7, "constant": 0.4, "sticking": 0.6, "presliding": 0.4,
+    "bristle_damping": 0.3, "hysteresis_shape": 0.8, "hysteresis_exponent": 2.0,
 }  # fmt: skip
-Z = 0.25  # deflection of a spring that relaxes
+Z = 0.25  # deflection of a spring that relaxes, or of a friction with memory
+LUGRE_RATE = -1.1 - 1.1 * Z * (0.6 / 0.4) / (0.6 + 0.5 * np.exp(-((1.1 / 0.8) ** 2)))
 AGAINST = {  # what each law does against the motion of the angle
     "coulomb": forces.coulomb(V[1], 0.3, 0.1),
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
@@ -34,7 +36,11 @@ AGAINST = {  # what each law does against the motion of the angle
     "cubic": 2.5 * X[1] ** 3,
     "constant": 0.4,
     "maxwell": 3.0 * Z,
+    "dahl": 0.6 * Z / 0.4,
+    "lugre": 0.6 * Z / 0.4 + 0.3 * LUGRE_RATE,
+    "bouc_wen": 0.6 * Z / 0.4,
 }
+WITH_MEMORY = ("maxwell", "dahl", "lugre", "bouc_wen")
 
 
 def declared(names: list[str]) -> tuple[Parameter, ...]:
@@ -63,7 +69,7 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     change = with_it.acceleration(x, u) - without.acceleration(x[:4], u)
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
-    assert system.internal == (("maxwell:angle",) if law == "maxwell" else ())
+    assert system.internal == ((f"{law}:angle",) if law in WITH_MEMORY else ())
     assert added_parameters(system) == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
 
 
@@ -189,8 +195,15 @@ def test_the_name_of_an_earlier_version_stands_for_the_same_force():
         _ = forces.glue  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_forces_have_derivatives_at_rest():
-    system = added(CART, *(law for law in LAWS if law != "coulomb"))
+@pytest.mark.parametrize(
+    # laws that share parameters exclude one another
+    "laws",
+    [[n for n in LAWS if n not in ("coulomb", "dahl", "lugre", "bouc_wen")],
+     ["dahl"], ["lugre"], ["bouc_wen"]],
+    ids="-".join,
+)  # fmt: skip
+def test_forces_have_derivatives_at_rest(laws):
+    system = added(CART, *laws)
     model = nominal(system)
     at_rest = jnp.zeros(model.state_size)
     slope = jax.jacfwd(model.derivative)(at_rest, U)

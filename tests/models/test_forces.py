@@ -124,3 +124,64 @@ def test_plain_numbers_will_do():
     assert forces.coulomb(1e3, 0.3, 0.1) == pytest.approx(0.3)
     assert forces.cubic_spring(2.0, 0.5) == 2.0
     assert forces.dc_motor(20.0, 0.0, 0.04, 8.0, 0.05, 15.0) == pytest.approx(0.075)
+
+
+# --- frictions with memory ---
+
+
+def slid(rate, speed: float, travel: float) -> float:
+    """The internal state of a friction after a travel at steady speed, from 0."""
+    z, steps = 0.0, 20_000
+    for _ in range(steps):
+        z += float(rate(np.float64(speed), np.float64(z))) * abs(travel / speed) / steps
+    return z
+
+
+FRICTIONS = {
+    "dahl": lambda v, z: forces.dahl_rate(v, z, 0.3, 30.0),
+    "lugre": lambda v, z: forces.lugre_rate(v, z, 0.3, 0.3, 0.5, 30.0),
+    "bouc_wen": lambda v, z: forces.bouc_wen_rate(v, z, 0.01, 1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("name", FRICTIONS)
+def test_a_friction_with_memory_approaches_its_level_by_travel_alone(name):
+    """Without a Stribeck curve, and with a and n of 1, all of them are Dahl friction."""
+    with jax.enable_x64(True):
+        for speed, travel in ((2.0, 0.01), (-0.5, -0.02)):
+            expected = np.sign(travel) * 0.01 * (1 - np.exp(-abs(travel) / 0.01))
+            assert slid(FRICTIONS[name], speed, travel) == pytest.approx(expected, rel=1e-3)
+    assert forces.dahl_force(0.01, 30.0) == pytest.approx(-0.3)
+    assert forces.bouc_wen_force(0.01, 0.01, 0.3) == pytest.approx(-0.3)
+
+
+def test_bristles_settle_on_the_stribeck_curve():
+    level = 0.3 + 0.5 * np.exp(-1)
+    settled = level / 30.0
+    rate = forces.lugre_rate(number(0.5), number(settled), 0.3, 0.8, 0.5, 30.0)
+    assert float(rate) == pytest.approx(0.0, abs=1e-6)
+    assert forces.lugre_force(settled, 0.0, 30.0, 0.2) == pytest.approx(-level)
+    assert forces.lugre_force(0.0, 1.5, 30.0, 0.2) == pytest.approx(-0.3)
+
+
+def test_hysteresis_turns_back_as_stiff_as_its_shape_says():
+    d = 0.01
+    for shape in (0.5, 1.0, 3.0):
+        rate = float(forces.bouc_wen_rate(number(-1.0), number(d), d, shape, 2.0))
+        assert rate == pytest.approx(-2 * shape, rel=1e-5)
+        assert float(forces.bouc_wen_rate(number(1.0), number(d), d, shape, 2.0)) == pytest.approx(
+            0.0, abs=1e-5
+        )
+
+
+def test_hysteresis_has_derivatives_where_it_is_at_rest():
+    slopes = jax.grad(lambda x: forces.bouc_wen_rate(x[0], x[1], 0.01, 0.8, x[2]), allow_int=False)(
+        jnp.array([0.0, 0.0, 1.5])
+    )
+    assert np.isfinite(slopes).all()
+
+
+def test_a_spring_with_backlash_pulls_beyond_the_gap_alone():
+    force = jax.grad(lambda q: forces.backlash_spring(q, 200.0, 0.02))
+    found = [float(force(number(q))) for q in (-0.05, -0.01, 0.0, 0.02, 0.03)]
+    np.testing.assert_allclose(found, [-6.0, 0.0, 0.0, 0.0, 2.0], atol=1e-5)

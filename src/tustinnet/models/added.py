@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from tustinnet.errors import InputError
-from tustinnet.models.forces import LAWS, ActuatorLag, Friction, Law, RelaxingSpring, Spring
+from tustinnet.models.forces import LAWS, ActuatorLag, ForceWithMemory, Friction, Law, Spring
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
 from tustinnet.renamed import FORCES
 
@@ -118,7 +118,7 @@ def with_forces(
     frictions = [(force, law) for force in added if isinstance(law := force.law, Friction)]
     # those that depend on a deflection are added last, in whatever order the names stand
     frictions.sort(key=lambda pair: pair[1].needs_limited_travel)
-    with_states = tuple(f for f in added if isinstance(f.law, RelaxingSpring | ActuatorLag))
+    with_states = tuple(f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag))
     is_lagging = any(isinstance(force.law, ActuatorLag) for force in added)
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
@@ -197,9 +197,9 @@ class _ExtendedMemory:
         """The forces of the system's internal states, of the added ones, and of lagging inputs."""
         system, before, n = self.system, self.system.memory, len(self.system.internal)
         acting = [
-            (f.index, f.law.force(state, *f.values(p)))
+            (f.index, f.law.force(v[f.index], state, *f.values(p)))
             for f, state in zip(self.added, z[n:], strict=True)
-            if isinstance(f.law, RelaxingSpring)
+            if isinstance(f.law, ForceWithMemory)
         ]
         total = _sum_by_coordinate(v, acting)
         if before is not None:
@@ -241,9 +241,9 @@ class _ExtendedMemory:
         return Memory(names, rate, force, initial)
 
 
-def _law_with_state(force: PlacedForce) -> RelaxingSpring | ActuatorLag:
+def _law_with_state(force: PlacedForce) -> ForceWithMemory | ActuatorLag:
     """The law of a force that has an internal state."""
-    assert isinstance(force.law, RelaxingSpring | ActuatorLag)
+    assert isinstance(force.law, ForceWithMemory | ActuatorLag)
     return force.law
 
 

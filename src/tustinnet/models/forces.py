@@ -119,6 +119,19 @@ def cubic_spring(q: Value, stiffness: Value) -> Any:
     return stiffness * q**4 / 4
 
 
+def backlash_spring(q: Value, stiffness: Value, gap: Value) -> Any:
+    """Energy of a spring with backlash: `k (|q| - g)^2 / 2` beyond the gap, 0 within [J].
+
+    The force has kinks at both ends of the gap and no jump, so that derivatives by the gap exist.
+
+    Args:
+        q: deflection from the middle of the gap [rad or m].
+        stiffness: k beyond the gap [N m/rad or N/m].
+        gap: g, half of the backlash [rad or m].
+    """
+    return stiffness * jnp.maximum(jnp.abs(q) - gap, 0.0) ** 2 / 2
+
+
 def maxwell_rate(v: Value, z: Value, relaxation: Value) -> Any:
     """Rate of a Maxwell element's elastic deflection: `dz/dt = v - r z` [rad/s or m/s].
 
@@ -140,6 +153,115 @@ def maxwell_force(z: Value, stiffness: Value) -> Any:
         stiffness: k of its spring [N m/rad or N/m].
     """
     return -stiffness * z
+
+
+def dahl_rate(v: Value, z: Value, level: Value, stiffness: Value) -> Any:
+    """Rate of the deflection in Dahl friction: `dz/dt = v - s |v| z / c` [rad/s or m/s].
+
+    Two surfaces stick together by asperities, which bend like springs before they slip. The
+    equation has a kink at v = 0, no jump: z is smooth, and Runge-Kutta steps of a fixed length are
+    accurate to second order across a reversal. It is stiff at high speed, where z settles within
+    the travel c / s: steps longer than 2.8 c / (s |v|) diverge.
+
+    Args:
+        v: velocity [rad/s or m/s].
+        z: its internal state, mean deflection of the asperities [rad or m].
+        level: c, friction in steady motion [N m or N].
+        stiffness: s of the asperities [N m/rad or N/m].
+
+    References:
+        Dahl (1968), A solid friction model, Aerospace Corporation, TOR-158(3107-18), with the
+        exponent 1, at which friction approaches its level exponentially.
+    """
+    return v - stiffness * jnp.abs(v) * z / level
+
+
+def dahl_force(z: Value, stiffness: Value) -> Any:
+    """Force of Dahl friction on its coordinate: `-s z` [N m or N].
+
+    Args:
+        z: its internal state [rad or m].
+        stiffness: s of the asperities [N m/rad or N/m].
+    """
+    return -stiffness * z
+
+
+def lugre_rate(
+    v: Value, z: Value, level: Value, breakaway: Value, stribeck_speed: Value, stiffness: Value
+) -> Any:
+    """Rate of the bristles' deflection in LuGre friction: `dz/dt = v - s |v| z / g(v)`.
+
+    `g(v) = c + (b - c) exp(-(v / v_s)^2)` is the Stribeck curve, the friction in steady motion.
+    The kink and the stiffness are those of `dahl_rate`.
+
+    Args:
+        v: velocity [rad/s or m/s].
+        z: its internal state, mean deflection of the bristles [rad or m].
+        level: c, friction at speed [N m or N].
+        breakaway: b, friction at the onset of motion, at least c [N m or N].
+        stribeck_speed: v_s, where friction has fallen from one to the other [rad/s or m/s].
+        stiffness: s of the bristles, sigma_0 in the paper [N m/rad or N/m].
+
+    References:
+        Canudas de Wit, Olsson, Åström, Lischinsky (1995), A new model for control of systems with
+        friction, IEEE Transactions on Automatic Control 40(3), equations 1, 2 and 4.
+    """
+    falling = jnp.exp(-((v / stribeck_speed) ** 2))
+    return v - stiffness * jnp.abs(v) * z / (level + (breakaway - level) * falling)
+
+
+def lugre_force(z: Value, rate: Value, stiffness: Value, damping: Value) -> Any:
+    """Force of LuGre friction on its coordinate: `-(s z + d dz/dt)` [N m or N].
+
+    The paper's viscous term is `viscous`, in the dissipation.
+
+    Args:
+        z: its internal state [rad or m].
+        rate: dz/dt by `lugre_rate` [rad/s or m/s].
+        stiffness: s of the bristles [N m/rad or N/m].
+        damping: d of the bristles, sigma_1 in the paper [N m s/rad or N s/m].
+
+    References:
+        Canudas de Wit, Olsson, Åström, Lischinsky (1995), equation 3.
+    """
+    return -(stiffness * z + damping * rate)
+
+
+def bouc_wen_rate(v: Value, z: Value, deflection: Value, shape: Value, exponent: Value) -> Any:
+    """Rate of the hysteretic deflection of a Bouc-Wen element [rad/s or m/s].
+
+    `dz/dt = v - a |v| |w|^(n-1) w + (a - 1) v |w|^n` with `w = z / d`: the normalised form, in
+    which no two sets of parameters mean one hysteresis. `|w|` is `sqrt(w^2 + 1e-18)`, so that
+    derivatives by n exist at w = 0. Kink and stiffness are those of `dahl_rate`, which is this with
+    a = n = 1.
+
+    Args:
+        v: velocity [rad/s or m/s].
+        z: its internal state, between -d and d [rad or m].
+        deflection: d, at which the element yields [rad or m].
+        shape: a, at least 1/2: where the motion turns back, the element is as stiff as at first for
+            1/2, up to 2 a times as stiff for more.
+        exponent: n, at least 1: how suddenly it yields.
+
+    References:
+        Wen (1976), Method for random vibration of hysteretic systems, Journal of the Engineering
+        Mechanics Division 102(2); normalised by Ikhouane, Rodellar (2005), On the hysteretic
+        Bouc-Wen model, part I, Nonlinear Dynamics 42, equations 9 and 10.
+    """
+    w = z / deflection
+    size = jnp.exp((exponent - 1) / 2 * jnp.log(w**2 + 1e-18))  # |w|^(n-1)
+    return v - shape * jnp.abs(v) * size * w + (shape - 1) * v * size * jnp.abs(w)
+
+
+def bouc_wen_force(z: Value, deflection: Value, level: Value) -> Any:
+    """Force of a Bouc-Wen element on its coordinate: `-c z / d` [N m or N].
+
+    Args:
+        z: its internal state [rad or m].
+        deflection: d, at which it yields [rad or m].
+        level: c, its force where it yields [N m or N].
+    """
+    return -level * z / deflection
 
 
 def lag_rate(u: Value, w: Value, time_constant: Value) -> Any:
@@ -291,19 +413,18 @@ class Spring(Law):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelaxingSpring(Law):
+class ForceWithMemory(Law):
     """A force with an internal state z.
 
     Attributes:
         rate: the derivative of z, `rate(v, z, *values)`.
         initial: z as it is expected at the beginning of a record, `initial(q, *values)`.
-        force: the force of z on the coordinate, `force(z, *values)` [N m or N].
+        force: the force on the coordinate, `force(v, z, *values)` [N m or N].
     """
 
     rate: Callable[..., Any]
     initial: Callable[..., Any]
     force: Callable[..., Any]
-    needs_limited_travel: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,10 +456,26 @@ def _positive(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange
     return lambda motion: (1e-3 * most(motion), 1e-6 * most(motion), most(motion))
 
 
+def _sticking_forces(motion: Motion) -> SearchRange:
+    """Up to twice the force: what sticks can be no larger, or nothing would move.
+
+    Wider ranges, and initial values below a tenth of the force, lead to friction that is all spring
+    or all damping.
+    """
+    return 0.1 * motion.force, 1e-3 * motion.force, 2.0 * motion.force
+
+
 def _relaxation_rates(motion: Motion) -> SearchRange:
     """From one over the longest record to a quarter of the sampling rate."""
     slowest, fastest = 1 / motion.longest, 1 / (4 * motion.dt)
     return min(max(motion.speed / motion.travel, slowest), fastest), slowest, fastest
+
+
+def _presliding_deflections(motion: Motion) -> SearchRange:
+    """From the travel in a quarter of a period, within which no sample lies, to the whole one."""
+    least = motion.speed * motion.dt / 4
+    most = max(motion.travel, 16 * least)
+    return min(max(0.05 * motion.travel, 4 * least), most), least, most
 
 
 def _time_constants(motion: Motion) -> SearchRange:
@@ -352,6 +489,27 @@ _SMOOTH_SPEED = ForceParameter(
     "smooth_speed", "w", "{position}/s", lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
     fixed=True, shared=True,
 )  # fmt: skip
+_BREAKAWAY = ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force))
+_STRIBECK_SPEED = ForceParameter(
+    "stribeck_speed", "v_s", "{position}/s",
+    lambda m: (10.0 * m.slow, 2.0 * m.slow, 100.0 * m.slow),
+)  # fmt: skip
+_STICKING = ForceParameter("sticking", "c", "{force}", _sticking_forces)
+_PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflections)
+
+
+def _undeflected(q: Value, *values: Value) -> Any:
+    """The internal state of a friction where a record begins: what came before is unknown."""
+    return jnp.zeros_like(q)
+
+
+def _lugre_rate(
+    v: Value, z: Value, level: Value, more: Value, stribeck_speed: Value, deflection: Value,
+    damping: Value,
+) -> Any:  # fmt: skip
+    """The rate of LuGre friction by the parameters of its law."""
+    return lugre_rate(v, z, level, level + more, stribeck_speed, level / deflection)
+
 
 _LAWS: tuple[Law, ...] = (
     Friction(
@@ -376,11 +534,8 @@ _LAWS: tuple[Law, ...] = (
         help="Stribeck friction, `(c + b exp(-(v / v_s)²)) tanh(v / w)` against the motion",
         parameters=(
             _COULOMB,
-            ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force)),
-            ForceParameter(
-                "stribeck_speed", "v_s", "{position}/s",
-                lambda m: (10.0 * m.slow, 2.0 * m.slow, 100.0 * m.slow),
-            ),
+            _BREAKAWAY,
+            _STRIBECK_SPEED,
             _SMOOTH_SPEED,
         ),
         force=lambda q, v, level, more, stribeck_speed, speed: stribeck(
@@ -434,7 +589,7 @@ _LAWS: tuple[Law, ...] = (
         ),
         force=lambda q, v, level: level,
     ),
-    RelaxingSpring(
+    ForceWithMemory(
         name="maxwell",
         help="spring that relaxes (Maxwell element), `k z` against its deflection z, an internal "
         "state: `dz/dt = v - r z`. At the beginning of a record z is `s q`: s is 0 after a long "
@@ -448,10 +603,61 @@ _LAWS: tuple[Law, ...] = (
             # records do not show what was before them: between the two cases, and fixed
             ForceParameter("turned", "s", "1", lambda m: (0.5, 0.0, 1.0), fixed=True),
         ),
+        needs_limited_travel=True,
         joins_springs=True,
         rate=lambda v, z, stiffness, relaxation, share: maxwell_rate(v, z, relaxation),
         initial=lambda q, stiffness, relaxation, share: share * q,
-        force=lambda z, stiffness, relaxation, share: maxwell_force(z, stiffness),
+        force=lambda v, z, stiffness, relaxation, share: maxwell_force(z, stiffness),
+    ),
+    ForceWithMemory(
+        name="dahl",
+        help="Dahl friction, `c z / d` against the motion; z is the deflection of the surfaces "
+        "before they slip, an internal state: `dz/dt = v - abs(v) z / d`",
+        parameters=(_STICKING, _PRESLIDING),
+        rate=lambda v, z, level, deflection: dahl_rate(v, z, level, level / deflection),
+        initial=_undeflected,
+        force=lambda v, z, level, deflection: dahl_force(z, level / deflection),
+    ),
+    ForceWithMemory(
+        name="lugre",
+        help="LuGre friction, `c z / d + e dz/dt` against the motion; z is the deflection of "
+        "bristles, an internal state: `dz/dt = v - c abs(v) z / (d g)` with the Stribeck curve "
+        "`g = c + b exp(-(v / v_s)²)`",
+        parameters=(
+            _STICKING,
+            ForceParameter("breakaway", "b", "{force}", _sticking_forces),
+            _STRIBECK_SPEED,
+            _PRESLIDING,
+            ForceParameter(
+                "bristle_damping", "e", "{force} s/{position}",
+                _from_zero(lambda m: m.largest_force / m.speed),
+            ),
+        ),
+        rate=_lugre_rate,
+        initial=_undeflected,
+        force=lambda v, z, level, more, stribeck_speed, deflection, damping: lugre_force(
+            z,
+            _lugre_rate(v, z, level, more, stribeck_speed, deflection, damping),
+            level / deflection,
+            damping,
+        ),
+    ),
+    ForceWithMemory(
+        name="bouc_wen",
+        help="hysteresis (Bouc-Wen), `c z / d` against the motion; z is an internal state, with "
+        "`w = z / d`: `dz/dt = v - a abs(v) abs(w)^(n-1) w + (a - 1) v abs(w)^n`",
+        parameters=(
+            _STICKING,
+            _PRESLIDING,
+            ForceParameter("hysteresis_shape", "a", "1", lambda m: (1.0, 0.5, 5.0)),
+            # records hardly show it beside the shape
+            ForceParameter("hysteresis_exponent", "n", "1", lambda m: (2.0, 1.0, 10.0), fixed=True),
+        ),
+        rate=lambda v, z, level, deflection, shape, exponent: bouc_wen_rate(
+            v, z, deflection, shape, exponent
+        ),
+        initial=_undeflected,
+        force=lambda v, z, level, deflection, shape, exponent: bouc_wen_force(z, deflection, level),
     ),
     ActuatorLag(
         name="lag",

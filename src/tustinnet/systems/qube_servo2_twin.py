@@ -1,15 +1,12 @@
 """The twin of the Qube-Servo 2, whose records `tustinnet demo` uses."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
-from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
-from tustinnet.systems.twin import AS_LOGGED, Logger, TwinRun, log_runs
+from tustinnet.systems.twin import AS_LOGGED, Logger, TwinRun, simulate_twin
 
 COUNT = 0.00306640625  # rad, 6.28 / 2048: the published logs take pi as 3.14
 TWIN_NAME = "qube-servo2-twin"
@@ -54,11 +51,7 @@ def twin(
             x0 = np.array([generator.uniform(-0.05, 0.05), np.pi, 0.0, 0.0, 0.0])
             u = generator.uniform(-_AMPLITUDES[i], _AMPLITUDES[i], (1500, 1))
             runs.append(TwinRun(f"twin_noise{label}{i + 1}", split, x0, u))
-    parameters = {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
-    coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
-    channels = Channels(coordinates, WITH_MEMORY.inputs)
-    records = log_runs(WITH_MEMORY.model(parameters), channels, runs, logger, generator)
-    return DataSet(TWIN_NAME, records)
+    return simulate_twin(WITH_MEMORY, values, (COUNT, COUNT), runs, logger, generator, TWIN_NAME)
 
 
 def _fall(name: str, split: str, generator: np.random.Generator) -> TwinRun:

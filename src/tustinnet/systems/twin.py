@@ -1,6 +1,6 @@
 """Twins: simulated records that look like logs of an apparatus."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
+from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.derivatives import five_point_stencil
 from tustinnet.signals.stacking import stack_padded
 from tustinnet.simulate.input_signal import InputSignal
@@ -60,6 +62,112 @@ class Logger:
 
 
 AS_LOGGED = Logger()
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A simulated device of a system: its true values, its encoders, and how it is excited.
+
+    The inputs are sums of sines of equal size and random phase, held over each sampling period.
+
+    Attributes:
+        system: the system.
+        values: true values of the parameters that are not nominal, by name.
+        resolution: counts of the encoders, by coordinate [rad or m].
+        amplitude: root mean square of each input, in its unit.
+        band: lowest and highest frequency of the inputs [Hz].
+        rest: positions about which records begin, (n_q,) [rad or m].
+        spread: records begin at rest up to this far from there, (n_q,) [rad or m].
+        dt: sampling period [s].
+        seconds: length of each record [s].
+        substeps: integration steps in a sampling period.
+    """
+
+    system: LagrangianSystem
+    values: Mapping[str, float]
+    resolution: tuple[float, ...]
+    amplitude: tuple[float, ...]
+    band: tuple[float, float]
+    rest: tuple[float, ...]
+    spread: tuple[float, ...]
+    dt: float = 0.01
+    seconds: float = 6.0
+    substeps: int = 10
+
+    def true_values(self) -> dict[str, float]:
+        """The true values of all parameters by name."""
+        return self.system.nominal() | dict(self.values)
+
+    def records(self, seed: int = 0, train: int = 4, validation: int = 1, test: int = 1) -> DataSet:
+        """Simulated records of the device.
+
+        Args:
+            seed: everything random follows from it.
+            train: number of training records.
+            validation: number of validation records.
+            test: number of test records.
+
+        Raises:
+            InputError: a run that is not finite.
+        """
+        generator = np.random.default_rng(seed)
+        n_q, count = len(self.system.coordinates), round(self.seconds / self.dt)
+        model = self.system.model({n: jnp.asarray(x) for n, x in self.true_values().items()})
+        runs = []
+        for split, number in (("train", train), ("validation", validation), ("test", test)):
+            for i in range(number):
+                q = self.rest + np.array(self.spread) * generator.uniform(-1, 1, n_q)
+                u = self._sines(count, generator)
+                at_rest = jnp.asarray(np.concatenate([q, np.zeros(n_q)]))
+                x0 = np.asarray(model.initial_state(at_rest, jnp.asarray(u[0])))
+                name = f"{self.system.name}-{split}{i + 1}".replace("-", "_")
+                runs.append(TwinRun(name, split, x0, u))
+        logger = Logger(self.dt, 0.0, substeps=self.substeps)
+        name = f"{self.system.name}-twin"
+        return simulate_twin(
+            self.system, self.true_values(), self.resolution, runs, logger, generator, name
+        )
+
+    def _sines(
+        self, count: int, generator: np.random.Generator
+    ) -> Float[np.ndarray, "samples n_u"]:
+        """Sums of 10 sines as inputs."""
+        t, (lowest, highest) = np.arange(count) * self.dt, self.band
+        u = np.zeros((count, len(self.amplitude)))
+        for i, size in enumerate(self.amplitude):
+            phases = generator.uniform(0, 2 * np.pi, 10)
+            angles = 2 * np.pi * np.geomspace(lowest, highest, 10) * t[:, None] + phases
+            u[:, i] = size * np.sqrt(2 / 10) * np.sin(angles).sum(axis=1)
+        return u
+
+
+def simulate_twin(
+    system: LagrangianSystem,
+    values: Mapping[str, float],
+    resolution: Sequence[float],
+    runs: Sequence[TwinRun],
+    logger: Logger,
+    generator: np.random.Generator,
+    name: str,
+) -> DataSet:
+    """Records of a simulated device, inputs held over each sampling period.
+
+    Args:
+        system: the system.
+        values: the true values of all its parameters.
+        resolution: counts of the encoders, by coordinate [rad or m].
+        runs: the experiments.
+        logger: the sampling.
+        generator: the source of jitter and of the encoders' offsets.
+        name: name of the data set.
+    """
+    coordinates = tuple(
+        replace(c, resolution=count)
+        for c, count in zip(system.coordinates, resolution, strict=True)
+    )
+    inputs = tuple(replace(i, hold="zero-order") for i in system.inputs)
+    model = system.model({n: jnp.asarray(value, jnp.float64) for n, value in values.items()})
+    return DataSet(name, log_runs(model, Channels(coordinates, inputs), runs, logger, generator))
 
 
 def imitate_records(

@@ -1,0 +1,83 @@
+"""Packaged systems of common machines: their equations, drawings and twins."""
+
+from importlib import import_module
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tustinnet as tn
+from tustinnet.registry import SYSTEMS
+from tustinnet.systems.library import link_chain
+
+PACKAGE = "tustinnet.systems.library."
+PLACES = {
+    name: place.partition(":")[0]
+    for name, place in SYSTEMS.places.items()
+    if isinstance(place, str) and place.startswith(PACKAGE)
+}
+MODULES = sorted({place.removeprefix(PACKAGE) for place in PLACES.values()})
+
+
+def model(name: str) -> tn.LagrangianModel:
+    system = tn.load_system(name)
+    return system.model({n: jnp.asarray(x) for n, x in system.nominal().items()})
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_the_parameters_of_a_twin_are_recovered(module):
+    twin = import_module(PACKAGE + module).TWIN
+    result = tn.identify(twin.records(), twin.system, tn.read_recipe("grey", []))
+    values = {e.name: e.value for e in result.estimates}
+    # all that differs from the nominal values had to be found
+    assert set(values) == set(twin.values)
+    assert values == pytest.approx(dict(twin.values), rel=0.02)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_system_is_found_by_its_name_and_is_drawn_whole(name):
+    system = tn.load_system(name)
+    assert system.name == name
+    assert {link.coordinate for link in system.links} == {c.name for c in system.coordinates}
+
+
+def test_names_are_listed_where_one_is_unknown():
+    with pytest.raises(tn.InputError, match=r"cart-pole, 2-link-chain, .*duffing"):
+        tn.load_system("cart-pol")
+
+
+def test_the_seed_of_a_twin_decides_everything():
+    twin = import_module(PACKAGE + "duffing").TWIN
+    one, again, other = (twin.records(seed, 1, 1, 1) for seed in (0, 0, 1))
+    assert one.splits == ("train", "validation", "test")
+    assert all(np.array_equal(a.q, b.q) for a, b in zip(one, again, strict=True))
+    assert not np.array_equal(one[0].q, other[0].q)
+    counts = one[0].q / twin.resolution[0]
+    np.testing.assert_allclose(counts - counts[0], np.round(counts - counts[0]), atol=1e-6)
+
+
+def test_a_chain_of_one_link_is_a_pendulum():
+    system = link_chain.make_link_chain(1)
+    pendulum = system.model({n: jnp.asarray(x) for n, x in system.nominal().items()})
+    acceleration = pendulum.derivative(jnp.array([0.4, 2.0]), jnp.array([0.1]))[1]
+    inertia = 2e-3 + 0.3 * 0.15**2
+    torque = 0.1 - 0.3 * 9.81 * 0.15 * np.sin(0.4) - 2e-3 * 2.0
+    assert acceleration == pytest.approx(torque / inertia, rel=1e-5)
+
+
+def test_within_the_backlash_the_shaft_transmits_nothing():
+    drive = model("two-mass-drive")
+    # the load rests against a motor that moves by less than half of the backlash, 0.02 rad
+    inside, beyond = (
+        drive.derivative(jnp.array([q, 0.0, 0.0, 0.0]), jnp.zeros(1)) for q in (0.019, 0.03)
+    )
+    np.testing.assert_allclose(inside, 0.0, atol=1e-6)
+    np.testing.assert_allclose(beyond[2:], [-2.0 * 0.01 / 4e-4, 2.0 * 0.01 / 1.5e-3], rtol=1e-4)
+
+
+def test_a_cart_under_a_leaning_pole_is_pushed_back():
+    x = jnp.array([0.0, 0.1, 0.0, 0.0])
+    cart, pole = model("cart-pole").derivative(x, jnp.zeros(1))[2:]
+    # the pole falls on; its centre goes down, which pushes the cart the other way
+    assert pole > 0
+    assert cart < 0
