@@ -20,7 +20,7 @@ from tustinnet.fitting.task import make_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.store.header import read_header
 from tustinnet.store.run import run_task
-from tustinnet.systems import qube_servo2_twin
+from tustinnet.systems import qube_servo2_twin, twin
 
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
 
@@ -580,13 +580,13 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
 ):
     runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
     monkeypatch.setattr(qube_servo2_twin, "_TWIN_RUNS", runs)
-    log_runs = qube_servo2_twin.log_runs
+    log_runs = twin.log_runs
 
     def log_beginnings(model, channels, runs, *more):
         """The first 3 s of each run."""
         return log_runs(model, channels, [replace(run, u=run.u[:300]) for run in runs], *more)
 
-    monkeypatch.setattr(qube_servo2_twin, "log_runs", log_beginnings)
+    monkeypatch.setattr(twin, "log_runs", log_beginnings)
     monkeypatch.setattr(demo, "_DRAWN", ("twin_fall_test1",))
     quick = ["search.initial=anchored", "search.substeps=2", "search.iterations=5"]
     plan = SelectionPlan.model_validate(
