@@ -29,6 +29,10 @@ def true_values(system: LagrangianSystem, seed: int, change: float = 0.3) -> dic
             values[p.name] = p.nominal + 0.1 * p.upper * rng.uniform(0.5, 1)
         elif kind == "offset":
             values[p.name] = 0.02 * p.upper * rng.uniform(-1, 1)
+        elif kind == "breakaway":
+            values[p.name] = values[p.name.replace(kind, "coulomb")] * rng.uniform(0.3, 0.8)
+        elif kind == "load_friction":
+            values[p.name] = rng.uniform(0.03, 0.1)
         elif p.lower >= 0:
             values[p.name] = p.nominal * np.exp(change * rng.uniform(-1, 1))
         else:

@@ -171,6 +171,8 @@ TARGETS: Registry[Any] = Registry(
         "js": "tustinnet.export.javascript:TARGET",
         "stablehlo": "tustinnet.export.stablehlo:TARGET",
         "mat": "tustinnet.export.mat:TARGET",
+        "urdf": "tustinnet.export.robot:URDF",
+        "mjcf": "tustinnet.export.robot:MJCF",
     },
 )
 READERS: Registry[Any] = Registry(

@@ -93,6 +93,38 @@ def test_a_file_in_another_hand_keeps_its_ways(tmp_path):
     assert again["a.viscous"] == pytest.approx(values["a.viscous"])
 
 
+@pytest.mark.parametrize("name", ["scara.urdf", "cart_pole.xml"])
+def test_an_export_is_what_the_model_simulates(name, tmp_path):
+    """Read again, checked step by step; what it cannot hold is said."""
+    system = tn.load_system(ROBOTS / name)
+    model, values = moved(system)
+    kind, other = ("urdf", "mjcf") if name.endswith(".urdf") else ("mjcf", "urdf")
+    discrete = tn.discretise(model, 0.005, 2, inputs=system.inputs)
+    (result,) = tn.export_model(discrete, kind, tmp_path / "out")
+    assert result.checked.difference < 1e-9
+    (note,) = result.notes
+    lacking = tn.write_robot(model, tmp_path / name)
+    assert ", ".join(lacking) in note
+    written = (tmp_path / "out" / f"robot{Path(name).suffix}").read_text()
+    assert written == (tmp_path / name).read_text()
+    with pytest.raises(tn.InputError, match=f"--to {other}: the robot was made from {name}"):
+        tn.export_model(discrete, other, tmp_path / "no")
+    # the model of no robot, and one with a gear that the format has no word for
+    pendulum = tn.load_system("2-link-chain")
+    own = pendulum.model({key: jnp.asarray(x) for key, x in pendulum.nominal().items()})
+    with pytest.raises(tn.InputError, match="not made from the file of a robot"):
+        tn.export_model(tn.discretise(own, 0.005, inputs=pendulum.inputs), kind, tmp_path / "no")
+
+
+def test_what_options_add_is_left_out_and_said(tmp_path):
+    robot = ROBOTS / "double_pendulum.urdf"
+    joint = tn.load_system(robot).coordinates[0].name
+    system = tn.load_robot(robot, elastic={joint: 50.0}, friction=["stribeck"])
+    model, _ = moved(system)
+    lacking = tn.write_robot(model, tmp_path / "new.urdf")
+    assert {f"{joint}.gear_stiffness", f"{joint}.gear_damping", f"{joint}.breakaway"} <= {*lacking}
+
+
 def test_what_cannot_be_written_is_one_line(tmp_path):
     model, _ = moved(tn.load_system(ROBOTS / "scara.urdf"))
     with pytest.raises(tn.InputError, match=r"ending '.xml'; expected '.urdf'"):

@@ -1,5 +1,6 @@
 """Robots from files: equations of motion as MuJoCo has them, messages about what is no robot."""
 
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -178,6 +179,149 @@ def test_a_current_drives_a_joint_by_its_motor_constant():
     np.testing.assert_array_equal(force, [0, 0, 0, 2.5])
 
 
+def test_friction_by_name_adds_to_that_of_every_joint():
+    plain = tn.load_system(ROBOTS / "scara.urdf")
+    rich = tn.load_robot(ROBOTS / "scara.urdf", friction=["load", "stribeck"])
+    more = {"breakaway": 0.7, "stribeck_speed": 0.3, "load_friction": 0.1}
+    values = {k: more.get(k.rpartition(".")[2], v) for k, v in rich.nominal().items()}
+    names = [c.name for c in plain.coordinates]
+    assert len(rich.parameters) == len(plain.parameters) + 3 * len(names)
+    assert plain.dissipation is not None
+    assert rich.dissipation is not None
+    q, v = jnp.array([0.3, 0.2, -0.1, 0.4]), jnp.array([0.2, -0.4, 0.05, 1.0])
+    extra = np.asarray(rich.dissipation(q, v, values) - plain.dissipation(q, v, values))
+    widths = np.array([values[f"{name}.coulomb_speed"] for name in names])
+    # gravity acts along the axis of the slide alone
+    carried = values["spindle.mass"] + values["hand.mass"]
+    weight = np.array([0.0, 0.0, 9.81 * carried, 0.0])
+    level = 0.1 * weight + 0.7 * np.exp(-((np.asarray(v) / 0.3) ** 2))
+    np.testing.assert_allclose(extra, level * np.tanh(np.asarray(v) / widths), rtol=1e-6, atol=1e-9)
+
+
+def test_a_friction_of_another_name_is_refused():
+    with pytest.raises(InputError, match=r"friction 'lugre'; expected one of stribeck, load"):
+        tn.load_robot(ROBOTS / "scara.urdf", friction=["lugre"])
+
+
+HANGING = """<robot name="arm"><link name="base"/><link name="beam"><inertial>
+  <origin xyz="0 0 -0.2"/><mass value="1.2"/>
+  <inertia ixx="0.016" iyy="0.016" izz="0.0005" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hip" type="revolute"><parent link="base"/><child link="beam"/><axis xyz="0 1 0"/>
+  <dynamics damping="0.05" friction="0.05"/><limit effort="5" velocity="10"/></joint></robot>"""
+
+
+@pytest.fixture
+def hanging(tmp_path) -> Path:
+    """A beam that hangs, turned by a motor."""
+    (file := tmp_path / "arm.urdf").write_text(HANGING)
+    return file
+
+
+def test_a_motor_behind_an_elastic_gear_moves_by_itself(hanging):
+    """Against the equations of two masses, a spring with play between them."""
+    system = tn.load_robot(hanging, elastic={"hip": 60.0}, backlash={"hip": 0.02})
+    assert system.internal == ("hip.motor", "hip.motor_speed")
+    p = system.nominal() | {"hip.armature": 0.01, "hip.gear_damping": 0.3}
+    model = system.model({name: jnp.asarray(value) for name, value in p.items()})
+    q, v, motor, speed, torque = 0.3, 0.5, 0.35, -0.8, 2.0
+    _, a, rate, change = model.derivative(jnp.array([q, v, motor, speed]), jnp.array([torque]))
+    gear = 60.0 * (motor - q - 0.01) + 0.3 * (speed - v)
+    inertia = 0.016 + 1.2 * 0.2**2
+    friction = 0.05 * speed + 0.05 * np.tanh(speed / p["hip.coulomb_speed"])
+    assert float(rate) == pytest.approx(speed)
+    assert float(change) == pytest.approx((torque - friction - gear) / 0.01, rel=1e-5)
+    weight = 1.2 * 9.81 * 0.2 * np.sin(q)
+    assert float(a) == pytest.approx((gear - weight) / inertia, rel=1e-5)
+    # within the play nothing acts but the damping
+    loose = model.derivative(jnp.array([q, v, q + 0.009, speed]), jnp.array([torque]))
+    assert float(loose[1]) == pytest.approx((0.3 * (speed - v) - weight) / inertia, rel=1e-5)
+
+
+def test_the_stiffness_of_a_gear_is_identified(hanging):
+    system = tn.load_robot(hanging, elastic={"hip": 60.0})
+    true = system.nominal() | {"hip.gear_stiffness": 100.0, "hip.armature": 0.01}
+    model = system.model({name: jnp.asarray(value) for name, value in true.items()})
+    dt, count, rng = 0.002, 1500, np.random.default_rng(0)
+    step, t = (
+        tn.compiled_step(tn.discretise(model, dt, 4, inputs=system.inputs)),
+        dt * np.arange(count),
+    )
+    records = []
+    for k in range(3):
+        omega = 2 * np.pi * rng.uniform(0.3, 20, 12)
+        torque = 0.35 * np.sin(omega * t[:, None] + rng.uniform(0, 6, 12)).sum(axis=1)
+        states = [np.zeros(4)]
+        for u in torque[:-1]:
+            states.append(step(states[-1], np.array([u])))
+        angle = np.round(np.array(states)[:, :1] / 1e-4) * 1e-4
+        records.append(tn.from_arrays(
+            angle, torque[:, None], dt=dt, name=f"run{k}", split="train" if k < 2 else "validation",
+            coordinates=[tn.Coordinate("hip", "angular", 1e-4)],
+            inputs=[tn.Input("hip_torque", "N m", "zero-order", is_delay_declared=True)],
+        ))  # fmt: skip
+    data = tn.DataSet("arm", tuple(records))
+    result = tn.identify(data, system, "grey")
+    for name in ("hip.gear_stiffness", "hip.armature", "hip.viscous", "hip.coulomb"):
+        assert result.values[name] == pytest.approx(true[name], rel=0.05), name
+    with pytest.raises(InputError, match="of a system with internal states"):
+        tn.identify(data, system, "inverse-dynamics")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"locked": {"hip": "a"}}, "locked: 'a' for 'hip'; expected a number"),
+        ({"locked": {"hip": np.nan}}, "locked: nan for 'hip'"),
+        ({"motor_constants": {"hip": 0.0}}, "0.0 for 'hip'; expected a positive number"),
+        ({"elastic": {"knee": 1.0}}, "elastic: the joint 'knee'"),
+        ({"elastic": {"hip": -1.0}}, "elastic: -1.0 for 'hip'"),
+        ({"backlash": {"hip": 0.1}}, "is elastic: give it a stiffness"),
+        ({"default_density": 1e3}, "a shape and without an inertia"),
+        ({"default_density": 0.0}, "0 kg/m^3; expected above 0"),
+    ],
+)
+def test_options_of_a_robot_are_checked(options, message, hanging):
+    with pytest.raises(InputError, match=re.escape(message)):
+        tn.load_robot(hanging, **options)
+
+
+SHAPES = """<robot name="arm"><!-- as drawn --><link name="base"/>
+  <link name="a"><collision><origin xyz="0.1 0 0" rpy="0.3 0.2 0.1"/><geometry>{}</geometry>
+    </collision></link>
+  <joint name="j" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="0.1 0.2 0.3"/>',
+        '<sphere radius="0.1"/>',
+        '<cylinder radius="0.1" length="0.3"/>',
+        '<capsule radius="0.1" length="0.3"/>',
+    ],
+)
+def test_a_link_without_inertia_gets_that_of_its_shape(shape, tmp_path):
+    """As MuJoCo has it, which computes it from shapes as well."""
+    (file := tmp_path / "arm.urdf").write_text(text := SHAPES.format(shape))
+    system = tn.load_robot(file, default_density=1000.0)  # what MuJoCo takes by default
+    compiled = mujoco.MjSpec.from_string(text).compile()
+    nominal = system.nominal()
+    assert nominal["a.mass"] == pytest.approx(compiled.body("a").mass[0])
+    matrix, _ = terms_of(system, np.zeros((1, 2)))[0]
+    data = mujoco.MjData(compiled)
+    mujoco.mj_forward(compiled, data)
+    full = np.zeros((1, 1))
+    mujoco.mj_fullM(compiled, data, full)
+    np.testing.assert_allclose(matrix, full, rtol=1e-9)
+
+
+def test_the_inertia_of_a_mesh_is_not_that_of_a_shape(tmp_path):
+    (file := tmp_path / "arm.urdf").write_text(SHAPES.format('<mesh filename="a.stl"/>'))
+    with pytest.raises(InputError, match="link 'a': no inertia, and the shape is a <mesh>"):
+        tn.load_robot(file, default_density=1000.0)
+
+
 def test_parameters_begin_at_the_files_values_within_ranges():
     system = tn.load_system(ROBOTS / "arm7.urdf")
     assert len(system.parameters) == 7 * 10 + 7 * 5
@@ -313,6 +457,15 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
             f'<worldbody>{BODY.format("")}</worldbody><equality><connect name="e" '
             'body1="b" body2="world" anchor="0 0 0"/></equality>',
             "a loop: the equality constraint 'e'",
+        ),
+        (
+            f"<worldbody>{BODY.format('')}</worldbody><equality><connect "
+            'body1="b" body2="world" anchor="0 0 0"/></equality>',
+            "a loop: the equality constraint number 1, without a name",
+        ),
+        (
+            '<worldbody><body name="b"><joint name="j"/></body></worldbody>',
+            "body 'b': moves and has no inertia",
         ),
         (
             f'<worldbody>{BODY.format("")}</worldbody><actuator><general name="a" joint="j" '

@@ -16,8 +16,8 @@ def export(
         typer.Option(
             metavar="TARGET,..",
             autocompletion=completion.target,
-            help=f"{options.join_or(TARGETS.places)}; several, separated by commas, or all. "
-            "Several targets get a folder each.",
+            help=f"{options.join_or(TARGETS.places)}; several, separated by commas, or all "
+            "that fit any model. Several targets get a folder each.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
@@ -40,7 +40,7 @@ def export(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> None:
-    """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO or matrices."""
+    """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO, matrices, URDF or MJCF."""
     terminal.prepare_jax()
     from tustinnet.cli.request import load_model, parse_groups, parse_values
     from tustinnet.errors import InputError

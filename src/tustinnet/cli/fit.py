@@ -47,6 +47,14 @@ def fit(
     physics: options.Physics = None,
     origin: options.Origin = None,
     system: options.System = None,
+    default_density: Annotated[
+        float | None,
+        typer.Option(
+            metavar="KG/M3",
+            help="With --system FILE.urdf: density by which links without an inertia get that of "
+            "their shapes, as 2700.",
+        ),
+    ] = None,
     plan: _Plan = None,
     budget: Annotated[
         str | None,
@@ -72,7 +80,12 @@ def fit(
 
     For a folder without a data card, one is drafted into --out, as by `tustinnet init --yes`.
     """
-    from tustinnet.cli.request import FitOptions, load_records_to_fit, require_cores
+    from tustinnet.cli.request import (
+        FitOptions,
+        find_system_to_fit,
+        load_records_to_fit,
+        require_cores,
+    )
 
     require_cores(cluster, device)
     terminal.prepare_jax(device)
@@ -81,13 +94,12 @@ def fit(
     from tustinnet.cli.select import read_options, select
     from tustinnet.data.catalog import lacks_card
     from tustinnet.errors import InputError
-    from tustinnet.systems.files import find_system
 
     selects = recipe is None and physics is None and origin is None
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
             raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
-    found_system = None if system is None else find_system(system)
+    found_system = find_system_to_fit(system, default_density)
     selection = None
     if selects:
         for option, value in {"--set": changes, "--seeds": seeds}.items():

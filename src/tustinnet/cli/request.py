@@ -304,6 +304,34 @@ def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Conso
         console.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
 
+def find_system_to_fit(
+    system: str | None, default_density: float | None
+) -> "SystemFile | str | None":
+    """The system of a fit, if one was named.
+
+    Args:
+        system: its name or file.
+        default_density: density by which links of a URDF get inertias [kg/m^3]; None for none.
+
+    Raises:
+        InputError: no such system, or a density for what is no robot.
+    """
+    from tustinnet.errors import InputError
+    from tustinnet.systems.files import find_system
+
+    found = None if system is None else find_system(system)
+    if default_density is None:
+        return found
+    from tustinnet.systems.robot_shapes import with_inertias
+
+    if found is None or isinstance(found, str):
+        raise InputError(
+            "--default-density", "not applicable without the file of a robot",
+            "--system FILE.urdf", "omit it",
+        )  # fmt: skip
+    return with_inertias(found, default_density)
+
+
 def load_model(path: Path, system: str | None) -> "Model":
     """Loads a model with the system that was named, or that is stored with it."""
     from tustinnet.store import model_file

@@ -28,11 +28,13 @@ class Target(ABC):
         bound: the largest accepted difference from the model's own step, relative to
             1 + the state.
         extra: the extra of this package that it needs, and the packages of it.
+        fits_any_model: whether any model can be exported to it; only then it is one of `all`.
     """
 
     name: ClassVar[str]
     bound: ClassVar[float] = 1e-12
     extra: ClassVar[tuple[str, tuple[str, ...]] | None] = None
+    fits_any_model: ClassVar[bool] = True
 
     @abstractmethod
     def files(self, source: Source) -> Files:
@@ -63,6 +65,10 @@ class Target(ABC):
             point: values of states and inputs by name; those that are not named are 0.
         """
         return self
+
+    def notes(self, source: Source) -> tuple[str, ...]:
+        """Remarks for those who use the files, beside those on the model."""
+        return ()
 
     def require_extra(self) -> None:
         """Raises unless the packages are installed that the target needs."""

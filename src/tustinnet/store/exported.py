@@ -68,8 +68,9 @@ def export_model(
 
     Args:
         model: a model that steps from sample to sample.
-        to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`), several, or `all`;
-            by name, or as `find_targets` makes it with an operating point.
+        to: a target (`c`, `fmu`, `casadi`, `onnx`, `js`, `stablehlo`, `mat`, of robots `urdf` or
+            `mjcf`), several, or `all` that fit any model; by name, or as `find_targets` makes it
+            with an operating point.
         out: the folder; of several targets each gets a folder of its name in it.
         file: the model's file. From it the card takes data and scores, and the check takes the
             range of the training records.
@@ -156,7 +157,7 @@ def _require_extras(targets: Sequence[Target]) -> None:
 
 
 def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
-    """Targets by name; `all` of them.
+    """Targets by name; `all` that fit any model.
 
     Args:
         to: as for `export_model`.
@@ -170,8 +171,10 @@ def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
     requested = [listed] if isinstance(listed, Target) else list(listed)
     if ALL in requested and len(requested) > 1:
         raise InputError("--to", "'all' beside others", "all by itself, or targets by name")
-    requested = list(TARGETS.names()) if requested == [ALL] else requested
+    wants_all = requested == [ALL]
+    requested = list(TARGETS.names()) if wants_all else requested
     targets: list[Target] = [r if isinstance(r, Target) else TARGETS[r] for r in requested]
+    targets = [t for t in targets if t.fits_any_model or not wants_all]
     names = [target.name for target in targets]
     if not targets or len(set(names)) < len(names):
         raise InputError("--to", f"'{','.join(names)}'", "targets, none of them twice")
@@ -206,10 +209,11 @@ def _export(
             alike = check_export(source, target, lambda x, u: run(source.step, x=x, u=u)["x"])
             note = f"not run here: {unbuilt}; what it is written from was compared"
             check = CheckResult(alike.steps, alike.difference, note)
-    result = ExportResult(target.name, folder, (*files, CARD), check, source.notes)
+    notes = (*source.notes, *target.notes(source))
+    result = ExportResult(target.name, folder, (*files, CARD), check, notes)
     checked = {"steps": check.steps, "difference": check.difference,
                "bound": target.bound, "note": check.note}  # fmt: skip
-    return result, {CARD: make_card(source, target.name, files, checked, file), **files}
+    return result, {CARD: make_card(source, target.name, files, checked, notes, file), **files}
 
 
 def _remove_obsolete_files(folder: Path, files: Files) -> None:
@@ -234,6 +238,7 @@ def make_card(
     target: str,
     files: Files,
     check: Mapping[str, Any],
+    notes: Sequence[str],
     file: str | Path | None,
 ) -> str:
     """The card of an exported folder, in JSON.
@@ -243,6 +248,7 @@ def make_card(
         target: the name of the form.
         files: the files of the folder by name.
         check: what was compared with the model, by name.
+        notes: remarks for those who use the files.
         file: the model's file, if known.
     """
     channels, limits = source.channels, source.range
@@ -276,6 +282,6 @@ def make_card(
         "warm_up": source.model.warm_up,
         "scores": source.about.get("scores"),
         "check": dict(check),
-        "notes": list(source.notes),
+        "notes": list(notes),
         "versions": package_versions(),
     })  # fmt: skip

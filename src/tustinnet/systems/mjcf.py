@@ -4,6 +4,7 @@ Defaults, orientations in a dozen notations and inertias of shapes are MuJoCo's 
 textures and whatever else is only seen or touched is taken out before, so no file of them is read.
 """
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from importlib import import_module
@@ -38,6 +39,9 @@ _UNSUPPORTED = {
 }  # fmt: skip
 # of an actuator's gain and bias, by MuJoCo's numbers
 _FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS = 0, 0, 1
+# what MuJoCo says of a moving body without inertia, and its name
+_MASSLESS = re.compile(r"mass and inertia of moving bodies.*Element name '([^']*)'", re.DOTALL)
+_ADD_INERTIA = 'add <inertial pos="..." mass="..." fullinertia="..."/>'
 _AT_JOINTS = (0, 1)  # transmissions: at a joint, and at one in its parent's frame
 
 
@@ -98,7 +102,15 @@ def read_mjcf(text: str, where: object) -> Robot:
         spec = mujoco.MjSpec.from_string(text)
     _remove_seen(mujoco, spec, where)
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
-        model = spec.compile()
+        try:
+            model = spec.compile()
+        except ValueError as error:
+            if (massless := _MASSLESS.search(str(error))) is None:
+                raise
+            raise InputError(
+                f"{where}, body '{massless[1]}'", "moves and has no inertia",
+                "mass, centre and inertia", f"{_ADD_INERTIA}, or shapes (<geom>)",
+            ) from None  # fmt: skip
     has_shape = {body.name for body in spec.bodies if body.geoms}
     return _robot_of(mujoco, model, has_shape, where)
 
@@ -123,7 +135,7 @@ def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
                 raise InputError(
                     f"{where}, body '{body.name}'", "no <inertial>: its inertia would be that of a "
                     "mesh, which is not read", "mass, centre and inertia",
-                    'add <inertial pos="..." mass="..." fullinertia="..."/>',
+                    _ADD_INERTIA,
                 )  # fmt: skip
             spec.delete(geom)
     for name in _SEEN:
@@ -185,8 +197,10 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
     for i in range(model.neq):
         kind = mujoco.mjtEq(model.eq_type[i])
         if model.eq_active0[i] and kind != mujoco.mjtEq.mjEQ_JOINT:
+            name = model.equality(i).name
+            which = f"'{name}'" if name else f"number {i + 1}, without a name"
             raise InputError(
-                where, f"a loop: the equality constraint '{model.equality(i).name}'",
+                where, f"a loop: the equality constraint {which}",
                 "a tree, of joints that follow others at most",
                 "write a closed chain down: docs/how-to/add-a-system.md",
             )  # fmt: skip

@@ -1,6 +1,7 @@
 """A robot as its file describes it: links, joints and actuators, whatever the file's format."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 from xml.parsers import expat
@@ -169,6 +170,17 @@ def parse_xml(text: str, where: object, expected: str) -> ET.Element:
         raise
     except Exception as error:
         raise InputError(where, f"no well-formed XML ({describe_error(error)})", expected) from None
+
+
+def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
+    """The inertia of several links that do not move against one another, in one frame."""
+    mass = sum(part.mass for part in parts)
+    center = sum((part.mass * part.center for part in parts), np.zeros(3)) / mass
+    tensor = np.zeros((3, 3))
+    for part in parts:
+        r = part.center - center
+        tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
+    return LinkInertia(mass, center, tensor)
 
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:

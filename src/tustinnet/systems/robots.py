@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
-from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.units import convert_to_si
 from tustinnet.errors import InputError
-from tustinnet.models import forces
 from tustinnet.models.chains import (
     CENTER,
     DIAGONAL,
@@ -27,10 +25,20 @@ from tustinnet.models.kinematics import BASE, Link
 from tustinnet.models.lagrangian import ChannelSource, LagrangianSystem, Parameter
 from tustinnet.systems.files import ROBOT_ENDINGS, find_system
 from tustinnet.systems.mjcf import read_mjcf
-from tustinnet.systems.robot import LinkInertia, Mimic, Robot, RobotJoint, rotation_about
+from tustinnet.systems.robot import (
+    LinkInertia,
+    Mimic,
+    Robot,
+    RobotJoint,
+    join_inertias,
+    rotation_about,
+)
+from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
+from tustinnet.systems.robot_shapes import with_inertias
 from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
 from tustinnet.systems.urdf import read_urdf
 
+FRICTIONS = ("stribeck", "load")  # beside viscous and Coulomb friction
 ANY_UNIT = "1"  # of an input with a gain of the file: whatever the card says
 _G = 9.81  # [m/s^2], for ranges
 _MASS = 5.0  # factor by which a mass or a spread may differ from the file's
@@ -39,6 +47,11 @@ _THINNEST = 1e-4  # spread [m] below which a body counts as thin; its thickness 
 _GEARED, _GEARED_SHARE = 3.0, 0.1  # largest armature by a joint's inertia, and by the largest one
 _DAMPING = 10.0  # largest damping by inertia [1/s]
 _SPEED = 0.02  # speed at which 76 % of the Coulomb friction are reached [rad/s or m/s]
+_STRIBECK = 5.0  # Stribeck speed by that speed: where its search begins
+_STRIBECK_RANGE = 5.0  # factor by which it may differ
+_LARGEST_LOAD_SHARE = 0.5  # of the torque or force of gravity, as friction
+_GEAR = 10.0  # factor by which the stiffness and the play of a gear may differ from what is said
+_LIGHTLY = 0.1  # damping of a gear by that of an oscillation without overshoot, to begin with
 _LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
 
 
@@ -66,6 +79,10 @@ def load_robot(
     locked: Mapping[str, float] | None = None,
     motor_constants: Mapping[str, float] | None = None,
     per: Mapping[str, str] | None = None,
+    friction: Sequence[str] = (),
+    elastic: Mapping[str, float] | None = None,
+    backlash: Mapping[str, float] | None = None,
+    default_density: float | None = None,
 ) -> LagrangianSystem:
     """A robot as a system, from a URDF file or one in MuJoCo's format.
 
@@ -76,16 +93,38 @@ def load_robot(
             current [N m/A or N/A].
         per: links whose mass, centre and inertia differ between groups of records, with the name of
             the group, `{"flange": "payload"}`.
+        friction: friction of all joints beside the viscous and the Coulomb one: "stribeck" (more at
+            the onset of motion), "load" (grows with the torque or force of gravity at the joint).
+        elastic: joints between whose motor and link there is a spring, as in a harmonic drive, with
+            its stiffness [N m/rad or N/m], from which the search begins.
+        backlash: elastic joints with play in the gear, with its whole width [rad or m].
+        default_density: density [kg/m^3] by which links without an inertia get that of their
+            shapes; for a URDF.
 
     Raises:
-        InputError: a file that cannot be read, or a robot without equations here.
+        InputError: a file that cannot be read, an option that names no such joint or link, a value
+            that is no number in range, or a robot without equations here.
     """
     file = find_system(path)
     if isinstance(file, str) or file.is_code:
         raise InputError(path, "no file of a robot", f"a file with {', '.join(ROBOT_ENDINGS)}")
-    positions, constants = (tuple(sorted((x or {}).items())) for x in (locked, motor_constants))
+    if default_density is not None:
+        file = with_inertias(file, default_density)
+    positions = _require_numbers(path, "locked", locked, is_positive=False)
+    constants = _require_numbers(path, "motor_constants", motor_constants)
+    springs = _require_numbers(path, "elastic", elastic)
+    gaps = _require_numbers(path, "backlash", backlash)
     groups = tuple(sorted((per or {}).items()))
-    return RobotFile(file.text, file.path, positions, constants, groups).load()
+    if isinstance(friction, str):
+        friction = (friction,)
+    if unknown := [name for name in friction if name not in FRICTIONS]:
+        raise InputError(
+            path, f"friction '{unknown[0]}'", f"one of {_list(FRICTIONS)}",
+            "viscous and Coulomb friction are always there",
+        )  # fmt: skip
+    chosen = tuple(name for name in FRICTIONS if name in friction)
+    robot = RobotFile(file.text, file.path, positions, constants, groups, chosen, springs, gaps)
+    return robot.load()
 
 
 @dataclass(frozen=True)
@@ -98,6 +137,9 @@ class RobotFile(ChannelSource):
         locked: joints that do not move, with their positions [rad or m].
         motor_constants: joints whose input is a current, with the force by current [N m/A or N/A].
         per: links that differ between groups of records, with the name of the group.
+        friction: friction of joints beside the viscous and the Coulomb one, of `FRICTIONS`.
+        elastic: joints with a spring behind the motor, with its stiffness [N m/rad or N/m].
+        backlash: elastic joints with play, with its width [rad or m].
     """
 
     text: str
@@ -105,6 +147,9 @@ class RobotFile(ChannelSource):
     locked: tuple[tuple[str, float], ...] = ()
     motor_constants: tuple[tuple[str, float], ...] = ()
     per: tuple[tuple[str, str], ...] = ()
+    friction: tuple[str, ...] = ()
+    elastic: tuple[tuple[str, float], ...] = ()
+    backlash: tuple[tuple[str, float], ...] = ()
 
     def load(self) -> LagrangianSystem:
         """The system with all joints that move freely, and all actuators.
@@ -154,14 +199,20 @@ class RobotFile(ChannelSource):
         kinds = ("viscous", "coulomb") if is_urdf else ("viscous", "coulomb", "armature")
         held |= {f"{joint}.{kind}" for joint in joints for kind in kinds}
         held |= {f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None}
-        nominal = self.load().nominal()
-        lacking = [name for name, x in values.items() if name not in held and x != nominal[name]]
+        # what options of `load_robot` add is not in the file, whatever its value
+        plain = RobotFile(self.text, self.path, self.locked).load().nominal()
+        lacking = [
+            name for name, x in values.items() if name not in held and x != plain.get(name, 0.0)
+        ]
         return text, tuple(lacking)
 
     def _assembly(self) -> "_Assembly":
         read = read_urdf if self.path.suffix == ".urdf" else read_mjcf
         constants, per = dict(self.motor_constants), dict(self.per)
-        return _Assembly(read(self.text, self.path), self.path, dict(self.locked), constants, per)
+        return _Assembly(
+            read(self.text, self.path), self.path, dict(self.locked), constants, per, self.friction,
+            dict(self.elastic), dict(self.backlash),
+        )  # fmt: skip
 
 
 class _Assembly:
@@ -173,6 +224,9 @@ class _Assembly:
         locked: positions of locked joints.
         motor_constants: force or torque by current, by joint.
         per: groups of records between which links differ, by link.
+        friction: friction of joints beside the viscous and the Coulomb one.
+        elastic: stiffness between motor and link, by joint.
+        backlash: width of the play in the gear, by joint.
     """
 
     def __init__(
@@ -182,8 +236,12 @@ class _Assembly:
         locked: dict[str, float],
         motor_constants: dict[str, float],
         per: dict[str, str],
+        friction: tuple[str, ...],
+        elastic: dict[str, float],
+        backlash: dict[str, float],
     ) -> None:
-        self.robot, self.path, self.per = robot, path, per
+        self.robot, self.path, self.per, self.friction = robot, path, per, friction
+        self.elastic, self.backlash = elastic, backlash
         self.joints = {joint.name: joint for joint in robot.joints}
         moving = [joint.name for joint in robot.joints if joint.kind != "fixed"]
         for option, names in (("locked", locked), ("motor_constants", motor_constants)):
@@ -206,6 +264,15 @@ class _Assembly:
         self.free = [name for name in self.moved_by if self.moved_by[name].joint == name]
         if not self.free:
             raise InputError(path, "no joint that moves", "a joint that turns or slides")
+        for option, names, possible, why in (
+            ("elastic", elastic, self.free, "moves by itself"),
+            ("backlash", backlash, [*elastic], "is elastic: give it a stiffness by elastic="),
+        ):
+            if unknown := [name for name in names if name not in possible]:
+                raise InputError(
+                    path, f"{option}: the joint '{unknown[0]}'",
+                    f"a joint that {why}", f"there are: {_list(possible)}",
+                )  # fmt: skip
         self.coordinates = tuple(
             Coordinate(name, "angular" if self.joints[name].kind == "angular" else "linear")
             for name in self.free
@@ -226,8 +293,10 @@ class _Assembly:
         """Itself with coordinates and inputs in another order, see `RobotFile.for_channels`."""
         names = [c.name for c in coordinates]
         if missing := [name for name in self.free if name not in names]:
+            others = [name for name in names if name not in self.free]
+            also = f", and no joint '{others[0]}' there" if others else ""
             raise InputError(
-                where, f"no coordinate of {_joints(missing)} of {self.path.name}",
+                where, f"no coordinate of {_joints(missing)} of {self.path.name}{also}",
                 f"coordinates {_list(self.free)}",
                 "add them to the card, or lock them in a system file: SYSTEM = tn.load_robot("
                 f"'{self.path.name}', locked={{'{missing[0]}': 0.0}})",
@@ -334,7 +403,8 @@ class _Assembly:
                     raise InputError(
                         f"{self.path}, link '{link.name}'", f"moves by the joint '{joint.name}' "
                         "and has no inertia", "mass, centre and inertia",
-                        "give it an <inertial>; a CAD program computes one from the shape",
+                        "give it an <inertial>, or all such links that of their shapes by "
+                        "--default-density",
                     )  # fmt: skip
             elif joint.name in self.locked:
                 frame = frame @ _motion(joint, self.locked[joint.name])
@@ -350,7 +420,7 @@ class _Assembly:
                 self._require_carried_mass(i, inertias)
                 self.bodies[i] = replace(body, has_mass=False)
                 continue
-            whole = _joined(parts)
+            whole = join_inertias(parts)
             try:
                 values = inertial_parameters(
                     whole.mass, whole.center + np.array(body.anchor), whole.tensor
@@ -440,9 +510,9 @@ class _Assembly:
         Args:
             source: the file, from which systems in another order are made.
         """
-        chain = Chain(
-            tuple(self.bodies), self.robot.gravity, tuple(f"{name}.armature" for name in self.free)
-        )
+        # behind an elastic gear the motor moves by itself
+        armatures = tuple(None if n in self.elastic else f"{n}.armature" for n in self.free)
+        chain = Chain(tuple(self.bodies), self.robot.gravity, armatures)
         parameters = [
             parameter
             for i, body in enumerate(self.bodies)
@@ -456,7 +526,14 @@ class _Assembly:
                       value / _MASS, value * _MASS, fixed=True)
             for joint, value in self.motor_constants.items()
         ]  # fmt: skip
-        equations = RobotEquations(chain, tuple(self.free), tuple(self.drives), self._springs())
+        elastic, backlash = (
+            tuple(k for k, name in enumerate(self.free) if name in names)
+            for names in (self.elastic, self.backlash)
+        )
+        equations = RobotEquations(
+            chain, tuple(self.free), tuple(self.drives), self._springs(), self.friction, elastic,
+            backlash,
+        )  # fmt: skip
         return LagrangianSystem(
             name=self.robot.name,
             coordinates=self.coordinates,
@@ -466,6 +543,7 @@ class _Assembly:
             potential=equations.potential,
             dissipation=equations.dissipation,
             input_map=equations.input_map,
+            memory=equations.memory,
             links=self._drawn_links(),
             inertia=chain.inertia,
             source=source,
@@ -519,14 +597,37 @@ class _Assembly:
         largest_armature = max(_GEARED * inertia, _GEARED_SHARE * heaviest, _MASS * armature)
         kind, per_speed = _force_unit(joint), "s/rad" if joint.kind == "angular" else "s/m"
         unit = "kg m^2" if joint.kind == "angular" else "kg"
+        speed_unit = "rad/s" if joint.kind == "angular" else "m/s"
         parameters = [
-            _weak(f"{name}.armature", unit, armature, largest_armature),
+            self._motor_inertia(name, unit, armature, largest_armature),
             _weak(f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping),
             _weak(f"{name}.coulomb", kind, coulomb, max(effort, _MASS * coulomb)),
-            Parameter(f"{name}.coulomb_speed", "rad/s" if joint.kind == "angular" else "m/s",
-                      width, width / 100, 100 * width, fixed=True),
+            Parameter(f"{name}.coulomb_speed", speed_unit, width, width / 100, 100 * width,
+                      fixed=True),
             Parameter(f"{name}.offset", kind, 0.0, -effort, effort, prior=_SHARE * effort),
         ]  # fmt: skip
+        if "stribeck" in self.friction:
+            slow = _STRIBECK * width
+            parameters += [
+                _weak(f"{name}.breakaway", kind, 0.0, max(effort, _MASS * coulomb)),
+                Parameter(f"{name}.stribeck_speed", speed_unit, slow, slow / _STRIBECK_RANGE,
+                          slow * _STRIBECK_RANGE, prior=slow),
+            ]  # fmt: skip
+        if "load" in self.friction:
+            parameters.append(_weak(f"{name}.load_friction", "1", 0.0, _LARGEST_LOAD_SHARE))
+        per = "N m/rad" if joint.kind == "angular" else "N/m"
+        if (stiffness := self.elastic.get(name)) is not None:
+            damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))
+            parameters += [
+                Parameter(f"{name}.gear_stiffness", per, stiffness, stiffness / _GEAR,
+                          stiffness * _GEAR),
+                Parameter(f"{name}.gear_damping", f"{kind} {per_speed}", damping, 0.0,
+                          10 * damping / _LIGHTLY),
+            ]  # fmt: skip
+        if (gap := self.backlash.get(name)) is not None:
+            parameters.append(Parameter(
+                f"{name}.backlash", "rad" if joint.kind == "angular" else "m", gap, 0.0, _GEAR * gap
+            ))  # fmt: skip
         for j, _ in own:
             if j.stiffness:
                 per = "N m/rad" if j.kind == "angular" else "N/m"
@@ -535,6 +636,15 @@ class _Assembly:
                     j.stiffness * _MASS, prior=_SHARE * j.stiffness,
                 ))  # fmt: skip
         return parameters
+
+    def _motor_inertia(self, name: str, unit: str, armature: float, largest: float) -> Parameter:
+        """The armature of a joint; behind an elastic gear it moves by itself, so it is not 0."""
+        if name not in self.elastic:
+            return _weak(f"{name}.armature", unit, armature, largest)
+        nominal = armature or _SHARE * largest / _GEARED
+        return Parameter(
+            f"{name}.armature", unit, nominal, nominal / 100, max(largest, 2 * nominal)
+        )
 
     def _scale(self, k: int) -> tuple[float, float]:
         """Largest inertia and force of gravity that a coordinate sees, the robot stretched out."""
@@ -555,14 +665,14 @@ class _Assembly:
             force += mass * _G * (1.0 if is_linear else lever + float(spread.max()))
         return inertia, force
 
-    def _springs(self) -> tuple["Spring", ...]:
+    def _springs(self) -> tuple[Spring, ...]:
         return tuple(
             Spring(name, self.free.index(m.joint), m.ratio, m.offset, self.joints[name].spring_rest)
             for name, m in self.moved_by.items()
             if self.joints[name].stiffness
         )
 
-    def _drives(self) -> tuple[tuple[Input, ...], list["Drive"]]:
+    def _drives(self) -> tuple[tuple[Input, ...], list[Drive]]:
         """The inputs, and how each acts; without actuators in the file a force at each joint."""
         inputs, drives = [], []
         if self.robot.actuators is None:
@@ -621,99 +731,6 @@ class _Assembly:
         return () if is_on_mimic else _unrotated(links)
 
 
-@dataclass(frozen=True)
-class Drive:
-    """The way in which an input acts on a coordinate.
-
-    `force = gain u + by_position q + by_speed v + bias` at a joint that moves by `ratio` times the
-    coordinate, plus `offset`.
-
-    Attributes:
-        joint: name of the joint.
-        coordinate: index of the coordinate.
-        ratio: travel of the joint by that of the coordinate.
-        offset: position of the joint where the coordinate is at 0.
-        motor_constant: parameter that multiplies the input, None without one.
-        gain: force by input.
-        by_position: force by position.
-        by_speed: force by speed.
-        bias: force without input.
-    """
-
-    joint: str
-    coordinate: int
-    ratio: float
-    offset: float
-    motor_constant: str | None
-    gain: float
-    by_position: float
-    by_speed: float
-    bias: float
-
-
-@dataclass(frozen=True)
-class Spring:
-    """A linear spring at a joint that moves by `ratio` times a coordinate, plus `offset`.
-
-    Attributes:
-        joint: name of the joint, whose parameter `stiffness` is its own.
-        coordinate: index of the coordinate.
-        ratio: travel of the joint by that of the coordinate.
-        offset: position of the joint where the coordinate is at 0.
-        rest: position of the joint at which the spring is at rest.
-    """
-
-    joint: str
-    coordinate: int
-    ratio: float
-    offset: float
-    rest: float
-
-
-@dataclass(frozen=True)
-class RobotEquations:
-    """Potential energy, friction and actuators of a robot.
-
-    Attributes:
-        chain: its bodies.
-        joints: names of the joints of its coordinates.
-        drives: how its inputs act.
-        springs: springs at its joints.
-    """
-
-    chain: Chain
-    joints: tuple[str, ...]
-    drives: tuple[Drive, ...]
-    springs: tuple[Spring, ...]
-
-    def potential(self, q: Any, p: Any) -> Any:
-        """Energy of gravity and springs [J]."""
-        energy = self.chain.potential(q, p)
-        for s in self.springs:
-            stretch = s.ratio * q[s.coordinate] + s.offset - s.rest
-            energy = energy + forces.linear_spring(stretch, p[f"{s.joint}.stiffness"])
-        return energy
-
-    def dissipation(self, q: Any, v: Any, p: Any) -> Any:
-        """Viscous and Coulomb friction, and an offset, against the motion, (n_q,) [N m or N]."""
-        return jnp.stack([
-            forces.viscous(v[k], p[f"{name}.viscous"])
-            + forces.coulomb(v[k], p[f"{name}.coulomb"], p[f"{name}.coulomb_speed"])
-            + p[f"{name}.offset"]
-            for k, name in enumerate(self.joints)
-        ])  # fmt: skip
-
-    def input_map(self, q: Any, v: Any, u: Any, p: Any) -> Any:
-        """Forces of the actuators, (n_q,) [N m or N]."""
-        total: list[Any] = [jnp.zeros_like(q[0])] * len(self.joints)
-        for i, d in enumerate(self.drives):
-            position, speed = d.ratio * q[d.coordinate] + d.offset, d.ratio * v[d.coordinate]
-            constant = 1.0 if d.motor_constant is None else p[d.motor_constant]
-            force = d.gain * constant * u[i] + d.by_position * position + d.by_speed * speed
-            total[d.coordinate] = total[d.coordinate] + d.ratio * (force + d.bias)
-        return jnp.stack(total)
-
-
 def _unrotated(
     drawn: Sequence[tuple[str, Body, str, np.ndarray]],
 ) -> tuple[Link, ...]:
@@ -737,17 +754,6 @@ def _unrotated(
 def _weak(name: str, unit: str, value: float, largest: float) -> Parameter:
     """A parameter from 0 on, of which a file often says nothing."""
     return Parameter(name, unit, value, 0.0, largest, prior=_SHARE * largest)
-
-
-def _joined(parts: Sequence[LinkInertia]) -> LinkInertia:
-    """The inertia of several links that do not move against one another, in one frame."""
-    mass = sum(part.mass for part in parts)
-    center = sum((part.mass * part.center for part in parts), np.zeros(3)) / mass
-    tensor = np.zeros((3, 3))
-    for part in parts:
-        r = part.center - center
-        tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
-    return LinkInertia(mass, center, tensor)
 
 
 def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
@@ -783,6 +789,22 @@ def _motion(joint: RobotJoint, position: float) -> _Pose:
         return _Pose(np.eye(3), travel * joint.axis)
     rotation = rotation_about(joint.axis, travel)
     return _Pose(rotation, joint.anchor - rotation @ joint.anchor)
+
+
+def _require_numbers(
+    path: object, option: str, values: Mapping[str, float] | None, *, is_positive: bool = True
+) -> tuple[tuple[str, float], ...]:
+    """An option's numbers by name, in the order of the names.
+
+    Raises:
+        InputError: a value that is no finite number, or not positive where it has to be.
+    """
+    expected = "a positive number" if is_positive else "a number"
+    for name, value in (values or {}).items():
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        if not is_number or not np.isfinite(value) or (is_positive and value <= 0):
+            raise InputError(path, f"{option}: {value!r} for '{name}'", expected)
+    return tuple(sorted((name, float(x)) for name, x in (values or {}).items()))
 
 
 def _is_same_unit(a: str, b: str) -> bool:

@@ -132,7 +132,7 @@ def _read_link(element: ET.Element, where: object) -> RobotLink:
     xx, xy, xz, yy, yz, zz = (
         _number(inertia, f"i{axes}", "0", place) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
-    rotation, center = _read_origin(inertial, place)
+    rotation, center = read_origin(inertial, place)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return RobotLink(name, LinkInertia(mass, center, rotation @ tensor @ rotation.T), is_frame)
 
@@ -149,8 +149,8 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
             for tag in ("parent", "child")]  # fmt: skip
     if not all(ends):
         raise InputError(place, "no parent or no child", '<parent link="A"/> and <child link="B"/>')
-    rotation, position = _read_origin(element, place)
-    axis = _numbers(element.find("axis"), "xyz", "1 0 0", 3, place)
+    rotation, position = read_origin(element, place)
+    axis = read_numbers(element.find("axis"), "xyz", "1 0 0", 3, place)
     if kind != "fixed" and not axis.any():
         raise InputError(place, "an axis of length 0", "a direction")
     dynamics, limit, mimic = (element.find(tag) for tag in ("dynamics", "limit", "mimic"))
@@ -193,13 +193,13 @@ def _read_transmissions(
     return tuple(actuators)
 
 
-def _read_origin(element: ET.Element, place: str) -> tuple[np.ndarray, np.ndarray]:
+def read_origin(element: ET.Element, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and position of an element's <origin>."""
     origin = element.find("origin")
-    roll, pitch, yaw = _numbers(origin, "rpy", "0 0 0", 3, place)
+    roll, pitch, yaw = read_numbers(origin, "rpy", "0 0 0", 3, place)
     x, y, z = np.eye(3)
     rotation = rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
-    return without_rounding(rotation), _numbers(origin, "xyz", "0 0 0", 3, place)
+    return without_rounding(rotation), read_numbers(origin, "xyz", "0 0 0", 3, place)
 
 
 def _name(element: ET.Element, where: object) -> str:
@@ -211,10 +211,10 @@ def _name(element: ET.Element, where: object) -> str:
 
 def _number(element: ET.Element | None, key: str, default: str, place: str) -> float:
     """The number of an attribute; its default where the element or it is missing."""
-    return float(_numbers(element, key, default, 1, place)[0])
+    return float(read_numbers(element, key, default, 1, place)[0])
 
 
-def _numbers(
+def read_numbers(
     element: ET.Element | None, key: str, default: str, count: int, place: str
 ) -> np.ndarray:
     """The numbers of an attribute, (count,); its default where the element or it is missing."""

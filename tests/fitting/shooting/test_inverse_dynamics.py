@@ -60,6 +60,30 @@ def test_friction_is_found_and_intervals_are_true(result, truth):
     assert np.mean(inside) > 0.9
 
 
+def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
+    robot = tn.load_robot(SCARA, friction=("stribeck", "load"))
+    true = true_values(robot, seed=2)
+    data = record_in_loop(robot, true, count=5, seconds=4.0, noise=0.005)
+    rich = tn.identify(data, robot, "inverse-dynamics")
+    plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
+    intervals = {e.name: e.interval for e in rich.estimates}
+    for joint in ("shoulder", "elbow"):
+        missing, without = (
+            next(e.held_out for e in result.force_errors if e.coordinate == joint)
+            for result in (rich, plain)
+        )
+        assert missing is not None
+        assert without is not None
+        assert missing < 0.67 * without
+        for kind in ("coulomb", "breakaway", "stribeck_speed"):
+            interval = intervals[name := f"{joint}.{kind}"]
+            assert interval is not None
+            assert interval[0] < true[name] < interval[1]
+    # gravity acts along the slide alone, where it does not change: nothing tells it from Coulomb's
+    for joint in ("shoulder", "elbow", "roll"):
+        assert intervals[f"{joint}.load_friction"] is None
+
+
 def test_what_a_link_carries_is_weighed(system, truth):
     """Records with and without a ball at the spindle; how high it is does not matter to a SCARA."""
     center = np.array([0.05, 0.02, -0.01])

@@ -141,7 +141,9 @@ def export_controller(
     checked = {
         "steps": check.steps, "difference": check.difference, "bound": BOUND, "note": check.note,
     }  # fmt: skip
-    write_export(folder, {CARD: make_card(source, "controller", files, checked, file), **files})
+    write_export(
+        folder, {CARD: make_card(source, "controller", files, checked, source.notes, file), **files}
+    )
     return ControllerExport(folder, (*files, CARD), check, tuple(notes))
 
 
