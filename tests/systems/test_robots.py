@@ -270,7 +270,6 @@ def test_the_stiffness_of_a_gear_is_identified(hanging):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"locked": {"hip": "a"}}, "locked: 'a' for 'hip'; expected a number"),
         ({"locked": {"hip": np.nan}}, "locked: nan for 'hip'"),
         ({"motor_constants": {"hip": 0.0}}, "0.0 for 'hip'; expected a positive number"),
         ({"elastic": {"knee": 1.0}}, "elastic: the joint 'knee'"),

@@ -63,7 +63,7 @@ def test_friction_is_found_and_intervals_are_true(result, truth):
 def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     robot = tn.load_robot(SCARA, friction=("stribeck", "load"))
     true = true_values(robot, seed=2)
-    data = record_in_loop(robot, true, count=5, seconds=4.0, noise=0.005)
+    data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
     intervals = {e.name: e.interval for e in rich.estimates}
