@@ -79,6 +79,37 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert (more / "model.safetensors").exists()
 
 
+def test_a_python_file_with_options_is_kept_with_its_robot(logs, tmp_path, capsys, monkeypatch):
+    """The robot is found beside the code, wherever the command runs."""
+    code_file = tmp_path / "system" / "arm.py"
+    code_file.parent.mkdir()
+    (code_file.parent / "cart.xml").write_text((logs / "robot.xml").read_text())
+    code_file.write_text(
+        "import tustinnet as tn\nSYSTEM = tn.load_robot('cart.xml', friction=['load'])\n"
+    )
+    run = tmp_path / "run"
+    arguments = ["fit", logs, "--recipe", "inverse-dynamics", "--no-report", "--out", run]
+    code, _, err = tustinnet(capsys, *arguments, "--system", code_file)
+    assert code == 0, err
+    assert (run / "cart.xml").read_text() == (logs / "robot.xml").read_text()
+    monkeypatch.chdir(tmp_path)
+    (code_file.parent / "cart.xml").unlink()
+    code, out, err = tustinnet(
+        capsys, "evaluate", run / "model.safetensors", logs, "--split", "validation", "--horizon",
+        "0.25", "--system", run / "system.py",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "run2" in out
+    # a run is replaced with all that it kept, another file is not
+    (other := run / "cart.xml").write_text("<mujoco/>")
+    code, _, err = tustinnet(capsys, *arguments, "--system", run / "system.py", "--overwrite")
+    assert code == 1
+    (code_file.parent / "cart.xml").write_text((logs / "robot.xml").read_text())
+    code, _, err = tustinnet(capsys, *arguments, "--system", code_file, "--overwrite")
+    assert code == 1
+    assert f"{other}: another file than {code_file.parent / 'cart.xml'}" in err
+
+
 @pytest.mark.parametrize(
     ("file", "text", "words"),
     [

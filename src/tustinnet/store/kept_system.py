@@ -25,15 +25,21 @@ CONFIG_VARIABLE = "TUSTINNET_CONFIG"  # names another configuration folder
 
 def system_header(system: SystemFile | None) -> dict[str, Any]:
     """The entry in the model files of a run on the copy that the run keeps."""
-    return {} if system is None else {HEADER: {"file": _copy_name(system), "sha256": system.sha256}}
+    if system is None:
+        return {}
+    beside = {robot.path.name: robot.sha256 for robot in system.robots}
+    entry = {"file": _copy_name(system), "sha256": system.sha256}
+    return {HEADER: entry | ({"robots": beside} if beside else {})}
 
 
 def write_system_copy(system: SystemFile, folder: Path) -> None:
-    """Writes the copy into a run folder.
+    """Writes the copy into a run folder, with the files of robots that its code names.
 
     Raises:
         InputError: it cannot be written.
     """
+    for robot in system.robots:
+        write_into(folder, robot.path.name, robot.text)
     write_into(folder, _copy_name(system), system.text)
 
 
@@ -53,15 +59,17 @@ def require_copy_fits(
     """
     if system is None:
         return
-    path = folder / _copy_name(system)
-    if not path.exists() or (text := _read_copy(path)) == system.text:
-        return
-    digest = SystemFile(path, text).sha256.encode()
-    if not any(digest in file.read_bytes() for file in replaced if file.is_file()):
-        raise InputError(
-            path, f"another file than {system.path}, a copy of which is kept there", "a new folder",
-            "choose another place, or move that file away",
-        )  # fmt: skip
+    kept = [(_copy_name(system), system), *((robot.path.name, robot) for robot in system.robots)]
+    for name, file in kept:
+        path = folder / name
+        if not path.exists() or (text := _read_copy(path)) == file.text:
+            continue
+        digest = SystemFile(path, text).sha256.encode()
+        if not any(digest in earlier.read_bytes() for earlier in replaced if earlier.is_file()):
+            raise InputError(
+                path, f"another file than {file.path}, a copy of which is kept there",
+                "a new folder", "choose another place, or move that file away",
+            )  # fmt: skip
 
 
 def find_system_copy(model: Path) -> SystemFile | None:

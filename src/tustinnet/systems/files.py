@@ -2,9 +2,11 @@
 
 import functools
 import hashlib
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -25,6 +27,10 @@ ROBOT_ENDINGS = (".urdf", ".xml", ".mjcf")
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
+_ROBOT_NAMES = re.compile(
+    rf"""["']([^"'\n]+(?:{"|".join(map(re.escape, ROBOT_ENDINGS))}))["']"""
+)  # texts in code that end as files of robots do
+_running_in: ContextVar[Path | None] = ContextVar("running_in", default=None)
 _REMEDY = "docs/reference/systems.md shows a whole file"
 
 
@@ -49,6 +55,32 @@ class SystemFile:
     def is_code(self) -> bool:
         """Whether it is Python code, which is run; a robot file is only read."""
         return self.path.suffix not in ROBOT_ENDINGS
+
+    @property
+    def robots(self) -> tuple["SystemFile", ...]:
+        """Files of robots that the code names and that are there, as `load_robot` finds them.
+
+        Raises:
+            InputError: one of them cannot be read.
+        """
+        names = dict.fromkeys(_ROBOT_NAMES.findall(self.text)) if self.is_code else {}
+        paths = {find_robot_path(name, self.path.parent) for name in names}
+        return tuple(_find_robot(path) for path in sorted(paths) if path.is_file())
+
+
+def find_robot_path(name: str | Path, folder: Path | None = None) -> Path:
+    """The path of a robot's file that a system file names.
+
+    It is beside the system file, as a run keeps both, else in the working folder.
+
+    Args:
+        name: the path as it was given.
+        folder: the folder of the system file; None for that which runs now, if one does.
+    """
+    folder = folder or _running_in.get()
+    given = Path(name)
+    beside = [] if folder is None else [folder / given, folder / given.name]
+    return next((path for path in beside if path.is_file()), given)
 
 
 class SystemTemplate(ABC):
@@ -148,7 +180,7 @@ def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTempla
         return RobotFile(text, path).load()
     module = ModuleType(path.stem)
     module.__file__ = str(path)
-    with _errors_with_place(path):
+    with _errors_with_place(path), _run_in(path.parent):
         # not imported: that would write a compiled copy beside the file, and may read an old one
         exec(compile(text, str(path), "exec", dont_inherit=True), vars(module))
         system = vars(module).get(ATTRIBUTE)
@@ -169,6 +201,16 @@ def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTempla
         nominal = {name: np.float64(value) for name, value in system.nominal().items()}
         jax.eval_shape(derive, nominal)  # by their shapes
     return system
+
+
+@contextmanager
+def _run_in(folder: Path) -> Iterator[None]:
+    """Files of robots are looked for in the folder of a system file, while that runs."""
+    token = _running_in.set(folder)
+    try:
+        yield
+    finally:
+        _running_in.reset(token)
 
 
 def _with_guards(system: LagrangianSystem, path: Path) -> LagrangianSystem:

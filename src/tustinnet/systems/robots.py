@@ -23,7 +23,7 @@ from tustinnet.models.chains import (
 )
 from tustinnet.models.kinematics import BASE, Link
 from tustinnet.models.lagrangian import ChannelSource, LagrangianSystem, Parameter
-from tustinnet.systems.files import ROBOT_ENDINGS, find_system
+from tustinnet.systems.files import ROBOT_ENDINGS, find_robot_path, find_system
 from tustinnet.systems.mjcf import read_mjcf
 from tustinnet.systems.robot import (
     LinkInertia,
@@ -87,7 +87,8 @@ def load_robot(
     """A robot as a system, from a URDF file or one in MuJoCo's format.
 
     Args:
-        path: the file, `arm.urdf` or `robot.xml`.
+        path: the file, `arm.urdf` or `robot.xml`. In a system file a relative path is looked for
+            beside that file first.
         locked: joints that do not move, with their positions [rad or m].
         motor_constants: joints whose input is the current of a motor, with the force or torque by
             current [N m/A or N/A].
@@ -105,6 +106,7 @@ def load_robot(
         InputError: a file that cannot be read, an option that names no such joint or link, a value
             that is no number in range, or a robot without equations here.
     """
+    path = find_robot_path(path)
     file = find_system(path)
     if isinstance(file, str) or file.is_code:
         raise InputError(path, "no file of a robot", f"a file with {', '.join(ROBOT_ENDINGS)}")
