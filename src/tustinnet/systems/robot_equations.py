@@ -1,5 +1,6 @@
 """Energies, friction, actuators and elastic gears of a robot, as functions of a system."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,30 @@ import jax.numpy as jnp
 from tustinnet.models import forces
 from tustinnet.models.chains import Chain
 from tustinnet.models.lagrangian import Memory
+
+CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # by the width of the smoothed sign
+
+
+def curve_names(joint: str) -> list[str]:
+    """Names of the parameters of a joint's friction curve: odd in the speed, then even."""
+    return [f"{joint}.curve_{kind}{i + 1}" for kind in ("odd", "even") for i in range(4)]
+
+
+def friction_curve(v: Any, weights: Sequence[Any], width: Any) -> Any:
+    """Friction of any dependence on the speed: `sum a_i tanh(v / w_i) + b_i tanh(v / w_i)^2`.
+
+    A network with one hidden layer whose hidden weights are fixed, so that forces are linear in
+    its parameters. The even terms are friction that differs between directions.
+
+    Args:
+        v: velocity [rad/s or m/s].
+        weights: a_i, then b_i [N m or N].
+        width: width of the smoothed sign in the Coulomb friction; w_i are `CURVE_SPEEDS` times it
+            [rad/s or m/s].
+    """
+    steps = [jnp.tanh(v / (speed * width)) for speed in CURVE_SPEEDS]
+    odd, even = weights[: len(steps)], weights[len(steps) :]
+    return sum(a * s + b * s**2 for a, b, s in zip(odd, even, steps, strict=True))
 
 
 @dataclass(frozen=True)
@@ -168,6 +193,8 @@ class RobotEquations:
                 dry = forces.stribeck(v[k], level, breakaway, p[f"{name}.stribeck_speed"], width)
             else:
                 dry = forces.coulomb(v[k], level, width)
+            if "curve" in self.friction:
+                dry = dry + friction_curve(v[k], [p[n] for n in curve_names(name)], width)
             total.append(forces.viscous(v[k], p[f"{name}.viscous"]) + dry + p[f"{name}.offset"])
         return jnp.stack(total)
 

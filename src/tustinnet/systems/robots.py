@@ -33,12 +33,12 @@ from tustinnet.systems.robot import (
     join_inertias,
     rotation_about,
 )
-from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
+from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring, curve_names
 from tustinnet.systems.robot_shapes import with_inertias
 from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
 from tustinnet.systems.urdf import read_urdf
 
-FRICTIONS = ("stribeck", "load")  # beside viscous and Coulomb friction
+FRICTIONS = ("stribeck", "load", "curve")  # beside viscous and Coulomb friction
 ANY_UNIT = "1"  # of an input with a gain of the file: whatever the card says
 _G = 9.81  # [m/s^2], for ranges
 _MASS = 5.0  # factor by which a mass or a spread may differ from the file's
@@ -95,7 +95,8 @@ def load_robot(
         per: links whose mass, centre and inertia differ between groups of records, with the name of
             the group, `{"flange": "payload"}`.
         friction: friction of all joints beside the viscous and the Coulomb one: "stribeck" (more at
-            the onset of motion), "load" (grows with the torque or force of gravity at the joint).
+            the onset of motion), "load" (grows with the torque or force of gravity at the joint),
+            "curve" (any dependence on the speed, also one that differs between directions).
         elastic: joints between whose motor and link there is a spring, as in a harmonic drive, with
             its stiffness [N m/rad or N/m], from which the search begins.
         backlash: elastic joints with play in the gear, with its whole width [rad or m].
@@ -617,6 +618,11 @@ class _Assembly:
             ]  # fmt: skip
         if "load" in self.friction:
             parameters.append(_weak(f"{name}.load_friction", "1", 0.0, _LARGEST_LOAD_SHARE))
+        if "curve" in self.friction:
+            parameters += [
+                Parameter(weight, kind, 0.0, -effort, effort, prior=_SHARE * effort)
+                for weight in curve_names(name)
+            ]
         per = "N m/rad" if joint.kind == "angular" else "N/m"
         if (stiffness := self.elastic.get(name)) is not None:
             damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))

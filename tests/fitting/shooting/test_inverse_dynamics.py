@@ -66,15 +66,18 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
+    curve = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
     intervals = {e.name: e.interval for e in rich.estimates}
     for joint in ("shoulder", "elbow"):
-        missing, without = (
+        missing, by_curve, without = (
             next(e.held_out for e in result.force_errors if e.coordinate == joint)
-            for result in (rich, plain)
+            for result in (rich, curve, plain)
         )
         assert missing is not None
+        assert by_curve is not None
         assert without is not None
         assert missing < 0.67 * without
+        assert by_curve < 0.67 * without
         for kind in ("coulomb", "breakaway", "stribeck_speed"):
             interval = intervals[name := f"{joint}.{kind}"]
             assert interval is not None
