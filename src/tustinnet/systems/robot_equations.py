@@ -31,9 +31,13 @@ def friction_curve(v: Any, weights: Sequence[Any], width: Any) -> Any:
         width: width of the smoothed sign in the Coulomb friction; w_i are `CURVE_SPEEDS` times it
             [rad/s or m/s].
     """
-    steps = [jnp.tanh(v / (speed * width)) for speed in CURVE_SPEEDS]
-    odd, even = weights[: len(steps)], weights[len(steps) :]
-    return sum(a * s + b * s**2 for a, b, s in zip(odd, even, steps, strict=True))
+    return sum(a * term for a, term in zip(weights, curve_terms(v, width), strict=True))
+
+
+def curve_terms(v: Any, width: Any) -> list[Any]:
+    """The terms of a friction curve, of which each has a weight, see `friction_curve`."""
+    odd = [jnp.tanh(v / (speed * width)) for speed in CURVE_SPEEDS]
+    return [*odd, *(term**2 for term in odd)]
 
 
 @dataclass(frozen=True)

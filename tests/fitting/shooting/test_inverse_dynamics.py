@@ -67,6 +67,11 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
     curve = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
+    # it is suggested where it helps
+    (sentence,) = [s for s in plain.findings if "depends on the speed" in s]
+    assert "missing at shoulder" in sentence
+    assert "friction=['curve']" in sentence
+    assert not [s for s in curve.findings if "depends on the speed" in s]
     intervals = {e.name: e.interval for e in rich.estimates}
     for joint in ("shoulder", "elbow"):
         missing, by_curve, without = (
@@ -85,6 +90,10 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     # gravity acts along the slide alone, where it does not change: nothing tells it from Coulomb's
     for joint in ("shoulder", "elbow", "roll"):
         assert intervals[f"{joint}.load_friction"] is None
+
+
+def test_friction_that_is_explained_needs_no_curve(result):
+    assert not [s for s in result.findings if "depends on the speed" in s]
 
 
 def test_what_a_link_carries_is_weighed(system, truth):

@@ -202,6 +202,20 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
     return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
 
 
+def describe_curves(names: Sequence[str], file: str) -> list[str]:
+    """Sentence on the joints whose missing forces depend on their speeds.
+
+    Args:
+        names: the joints.
+        file: the robot's file.
+    """
+    return [
+        f"most of the force that is missing at {', '.join(names)} depends on the speed there: "
+        f"friction of another form; SYSTEM = tn.load_robot('{file}', friction=['curve']) in a "
+        "system file has it"
+    ]
+
+
 def describe_informed(
     names: Sequence[str], informed: Bool[np.ndarray, " n_p"], rank: int
 ) -> list[str]:

@@ -35,6 +35,8 @@ from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
 from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.signals.low_pass import low_pass, occupied_band
+from tustinnet.systems.robot_equations import curve_terms
+from tustinnet.systems.robots import RobotFile
 
 STAGE = "inverse dynamics"
 
@@ -46,6 +48,7 @@ _MOTION = 2.0  # cut-off frequency of the motion by that of the forces
 _INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
 _FEWEST = 20  # samples that must be left of a record
 _REWEIGHTINGS = 3  # each after the iteration has converged
+_EXPLAINED = 0.67  # share of the missing forces that a friction curve leaves, to be worth a word
 _INFORMED = 0.5  # share of a prior's standard deviation below which records decide
 
 
@@ -396,6 +399,7 @@ def _make_identification(
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
+        *_describe_curves(formula, equations, problem, train, held_out, values),
         *_describe_carried(space, point, covariance, quantile),
     ]
     matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
@@ -432,6 +436,47 @@ def _make_identification(
         iterations=iterations,
         force_errors=tuple(errors),
     )
+
+
+def _describe_curves(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    train: Sequence[MeasuredForces],
+    held_out: Sequence[MeasuredForces],
+    values: Mapping[str, float],
+) -> list[str]:
+    """Sentence on the joints of a robot whose missing forces are a curve over the speed.
+
+    A curve is fitted to what is missing in the training records, and has to explain most of what
+    is missing in the held-out ones.
+    """
+    robot = problem.system.source
+    if not isinstance(robot, RobotFile) or "curve" in robot.friction or not held_out:
+        return []
+    n, names = len(problem.system.coordinates), []
+    train_missing, held_missing = (
+        [
+            part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
+            for part in parts
+        ]
+        for parts in (train, held_out)
+    )
+    for k, c in enumerate(problem.system.coordinates):
+        width = values[f"{c.name}.coulomb_speed"]
+        regressors, others = (
+            np.concatenate([
+                part.compare(np.asarray(curve_terms(part.points[:, n + k], width)).T)
+                for part in parts
+            ])
+            for parts in (train, held_out)
+        )  # fmt: skip
+        missing = np.concatenate(train_missing)[:, k]
+        weights = np.linalg.lstsq(regressors, missing, rcond=1e-8)[0]
+        held = np.concatenate(held_missing)[:, k]
+        if np.sum((held - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(held**2):
+            names.append(c.name)
+    return findings.describe_curves(names, robot.path.name) if names else []
 
 
 def _describe_carried(
