@@ -67,7 +67,9 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     )
     assert code == 0, err
     assert "run2" in out
-    assert (run / "report.html").exists()
+    page = (run / "report.html").read_text()
+    assert "Missing forces" in page
+    assert 'id="search"' not in page, "an empty chart"
     # a search by simulation begins with it
     more = tmp_path / "more"
     code, out, err = tustinnet(

@@ -9,6 +9,7 @@ import numpy as np
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
+from tustinnet.evaluate.residuals import ResidualReport
 from tustinnet.families.family import family_of
 from tustinnet.models.kinematics import Link, parent_indices
 from tustinnet.report.page.model_result import ModelResult
@@ -20,6 +21,7 @@ from tustinnet.store.log import is_stage_end
 # numbers of points of a signal that are tried, the most that a screen shows first
 _POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
 _POINT_BYTES, _SIGNAL_BYTES = 8 / 3, 80.0  # of a point in base64, of the keys of a signal
+DRAWN_INPUTS = 3  # with whose correlations the residuals of a coordinate are drawn, at most
 _EPOCHS = 400  # points of a training curve
 
 
@@ -122,8 +124,12 @@ def _model_content(result: ModelResult) -> dict[str, Any]:
                 "own": pack(r.autocorrelation),
                 "bound": r.white_bound,
                 "cross": [
-                    {"values": pack(values), "bound": float(bound)}
-                    for values, bound in zip(r.cross, r.cross_bound, strict=True)
+                    {
+                        "input": k,
+                        "values": pack(r.cross[k]),
+                        "bound": float(r.cross_bound[k]),
+                    }
+                    for k in _drawn_inputs(r)
                 ],
             }
             for r in result.residuals
@@ -131,6 +137,14 @@ def _model_content(result: ModelResult) -> dict[str, Any]:
         "search": _search_content(reported),
         "training": [_training_content(name, log) for name, log in reported.histories.items()],
     }
+
+
+def _drawn_inputs(residuals: ResidualReport) -> list[int]:
+    """The inputs with whose correlations are drawn: those that most exceed their bounds."""
+    if not len(residuals.cross):
+        return []
+    peaks = np.max(np.abs(residuals.cross), axis=1) / residuals.cross_bound
+    return sorted(int(k) for k in np.argsort(-peaks)[:DRAWN_INPUTS])
 
 
 def _search_content(reported: ReportedModel) -> dict[str, Any] | None:

@@ -205,6 +205,23 @@ def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
     return ParameterGroup(reported.label, title, table, [*places, *[None] * len(fixed)])
 
 
+def forces_table(results: Sequence[ModelResult]) -> Table | None:
+    """Table of the forces that are missing at each coordinate; None without inverse dynamics."""
+    rows = []
+    for result in results:
+        identification = result.reported.header.get("identification") or {}
+        for e in identification.get("force_errors", ()):
+            shares = [
+                None if e[k] is None else 100 * e[k] / e["size"] for k in ("train", "held_out")
+            ]
+            cells = ["–" if share is None else number(share) for share in shares]
+            size, unit = number(e["size"]), e["unit"]
+            rows.append([result.reported.label, e["coordinate"], f"{size} {unit}", *cells])
+    columns = ["model", "coordinate", "actuator's force", "missing, train [%]", "validation [%]"]
+    title = "Root mean square of the forces that a motion needs and the actuators do not give"
+    return Table(columns, rows, title) if rows else None
+
+
 def stages_table(results: Sequence[ModelResult]) -> Table:
     """Table of the stages of every identification, and how they ended."""
     rows = []

@@ -16,7 +16,7 @@ from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.kinematics import Link
 from tustinnet.report.comparison import comparison_table
 from tustinnet.report.page import text_and_tables as text
-from tustinnet.report.page.content import Thinning, choose_thinning, make_content
+from tustinnet.report.page.content import DRAWN_INPUTS, Thinning, choose_thinning, make_content
 from tustinnet.report.page.model_result import ModelResult, compute_model_result
 from tustinnet.report.page.render import render
 from tustinnet.report.page.reported_model import ReportedModel, model_file, read_reported_models
@@ -175,6 +175,8 @@ def _make_context(
         "title": text.model_title(reported),
         "data_name": (reported.header.get("data") or {}).get("name", ""),
         "inputs": text.describe_inputs(channels),
+        "inputs_count": channels.n_u,
+        "drawn_inputs": DRAWN_INPUTS,
         "verdict": text.describe_accuracy(first, records, total),
         "fold_scores": text.describe_fold_scores(reported, records),
         "models": [result.reported.label for result in results],
@@ -184,6 +186,7 @@ def _make_context(
         "scores": comparison_table(records, scores, start),
         "by_coordinate": text.coordinates_table(results, channels),
         "parameters": [table for table in parameters if table],
+        "forces": text.forces_table(results),
         "stages": text.stages_table(results),
         "bands": text.describe_bands(results),
         "notes": [*text.list_notes(results, records), *refusals],
@@ -201,7 +204,7 @@ def _make_context(
             "crossed": any(len(r.cross) for result in results for r in result.residuals),
             "ahead": any(len(result.ahead) for result in results),
             "energy": any(result.energies for result in results),
-            "search": any(result.reported.search for result in results),
+            "search": any(result.reported.stages for result in results),
             "training": any(result.reported.histories for result in results),
             "structure": any(result.reported.structure for result in results),
             "range": any(result.range for result in results),

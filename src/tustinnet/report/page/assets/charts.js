@@ -73,7 +73,7 @@ function residualCharts() {
         lines: [{ label: "correlation", values, colour: colourOf(model), width: 1, bars: true }],
       }), { height: 170 });
       bars(r.coordinate, own, 0, r.bound);
-      r.cross.forEach((c, k) => bars(`${r.coordinate} with ${data.inputs[k].name}`,
+      r.cross.forEach((c) => bars(`${r.coordinate} with ${data.inputs[c.input].name}`,
         unpacked(c.values), -lags, c.bound));
       words.append(element("p", { class: "quiet" }, `${r.coordinate}: ${r.sentence}.`));
     }
