@@ -171,9 +171,10 @@ def sentences(design: ControlDesign) -> list[str]:
             for i, u in zip(channels.inputs, largest, strict=True)
         )
         lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {plan.iterations} iterations")
-        lines.append(f"after a fall: {_recovery(design)}")
     if design.beyond is not None:
         lines.append(f"motion: {_beyond(design)}")
+    if design.plan is not None:
+        lines.append(f"after a fall: {_recovery(design)}")
     if design.consistency is None:
         lines.append("estimator: no records were given (--data): its noise is a rough guess")
     else:
