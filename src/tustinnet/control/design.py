@@ -277,6 +277,13 @@ def _plan_motion(
         # nobody knows the model beyond what was recorded; what holds the goal is always allowed
         lower = np.maximum(lower, np.minimum(range.inputs[:, 0], point.u))
         upper = np.minimum(upper, np.maximum(range.inputs[:, 1], point.u))
+        for i, low, high in zip(channels.inputs, lower, upper, strict=True):
+            if low == high:
+                raise InputError(
+                    "the motion", f"{i.name} never changes in the training records: there is "
+                    "nothing to plan with", f"records with {i.name}",
+                    "record some, or add --trust-beyond",
+                )  # fmt: skip
         speeds = range.states[channels.velocity]
         for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
             if slowest < 0 < fastest:

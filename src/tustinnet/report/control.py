@@ -173,7 +173,7 @@ def sentences(design: ControlDesign) -> list[str]:
         lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {plan.iterations} iterations")
     if design.beyond is not None:
         lines.append(f"motion: {_beyond(design)}")
-    if design.plan is not None:
+    if design.plan is not None and design.point.is_unstable:
         lines.append(f"after a fall: {_recovery(design)}")
     if design.consistency is None:
         lines.append("estimator: no records were given (--data): its noise is a rough guess")
