@@ -18,7 +18,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np
-from control_twins import GOAL, GREY, STARTS, STEPS, Design, design_on, driven_falls, play, starts
+from control_twins import GOAL, GREY, STARTS, STEPS, Design, design_on, play, starts
 
 import tustinnet as tn
 import tustinnet.control as tc
@@ -30,8 +30,9 @@ DRAWS = 3
 COUNTS = (2, 5, 15)
 KINDS = ("falls", "noise", "both")
 GREY_BOX = ("--recipe", "grey", "--system", "qube-servo2")
-ROUNDS = 3
+ROUNDS = 5
 ADDED = 5  # failures that a round adds at most
+LOGGED = 500  # samples of their logs
 FAMILIES = {  # what is fitted, and to what in the first round
     GREY: (GREY_BOX, "2 falls"),
     "grey box from noise": (GREY_BOX, "2 noise"),
@@ -67,8 +68,6 @@ def fit(folder: Path, training: Sequence[tn.Experiment], recipe: Sequence[str]) 
         split = [replace(e, split="train") for e in training] if len(training) < 3 else [
             *(replace(e, split="train") for e in training[:-1]), *held
         ]  # fmt: skip
-        if any(e.v is None for e in split):  # logs of closed loops have no velocities
-            split = [replace(e, v=None) for e in split]
         write_data_set(tn.DataSet("twin", tuple(split)), data, "Simulated twin", overwrite=True)
         words = ["fit", str(data), *recipe, "--out", str(file.parent), "--no-report", "-q",
                  "--overwrite"]  # fmt: skip
@@ -106,51 +105,73 @@ def records(out: Path) -> None:
 
 
 def first_records(which: str, draw: int) -> list[tn.Experiment]:
-    """The records of the first round."""
+    """The records of the first round, without velocities, which logs of closed loops lack, too."""
     if which.startswith("2 "):
-        return choose(draw, which.removeprefix("2 "), 2)
-    return list(qube_servo2_twin.twin(draw).split("train"))
+        chosen = choose(draw, which.removeprefix("2 "), 2)
+    else:
+        chosen = list(qube_servo2_twin.twin(draw).split("train"))
+    return [replace(e, v=None) for e in chosen]
 
 
-def failures(made: Design, seed: int, number: int) -> tuple[int, list[tn.Experiment]]:
-    """Successes of a controller on the twin, and logs of runs that fail."""
-    twin, logs, successes = tc.qube_twin(), [], 0
+def failures(made: Design, seed: int, number: int) -> tuple[tc.RobustnessRow, list[tn.Experiment]]:
+    """What became of the goal on the twin, and logs of runs that fail.
+
+    Where a run ends early, as the arm leaves its limits, the motor is off for the rest of the log.
+    """
+    twin, logs, outcomes = tc.qube_twin(), [], []
     for i, start in enumerate(starts()):
         run = tc.closed_loop(twin, made.controller, made.estimator, STEPS, start, seed + i, GOAL)
-        successes += run.is_success
-        n = min(len(run.inputs), 500)
-        if run.is_success or n < 100:
+        assert run.outcome is not None
+        outcomes.append(run.outcome)
+        if run.is_success or len(logs) == ADDED:
             continue
+        q, u = list(run.measurements), list(run.inputs)
+        while len(u) < LOGGED:
+            u.append(np.zeros(1))
+            twin.apply(u[-1])
+            q.append(twin.measure())
         logs.append(
             tn.from_arrays(
-                run.measurements[:n], run.inputs[:n], dt=run.dt, name=f"failure_{number}_{i}",
-                coordinates={c.name: c.kind for c in twin.channels.coordinates},
-                inputs={"voltage": "V"},
+                np.stack(q[:LOGGED]), np.stack(u[:LOGGED]), dt=run.dt,
+                name=f"failure_{number}_{i}", coordinates=twin.channels.coordinates,
+                inputs=twin.channels.inputs,
             )
         )  # fmt: skip
-    return successes, logs[:ADDED]
+    return tc.RobustnessRow("twin", "the twin", tuple(outcomes)), logs
+
+
+def upright_effect(model: tn.Model) -> float:
+    """The effect of a volt on the pendulum's speed after a sample, upright at rest [rad/s]."""
+    stepped, volt = tc.SteppedModel(model), np.ones(1)
+    values = stepped.vector({})
+    x = stepped.start(np.zeros(2), np.zeros(2), values)
+    up, down = (stepped.step(x, stepped.history().add(u), values) for u in (volt, -volt))
+    return float(up[3] - down[3]) / 2
 
 
 def rounds(out: Path, only: Sequence[str]) -> None:
     """Success round by round, each with logs of the failures of the one before."""
-    print(f"| model | its first records | swing-ups of {STARTS}, round by round |")
     for name, (recipe, which) in FAMILIES.items():
         if only and name not in only:
             continue
         for draw in range(DRAWS):
-            training, told = first_records(which, draw), []
+            training = first_records(which, draw)
+            print(f"{name}, {which}, draw {draw}:", flush=True)
             for number in range(ROUNDS + 1):
                 folder = out / f"{name.replace(' ', '-').replace(',', '')}-{draw}-{number}"
-                made = design_for(fit(folder, training, recipe), training)
+                file = fit(folder, training, recipe)
+                effect = f"effect of a volt upright {upright_effect(tn.load_model(file)):.2f} rad/s"
+                made = design_for(file, training)
+                print(f"  {len(training)} records: {effect}; ", end="", flush=True)
                 if isinstance(made, str):
-                    # no controller, no failure: a push and what the hand feels of it
-                    told.append(f"none ({made.split(';')[0][:60]})")
-                    training = [*driven_falls()[number : number + 1], *training]
-                    continue
-                successes, logs = failures(made, 1000 * draw + 100 * number, number)
-                told.append(str(successes))
+                    print(f"no controller ({made})", flush=True)
+                    break
+                row, logs = failures(made, 1000 * draw + 100 * number, number)
+                why = f"; {row.failures}" if row.failures else ""
+                print(f"{row.successes} of {STARTS}{why}", flush=True)
+                if not logs:
+                    break
                 training = [*logs, *training]
-            print(f"| {name} | {which} | {', '.join(told)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -3,16 +3,18 @@
 python benchmarks/control_twins.py fit OUT [NAME...]         fits the families to the demo's records
 python benchmarks/control_twins.py twins OUT [NAME...]       success on twins moved by 0, 10, 20 %
 python benchmarks/control_twins.py robustness OUT [NAME...]  the table, its promise, what came of it
+python benchmarks/control_twins.py falls OUT [NAME...]       pushed over when they stand: up again?
 python benchmarks/control_twins.py figure OUT FILE.png       a swing-up of each family on the twin
 
 NAME is one of `FITS`; those that end in `+` have eleven records more, of driven falls from upright.
 """
 
+import itertools
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -53,6 +55,8 @@ PROMISED = 100  # runs by which promises are compared with what came of them
 PLANNED, COMMANDED, STEPS_OF_PLAN = 4.0, 10.0, 300
 DEVIATIONS = {"theta": 1.0, "alpha": 1.0, "der_theta": 10.0, "der_alpha": 20.0, "voltage": 4.0}
 GOAL = tc.Goal({"alpha": 0.0}, limits={"theta": (-2.5, 2.5)})
+# rad/s by which a push changes the pendulum's velocity, at which sample, and samples of such a run
+PUSHES, PUSHED, LONG = (6.0, 8.0, 10.0, 15.0, 20.0), 600, 2000
 
 
 def folder_of(out: Path, name: str) -> Path:
@@ -151,7 +155,11 @@ def design_on(
     )  # fmt: skip
     seconds = time.perf_counter() - begun
     noise = tc.find_noise(model, training)
-    tracking = tc.time_varying_lqr(model, plan, feedback, deviations=DEVIATIONS)
+    rest = tc.find_equilibrium(model, {"alpha": np.pi})
+    settle = tc.lqr(
+        model, rest.x, rest.u, deviations=DEVIATIONS, limits={"voltage": (-COMMANDED, COMMANDED)}
+    )
+    tracking = tc.time_varying_lqr(model, plan, feedback, deviations=DEVIATIONS, settle=settle)
     if not plan.reached:
         print(f"{name}: the plan misses the goal by {np.round(plan.miss[:4], 2)}")
     estimator = tc.ExtendedKalmanFilter(model, noise)
@@ -260,6 +268,69 @@ def robustness(out: Path, names: list[str]) -> None:
             )  # fmt: skip
 
 
+class Pushed:
+    """A plant whose last coordinate is pushed once, by a change of its velocity.
+
+    Args:
+        plant: the plant.
+        push: the change [rad/s].
+    """
+
+    def __init__(self, plant: tc.ModelPlant, push: float) -> None:
+        self.plant, self.push = plant, push
+        self.dt, self.channels = plant.dt, plant.channels
+
+    @property
+    def state(self) -> np.ndarray:
+        """The true state."""
+        return self.plant.state
+
+    def reset(self, q: np.ndarray, seed: int) -> None:
+        """Puts it to rest at positions."""
+        self.plant.reset(q, seed)
+        self.samples = 0
+
+    def measure(self) -> np.ndarray:
+        """What the encoders read."""
+        return self.plant.measure()
+
+    def apply(self, u: np.ndarray) -> None:
+        """Goes on by one period."""
+        self.plant.apply(u)
+        self.samples += 1
+        if self.samples == PUSHED:
+            self.plant.state[self.channels.velocity.stop - 1] += self.push
+
+
+def falls(out: Path, names: list[str]) -> None:
+    """Runs that are pushed over when they stand, with and without recovery."""
+    goal = tc.Goal(GOAL.at)
+    for made in designs(out, names or [GREY, "hybrid"]):
+        tracking = made.controller.tracking
+        alone = tc.TrackingFeedback(replace(tracking, recovery=None))
+        print(f"{made.name}: twins moved by, push: fell; stand at the end, without recovery")
+        for share, push in itertools.product(SHARES, PUSHES):
+            twins = moved_twins(share, STARTS)
+            plants = [Pushed(twin, push * (-1) ** i) for i, twin in enumerate(twins)]
+            runs, without = (
+                [
+                    tc.closed_loop(plant, controller, made.estimator, LONG, start, i, goal)
+                    for i, (plant, start) in enumerate(zip(plants, starts(), strict=True))
+                ]
+                for controller in (made.controller, alone)
+            )
+            fallen = [run for run in runs if (np.cos(run.states[PUSHED:, 1]) < 0).any()]
+            times = [o.time_to_reach for run in fallen if (o := run.outcome) and o.is_success]
+            when = f"; from {np.median(times):.1f} s on, at last {max(times):.1f}" if times else ""
+            arm = max([float(np.abs(run.states[PUSHED:, 0]).max()) for run in fallen], default=0)
+            print(
+                f"  {100 * share:.0f} %, {push:g} rad/s: {len(fallen)} fell; "
+                f"{sum(run.is_success for run in runs)} of {STARTS} stand, "
+                f"{sum(run.is_success for run in without)} without recovery{when}"
+                f"; the arm within {arm:.1f} rad", flush=True,
+            )  # fmt: skip
+
+
 def figure(out: Path, file: str) -> None:
     """A swing-up of each family on the twin."""
     import matplotlib.pyplot as plt
@@ -280,7 +351,7 @@ def figure(out: Path, file: str) -> None:
 
 
 if __name__ == "__main__":
-    parts = {"fit": fit, "twins": twins, "robustness": robustness}
+    parts = {"fit": fit, "twins": twins, "robustness": robustness, "falls": falls}
     if len(sys.argv) < 3 or sys.argv[1] not in (*parts, "figure"):
         sys.exit(__doc__)
     if sys.argv[1] == "figure":

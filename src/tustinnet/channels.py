@@ -217,6 +217,25 @@ class Channels:
                 "resample the records, or fit a model for this period",
             )
 
+    def completed_by(self, others: Sequence["Channels"]) -> tuple["Channels", tuple[str, ...]]:
+        """The channels with encoder counts and limits that only others declare, and their names.
+
+        Args:
+            others: channels of the same system; the first that declare something decide.
+        """
+        coordinates, inputs, added = list(self.coordinates), list(self.inputs), []
+        for j, c in enumerate(self.coordinates):
+            declared = next((o.coordinates[j] for o in others if o.coordinates[j].resolution), None)
+            if c.resolution is None and declared is not None:
+                coordinates[j] = replace(c, resolution=declared.resolution)
+                added.append(f"encoder count of {c.name}")
+        for j, i in enumerate(self.inputs):
+            declared = next((o.inputs[j] for o in others if o.inputs[j].limits), None)
+            if i.limits is None and declared is not None:
+                inputs[j] = replace(i, limits=declared.limits)
+                added.append(f"limits of {i.name}")
+        return replace(self, coordinates=tuple(coordinates), inputs=tuple(inputs)), tuple(added)
+
     def as_header(self) -> dict[str, Any]:
         """The channels as plain values, as model files contain them."""
         coordinates = [asdict(c) for c in self.coordinates]

@@ -52,12 +52,22 @@ def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, 
     design = json.loads(text)
     assert design == json.loads((out / "design.json").read_text())
     assert design["motion"]["seconds"] == pytest.approx(4.0)
+    assert design["motion"]["begins_again_after_a_fall"]
     assert design["estimator"]["tests"]
     plant = design["robustness"][-1]
     assert plant["kind"].startswith("plant ")
     assert plant["runs"] == 3
     assert design["robustness"][0]["successes"] == 3
-    assert isinstance(tn.control.read_controller(out), tn.control.Tracking)
+    tracking = tn.control.read_controller(out)
+    assert isinstance(tracking, tn.control.Tracking)
+    recovery = tracking.recovery
+    assert recovery is not None
+    # a quarter of the way from where it hangs, at 0, to the top
+    np.testing.assert_allclose(recovery.fallen_beyond, [np.pi / 4, 0], atol=0.05)
+    np.testing.assert_array_equal(recovery.feedback.x0, tracking.plan.x[0])
+    page = (out / "control.html").read_text()
+    assert "after a fall: where angle is more than 0.7" in page
+    assert "After a fall the controller damps the motion" in page
 
 
 def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_path, capsys):
@@ -94,6 +104,7 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0, messages
     assert "motion:" in text
+    assert "after a fall" not in text  # from a stable goal nothing falls
     tracking = tn.control.read_controller(out)
     assert isinstance(tracking, tn.control.Tracking)
     plan = tracking.plan

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -18,12 +19,15 @@ from tustinnet.control.controllers import TrackingFeedback
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import controlled, input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
-from tustinnet.control.export.check import BOUND
+from tustinnet.control.export.check import BOUND, check_loop
+from tustinnet.control.export.code import make_code
 from tustinnet.control.export.gains import JSON, MAT
 from tustinnet.control.export.write import export_controller
 from tustinnet.control.ilqr import make_cost
+from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.plants import ModelPlant
+from tustinnet.export.source import make_source
 from tustinnet.simulate.filtering import FilterNoise
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
@@ -82,6 +86,21 @@ def late_motion() -> Tracking:
     return tn.control.time_varying_lqr(pendulum(), plan, balance(1), deviations=DEVIATIONS)
 
 
+@cache
+def swing_up() -> Tracking:
+    """A motion from hanging that begins again after a fall, integrals at its end, commands late."""
+    model, hanging = pendulum(), np.array([0.0, np.pi, 0.0, 0.0])
+    plan = tn.control.ilqr(
+        model, hanging, UPRIGHT, 200, deviations=DEVIATIONS, limits={"voltage": (-8.0, 8.0)},
+        delay=1,
+    )  # fmt: skip
+    settle = tn.control.lqr(model, hanging, np.zeros(1), deviations=DEVIATIONS, delay=1)
+    tracking = tn.control.time_varying_lqr(
+        model, plan, balance(1), deviations=DEVIATIONS, settle=settle
+    )
+    return replace(tracking, final=balance(1, ("theta",)))
+
+
 def cost() -> Cost:
     """What the motion's plan minimises."""
     return make_cost(
@@ -107,6 +126,7 @@ CASES = {
     "late": lambda: (pendulum(), balance(2, ("theta",))),
     "motion": lambda: (pendulum(), motion()),
     "late motion": lambda: (pendulum(), late_motion()),
+    "swing-up": lambda: (pendulum(), swing_up()),
     "input before": lambda: (example("hybrid"), some_feedback(example("hybrid"), (0,))),
     "straight inputs": lambda: (example("first-order"), some_feedback(example("first-order"))),
     "actuator lag": lambda: (example("actuator lag"), some_feedback(example("actuator lag"))),
@@ -182,6 +202,30 @@ def test_the_program_runs_the_loop_of_python(tmp_path):
 
 
 @needs_gcc
+def test_in_c_it_begins_again_after_a_fall_as_in_python():
+    model, tracking = pendulum(), swing_up()
+    source = make_source(model)
+    source = replace(source, layout=find_causal_layout(source.model, 1))
+    phases: list[str] = []
+
+    class Recorded(TrackingFeedback):
+        def inputs(self, k: int, x: np.ndarray) -> np.ndarray:
+            command = super().inputs(k, x)
+            phases.append(self.phase)
+            return command
+
+    start = tracking.plan.x[0]
+    files = make_code(tracking, source, noise(model), start, 400)
+    fall = start + np.array([0.5, 1.0, 0.0, 0.0])
+    check = check_loop(files, Recorded(tracking), source, noise(model), start, 400, fall)
+    assert check.steps == 800
+    assert check.difference is not None
+    assert check.difference < BOUND
+    assert [phase for phase, _ in groupby(phases)] == ["plan", "hold", "settle", "plan", "hold"]
+    assert phases.index("hold") == 200
+
+
+@needs_gcc
 @pytest.mark.parametrize("name", ["integral", "late", "motion", "late motion"])
 def test_it_holds_the_pendulum_in_single_precision_through_encoders(name, exported):
     rows = run_main(exported(name)[0], "-DMODEL_FLOAT")
@@ -218,7 +262,7 @@ def test_nothing_that_changes_is_kept_outside_of_its_structures(exported):
 
 
 @pytest.mark.parametrize("file", ["", JSON, MAT])
-@pytest.mark.parametrize("name", ["late", "motion", "late motion", "cart"])
+@pytest.mark.parametrize("name", ["late", "motion", "late motion", "swing-up", "cart"])
 def test_what_is_read_is_what_was_written(name, file, exported):
     folder, _ = exported(name)
     _, controller = CASES[name]()
@@ -233,9 +277,17 @@ def test_what_is_read_is_what_was_written(name, file, exported):
         for key, value in planned.items():
             np.testing.assert_array_equal(plan[key], value)
             assert np.shape(plan[key]) == np.shape(value)
-    for key, value in vars(expected).items():
-        np.testing.assert_array_equal(getattr(final, key), value)
-        assert np.shape(getattr(final, key)) == np.shape(value)
+        assert (read.recovery is None) == (controller.recovery is None)
+    pairs = [(final, expected)]
+    if isinstance(read, Tracking) and read.recovery is not None:
+        way_back, written = vars(read.recovery), vars(controller.recovery)
+        pairs.append((way_back.pop("feedback"), written["feedback"]))
+        for key, value in way_back.items():
+            np.testing.assert_array_equal(value, written[key])
+    for found, wanted in pairs:
+        for key, value in vars(wanted).items():
+            np.testing.assert_array_equal(getattr(found, key), value)
+            assert np.shape(getattr(found, key)) == np.shape(value)
 
 
 @pytest.mark.parametrize(
@@ -246,6 +298,7 @@ def test_what_is_read_is_what_was_written(name, file, exported):
         ({"period": None}, "entry 'period' is not finite"),
         ({"gains": [1.0]}, r"entry 'gains' of shape \(1,\); expected 60 x 1 x 4"),
         ({"plan": {"u": [[0.0]]}}, "no entry 'plan.x'"),
+        ({"recovery": {"settled_within": []}}, "a recovery without its feedback"),
     ],
 )
 def test_other_files_are_no_controllers(change, told, exported, tmp_path):

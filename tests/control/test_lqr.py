@@ -1,5 +1,7 @@
 """Linear-quadratic feedback against scipy and python-control, and in the loop."""
 
+from itertools import groupby
+
 import control
 import jax.numpy as jnp
 import numpy as np
@@ -213,6 +215,33 @@ def test_feedback_along_a_plan_brings_disturbed_starts_to_its_end():
     late = lqr(model, np.zeros(4), np.zeros(1), limits=limits, delay=1)
     with pytest.raises(tn.InputError, match=r"a plan of 0\.01 s a sample, 0 samples late"):
         time_varying_lqr(model, plan, late)
+
+
+def test_after_a_fall_it_settles_and_begins_again():
+    model, hanging = example("qube"), np.array([0, np.pi, 0, 0])
+    limits = {"voltage": (-10.0, 10.0)}
+    plan = ilqr(model, hanging, np.zeros(4), 250, limits={"voltage": (-8.0, 8.0)})
+    final = lqr(model, np.zeros(4), np.zeros(1), limits=limits)
+    settle = lqr(model, hanging, np.zeros(1), limits=limits)
+    tracking = time_varying_lqr(model, plan, final, settle=settle)
+    recovery = tracking.recovery
+    assert recovery is not None
+    # a quarter of the pendulum's way, which is half a turn; a tenth of all ranges along the plan
+    np.testing.assert_allclose(recovery.fallen_beyond, [0, np.pi / 4, 0, 0])
+    np.testing.assert_allclose(recovery.settled_within, 0.1 * np.ptp(plan.x, axis=0))
+    step, phases, x, controller = tn.compiled_step(model), [], hanging, TrackingFeedback(tracking)
+    for k in range(1500):
+        x = step(x, controller.inputs(k, x))
+        phases.append(controller.phase)
+        if k == 400:
+            x = np.add(x, [0, 0, 0, 30.0])
+    assert [phase for phase, _ in groupby(phases)] == ["plan", "hold", "settle", "plan", "hold"]
+    assert phases[400] == "hold"
+    np.testing.assert_allclose(np.sin(x), np.zeros(4), atol=1e-3)
+    assert np.cos(x[1]) > 0
+    summed = lqr(model, hanging, np.zeros(1), limits=limits, integral=["theta"])
+    with pytest.raises(tn.InputError, match="settle: a feedback with integrals"):
+        time_varying_lqr(model, plan, final, settle=summed)
 
 
 def test_gains_along_a_plan_at_rest_are_those_of_the_point():

@@ -1,6 +1,5 @@
 """Data sets and records from arrays."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -137,11 +136,38 @@ def test_the_order_of_coordinates_matters() -> None:
         tn.DataSet("mixed", (one, two))
 
 
-def test_records_may_differ_in_what_does_not_change_the_system(three: tn.DataSet) -> None:
-    other = record("d")
-    finer = replace(other.channels, coordinates=(tn.Coordinate("angle", "angular", 1e-3),))
-    other = replace(other, channels=finer)
-    assert len(three.merge([other])) == 4
+def declaring(name: str, count: float | None, limits: tuple[float, float] | None) -> tn.Experiment:
+    """A record with an encoder count and limits of its voltage, or without."""
+    coordinates = (tn.Coordinate("angle", "angular", count),)
+    inputs = (tn.Input("voltage", "V", limits=limits),)
+    return tn.from_arrays(
+        np.arange(5.0), np.zeros(5), dt=0.01, coordinates=coordinates, inputs=inputs, name=name
+    )
+
+
+def test_records_may_differ_in_what_does_not_change_the_system() -> None:
+    data = tn.DataSet(
+        "arm", (declaring("a", 1e-3, (-5.0, 5.0)), declaring("b", 2e-3, (-10.0, 10.0)))
+    )
+    assert [e.inputs[0].limits for e in data] == [(-5.0, 5.0), (-10.0, 10.0)]
+    assert [e.coordinates[0].resolution for e in data] == [1e-3, 2e-3]
+
+
+def test_what_only_some_records_declare_holds_for_all_and_is_told_once() -> None:
+    records = [
+        declaring("a", None, None),
+        declaring("b", 1e-3, None),
+        declaring("c", None, (-5.0, 5.0)),
+    ]
+    told = "arm: no encoder count of angle, limits of voltage in 'a' and 2 more: taken from"
+    with pytest.warns(UserWarning, match=told):
+        data = tn.DataSet("arm", tuple(records))
+    for e in data:
+        assert e.channels == data.channels
+        assert (e.coordinates[0].resolution, e.inputs[0].limits) == (1e-3, (-5.0, 5.0))
+    assert len(data[1:]) == len(data.exclude("a")) == 2
+    with pytest.warns(UserWarning, match="no limits of voltage in 'd': taken from"):
+        assert data.merge([declaring("d", 1e-3, None)]).channels == data.channels
 
 
 def test_no_records_are_refused() -> None:

@@ -20,6 +20,10 @@ from scipy.spatial.transform import Rotation
 from swinging import SWING, TRUTH, falls
 
 import tustinnet as tn
+from tustinnet.control.controllers import TrackingFeedback
+from tustinnet.control.export.gains import controller_json
+from tustinnet.control.lqr import Feedback, Recovery, Tracking
+from tustinnet.control.plan import Plan
 from tustinnet.errors import InputError
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.export.javascript import MODULE, TARGET
@@ -315,6 +319,58 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     assert min(kinds.count(kind) for kind in ("by", "together", "")) > 20
     said = ["" if of is None else "by" if of.signal else "together" for of in left]
     assert kinds == said
+
+
+COMMANDING = """
+const wrapped = (angle) => angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
+const { controller: pilotOf, states } = JSON.parse(process.argv[1]), data = { controller: pilotOf };
+"""
+
+
+def test_a_page_commands_what_python_does_after_a_fall_too():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    generator, steps = np.random.default_rng(0), 20
+    about = {"lower": np.array([-1.0]), "upper": np.array([1.5]), "dt": 0.02, "delay": 1,
+             "speeds": np.ones(1), "periodic": (0,)}  # fmt: skip
+    final = Feedback(
+        gain=0.3 * generator.normal(size=(1, 4)), x0=np.zeros(2), u0=np.array([0.1]),
+        integral=(0,), **about,
+    )  # fmt: skip
+    start = np.array([np.pi, 0.0])
+    settle = Feedback(
+        gain=0.3 * generator.normal(size=(1, 3)), x0=start, u0=np.array([-0.2]), **about
+    )
+    plan = Plan(
+        x=np.linspace(start, [0.0, 0.0], steps + 1), u=generator.normal(size=(steps, 1)), cost=0.0,
+        converged=True, reached=True, iterations=1, dt=0.02, goal=np.zeros(2),
+        before=np.array([0.3]), delay=1,
+    )  # fmt: skip
+    recovery = Recovery(settle, np.array([0.8, 0.0]), np.array([0.3, 1.0]))
+    tracking = Tracking(plan, 0.3 * generator.normal(size=(steps, 1, 3)), final, recovery)
+    # along the plan, at its end, fallen with whole turns, near the start but quick, slow, again
+    states = np.concatenate([
+        plan.x[:-1], np.tile([0.2, 0.0], (30, 1)), np.tile([2.0 + 2 * np.pi, 1.0], (10, 1)),
+        np.tile([-3.0, 2.0], (5, 1)), np.tile([3.0 - 2 * np.pi, 0.5], (1, 1)), plan.x[1:],
+    ])  # fmt: skip
+    states += 0.02 * generator.normal(size=states.shape)
+    python, phases, commands = TrackingFeedback(tracking), [], []
+    for k, x in enumerate(states):
+        commands.append(python.inputs(k, x))
+        phases.append(python.phase)
+    expected = ["plan"] * 20 + ["hold"] * 30 + ["settle"] * 15 + ["plan"] * 20 + ["hold"]
+    assert phases == expected
+    channels = tn.Channels((tn.Coordinate("arm", "angular"),), (tn.Input("motor", "V"),), 0.02)
+    controller = json.loads(controller_json(tracking, channels))
+    controller["feedback"]["period"] = controller["period"]
+    source = resources.files("tustinnet.report.page").joinpath("assets/pilot.js").read_text()
+    call = "console.log(JSON.stringify(commandsFor(states)));"
+    done = subprocess.run(
+        ["node", "--eval", COMMANDING + source + call,
+         json.dumps({"controller": controller, "states": states.tolist()})],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    np.testing.assert_allclose(json.loads(done.stdout), commands, rtol=0, atol=1e-13)
 
 
 # a cart with an arm of two links and a pendulum beside it, and a crank on the base

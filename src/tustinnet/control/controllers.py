@@ -1,17 +1,13 @@
 """Controllers by linear feedback: about an operating point, and along a plan."""
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.lqr import Feedback, Tracking, wrap
 
-
-def wrap(error: Float[np.ndarray, " n_x"], periodic: tuple[int, ...]) -> Float[np.ndarray, " n_x"]:
-    """An error whose periodic angles are brought into -pi..pi."""
-    wrapped = np.array(error, np.float64)
-    for i in periodic:
-        wrapped[i] = (wrapped[i] + np.pi) % (2 * np.pi) - np.pi
-    return wrapped
+Phase = Literal["plan", "hold", "settle"]
 
 
 class LinearFeedback:
@@ -49,30 +45,63 @@ class LinearFeedback:
 class TrackingFeedback:
     """A controller that follows a plan by time-varying feedback, then holds its end.
 
+    With a `Recovery` it begins again after a fall: plan, hold, and when the state has fallen,
+    settle about the plan's start, then plan again.
+
     Args:
-        tracking: the plan, its gains and the feedback that holds the end.
+        tracking: the plan, its gains, the feedback that holds the end, and the recovery.
+
+    Attributes:
+        phase: `plan`, `hold` or `settle`, of the last sample.
     """
+
+    phase: Phase
 
     def __init__(self, tracking: Tracking) -> None:
         self.tracking = tracking
-        self._balance = LinearFeedback(tracking.final)
+        recovery = tracking.recovery
+        self._hold = LinearFeedback(tracking.final)
+        self._settle = LinearFeedback(tracking.final if recovery is None else recovery.feedback)
         # as long as z is; of steps without previous commands (N, 0)
         self._reference = tracking.plan.previous_inputs(tracking.final.previous)
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the commands and integrals of an earlier run."""
+        """Forgets the commands and integrals of an earlier run, and begins with the plan."""
         self._previous = np.tile(self.tracking.plan.before, self.tracking.final.previous)
+        self.phase, self._begin = "plan", 0
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,)."""
-        plan, final = self.tracking.plan, self.tracking.final
-        if k >= len(plan.u):
-            if k == len(plan.u):
-                self._balance.reset(self._previous)
-            return self._balance.inputs(k, x)
-        error = wrap(x - plan.x[k], final.periodic)
-        z = np.concatenate([error, self._previous - self._reference[k]])
-        command = np.clip(plan.u[k] - self.tracking.gains[k] @ z, final.lower, final.upper)
+        self._choose_phase(k, x)
+        plan, final, step = self.tracking.plan, self.tracking.final, k - self._begin
+        if self.phase == "hold":
+            command = self._hold.inputs(k, x)
+        elif self.phase == "settle":
+            command = self._settle.inputs(k, x)
+        else:
+            error = wrap(x - plan.x[step], final.periodic)
+            z = np.concatenate([error, self._previous - self._reference[step]])
+            command = np.clip(
+                plan.u[step] - self.tracking.gains[step] @ z, final.lower, final.upper
+            )
         self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
         return command
+
+    def _choose_phase(self, k: int, x: Float[np.ndarray, " n_x"]) -> None:
+        """Goes on to the next phase where that is due at a sample."""
+        plan, final, recovery = self.tracking.plan, self.tracking.final, self.tracking.recovery
+        if self.phase == "plan" and k - self._begin >= len(plan.u):
+            self.phase = "hold"
+            self._hold.reset(self._previous)
+        if recovery is None:
+            return
+        if self.phase == "hold":
+            fallen, error = recovery.fallen_beyond, wrap(x - final.x0, final.periodic)
+            if ((fallen > 0) & (np.abs(error) > fallen)).any():
+                self.phase = "settle"
+                self._settle.reset(self._previous)
+        if self.phase == "settle":
+            near, error = recovery.settled_within, wrap(x - plan.x[0], final.periodic)
+            if ((near == 0) | (np.abs(error) <= near)).all():
+                self.phase, self._begin = "plan", k

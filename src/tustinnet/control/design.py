@@ -1,6 +1,7 @@
 """The design of a controller on a model: where, feedback, planned motion, estimator."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_li
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
 from tustinnet.control.ilqr import ilqr
-from tustinnet.control.lqr import Feedback, Tracking, lqr, time_varying_lqr
+from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, bryson_weights
@@ -103,6 +104,11 @@ class ControlDesign:
     def plan(self) -> Plan | None:
         """The planned motion, None without one."""
         return self.gains.plan if isinstance(self.gains, Tracking) else None
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """The way back to the motion's start after a fall, None without one."""
+        return self.gains.recovery if isinstance(self.gains, Tracking) else None
 
     @property
     def feedback(self) -> Feedback:
@@ -199,7 +205,15 @@ def design_controller(
                 model, point.x, point.u, deviations=own, range=range, delay=task.delay,
                 limits=task.limits,
             )  # fmt: skip
-        gains = time_varying_lqr(model, plan, final, deviations=own, range=range)
+        settle = None
+        if point.is_unstable and not start.is_unstable:
+            # only from a start where it comes to rest by itself a motion can begin again
+            with suppress(InputError):  # a mode there that the inputs do not move
+                settle = lqr(
+                    model, start.x, start.u, deviations=own, range=range, delay=task.delay,
+                    limits=task.limits,
+                )  # fmt: skip
+        gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
         gains = replace(gains, final=feedback)
     on_message("estimator")
     noise = find_noise(model, records) if records else usual_noise(model, range)
@@ -263,6 +277,13 @@ def _plan_motion(
         # nobody knows the model beyond what was recorded; what holds the goal is always allowed
         lower = np.maximum(lower, np.minimum(range.inputs[:, 0], point.u))
         upper = np.minimum(upper, np.maximum(range.inputs[:, 1], point.u))
+        for i, low, high in zip(channels.inputs, lower, upper, strict=True):
+            if low == high:
+                raise InputError(
+                    "the motion", f"{i.name} never changes in the training records: there is "
+                    "nothing to plan with", f"records with {i.name}",
+                    "record some, or add --trust-beyond",
+                )  # fmt: skip
         speeds = range.states[channels.velocity]
         for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
             if slowest < 0 < fastest:
@@ -348,7 +369,7 @@ def find_rest(
             point = find_equilibrium(model, positions, limits)
         except InputError:
             continue
-        if not point.stability.startswith("unstable"):
+        if not point.is_unstable:
             return positions
     raise InputError(
         "--swing-up", f"no stable equilibrium half a turn from {', '.join(at)}",

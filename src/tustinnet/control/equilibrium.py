@@ -80,11 +80,15 @@ class OperatingPoint:
     modes: tuple[Mode, ...]
 
     @property
+    def is_unstable(self) -> bool:
+        """Whether a mode grows."""
+        return any(mode.rate > _ON_CIRCLE for mode in self.modes)
+
+    @property
     def stability(self) -> str:
         """Its stability in words."""
-        growing = [m for m in self.modes if m.rate > _ON_CIRCLE]
-        if growing:
-            worst = growing[0]
+        if self.is_unstable:
+            worst = self.modes[0]  # that grows fastest
             times = f"doubles in {np.log(2) / worst.rate:.3g} s"
             return f"unstable: {worst.states[0]} {times}"
         idle = [m for m in self.modes if not m.is_stable]

@@ -26,6 +26,8 @@ from tustinnet.simulate.range import Range
 
 _SECONDS = 1.0  # for which a position may stay at its deviation, where its integral has no weight
 _TINY = 1e-9  # weight of states without one: no mode is without any
+_FALLEN = 0.25  # share of a plan's way from which its end is lost: balances come back from less
+_SETTLED = 0.1  # share of a plan's range about its start from which its feedback follows it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,25 @@ class Feedback:
 
 
 @dataclass(frozen=True)
+class Recovery:
+    """The way back to the start of a plan, after a fall from its end.
+
+    A state has fallen if any of its errors about the plan's end is larger than `fallen_beyond`.
+    Then `feedback` damps the motion, until all errors about the plan's start are at most
+    `settled_within`; the plan begins again there. Where a number is 0 its state does not count.
+
+    Attributes:
+        feedback: feedback about the plan's start, without integrals.
+        fallen_beyond: errors about the plan's end, (n_x,).
+        settled_within: errors about the plan's start, (n_x,).
+    """
+
+    feedback: Feedback
+    fallen_beyond: Float[np.ndarray, " n_x"]
+    settled_within: Float[np.ndarray, " n_x"]
+
+
+@dataclass(frozen=True)
 class Tracking:
     """Time-varying feedback along a plan, and the feedback that holds its end.
 
@@ -80,11 +101,13 @@ class Tracking:
         gains: gains at every step, (N, n_u, n_z): `u = plan.u[k] - gains[k] z`, `z` the errors of
             the states and the previous commands as differences from those of the plan.
         final: the feedback after the last step.
+        recovery: the way back to the plan's start after a fall; None for none.
     """
 
     plan: Plan
     gains: Float[np.ndarray, "N n_u n_z"]
     final: Feedback
+    recovery: Recovery | None = None
 
 
 class LoopMatrices(NamedTuple):
@@ -226,8 +249,13 @@ def time_varying_lqr(
     *,
     deviations: Deviations | None = None,
     range: Range | None = None,
+    settle: Feedback | None = None,
 ) -> Tracking:
     """Time-varying linear-quadratic feedback along a plan, and the feedback that holds its end.
+
+    With `settle` the plan begins again after a fall (`Recovery`): a coordinate that makes most of
+    the plan's way is farther from its end than a quarter of this way. The start is reached where
+    positions and velocities are within a tenth of their range along the plan.
 
     Args:
         model: a model that steps from sample to sample.
@@ -236,18 +264,46 @@ def time_varying_lqr(
             along the plan, too.
         deviations: acceptable deviations of states and inputs by name, as in `lqr`.
         range: the range of the training records.
+        settle: feedback about the plan's start, without integrals; None where the plan does not
+            begin again after a fall. It is of use where the start is stable and the end is not.
 
     Raises:
-        InputError: a plan of another model or period, names that the model does not have.
+        InputError: a plan of another model or period, names that the model does not have; a
+            `settle` of another size or delay than `final` without integrals.
     """
     system = controlled(model, final.delay)
     plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "time_varying_lqr")
+    if settle is not None and (
+        settle.integral or settle.delay != final.delay or settle.previous != final.previous
+    ):
+        raise InputError(
+            "time_varying_lqr, settle", "a feedback with integrals, or of another delay",
+            "one without integrals, with the delay of `final`",
+        )  # fmt: skip
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
     matrices = loop_matrices(system, final.x0, final.u0, final.speeds)
     value = riccati_solution(system, matrices, weights)
     gains, _ = gains_along(system, plan, value, weights)
-    return Tracking(plan, gains, final)
+    return Tracking(plan, gains, final, settle and _make_recovery(model, plan, settle))
+
+
+def _make_recovery(model: Model, plan: Plan, settle: Feedback) -> Recovery:
+    """The way back to a plan's start, its distances by the plan."""
+    position, measured = model.channels.position, model.channels.measured
+    fallen_beyond, settled_within = np.zeros((2, len(plan.goal)))
+    way = np.abs(wrap(plan.goal - plan.x[0], settle.periodic))[position]
+    fallen_beyond[position] = np.where(way >= way.max() / 2, _FALLEN * way, 0.0)
+    settled_within[measured] = _SETTLED * np.ptp(plan.x[:, measured], axis=0)
+    return Recovery(settle, fallen_beyond, settled_within)
+
+
+def wrap(error: Float[np.ndarray, " n_x"], periodic: tuple[int, ...]) -> Float[np.ndarray, " n_x"]:
+    """An error whose periodic angles are brought into -pi..pi."""
+    wrapped = np.array(error, np.float64)
+    for i in periodic:
+        wrapped[i] = (wrapped[i] + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
 
 
 def gains_along(

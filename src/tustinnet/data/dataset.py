@@ -1,5 +1,6 @@
 """Several records of one system as one data set."""
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypedDict, Unpack, overload
@@ -19,6 +20,9 @@ _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another
 @dataclass(frozen=True)
 class DataSet(HasChannels):
     """Records of one system, of any lengths, with the same coordinates, inputs and period.
+
+    Encoder counts and limits of inputs that some records do not declare are taken from the first
+    record that does; a warning says so.
 
     Attributes:
         name: name of the data set.
@@ -41,6 +45,26 @@ class DataSet(HasChannels):
             first.channels.require_same(
                 experiment.channels, experiment.name, first.name, open_holds=False
             )
+        self._complete_channels()
+
+    def _complete_channels(self) -> None:
+        """Gives records the encoder counts and limits that only other records declare."""
+        distinct = list(dict.fromkeys(e.channels for e in self.experiments))
+        if len(distinct) == 1:
+            return
+        completed = {channels: channels.completed_by(distinct) for channels in distinct}
+        added = dict.fromkeys(name for _, names in completed.values() for name in names)
+        if not added:
+            return
+        lacking = [e.name for e in self.experiments if completed[e.channels][1]]
+        more = f" and {len(lacking) - 1} more" if lacking[1:] else ""
+        warnings.warn(
+            f"{self.name}: no {', '.join(added)} in '{lacking[0]}'{more}: taken from the records "
+            "that declare them",
+            stacklevel=4,  # who makes the data set
+        )
+        experiments = (replace(e, channels=completed[e.channels][0]) for e in self.experiments)
+        object.__setattr__(self, "experiments", tuple(experiments))
 
     def __len__(self) -> int:
         return len(self.experiments)

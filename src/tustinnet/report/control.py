@@ -173,11 +173,29 @@ def sentences(design: ControlDesign) -> list[str]:
         lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {plan.iterations} iterations")
     if design.beyond is not None:
         lines.append(f"motion: {_beyond(design)}")
+    if design.plan is not None and design.point.is_unstable:
+        lines.append(f"after a fall: {_recovery(design)}")
     if design.consistency is None:
         lines.append("estimator: no records were given (--data): its noise is a rough guess")
     else:
         lines += [f"estimator: {line}" for line in design.consistency.sentences]
     return lines
+
+
+def _recovery(design: ControlDesign) -> str:
+    """What follows where the goal is lost."""
+    recovery = design.recovery
+    if recovery is None:
+        return "the motion does not begin again, feedback about the goal goes on"
+    fallen = " or ".join(
+        f"{c.name} is more than {bound:.3g} {c.unit}"
+        for c, bound in zip(design.model.channels.coordinates, recovery.fallen_beyond, strict=False)
+        if bound > 0
+    )
+    return (
+        f"where {fallen} from the goal, feedback about the start damps the motion, then the plan "
+        "begins again"
+    )
 
 
 def _beyond(design: ControlDesign) -> str:
@@ -221,6 +239,7 @@ def summarise(
             "iterations": plan.iterations,
             "cost": plan.cost,
             "largest_inputs": dict(zip(inputs, np.abs(plan.u).max(axis=0).tolist(), strict=True)),
+            "begins_again_after_a_fall": design.recovery is not None,
         },
         "estimator": {
             "process": np.asarray(design.noise.process).tolist(),

@@ -50,6 +50,7 @@ def check_loop(
     noise: FilterNoise,
     start: Vector,
     steps: int,
+    fall: Vector | None = None,
 ) -> LoopCheck:
     """Compares a closed loop in C with Python, period by period.
 
@@ -64,6 +65,8 @@ def check_loop(
         noise: the noise of the estimator.
         start: the state from which the loop begins, (n_x,).
         steps: the periods that are compared.
+        fall: the state to which the device falls after these periods, for as many more; None for no
+            fall.
 
     Raises:
         InputError: the loop diverges, or a result differs by more than 1e-9, relative to
@@ -76,7 +79,7 @@ def check_loop(
                 write_into(folder, name, content)
             library = folder / "controller.so"
             compile_c([folder / name for name in SOURCES], library, _LIBRARY)
-            difference = _compare(library, controller, source, noise, start, steps)
+            difference = _compare(library, controller, source, noise, start, steps, fall)
     except NotRunnable as reason:
         return LoopCheck(0, None, f"not run here: {reason}")
     if not difference <= BOUND:
@@ -84,7 +87,7 @@ def check_loop(
             "the controller in C", f"a result differs from that of Python by {difference:.1e}",
             f"at most {BOUND:.0e}", "nothing was written",
         )  # fmt: skip
-    return LoopCheck(steps, difference)
+    return LoopCheck(steps if fall is None else 2 * steps, difference)
 
 
 def _compare(
@@ -94,6 +97,7 @@ def _compare(
     noise: FilterNoise,
     start: Vector,
     steps: int,
+    fall: Vector | None,
 ) -> float:
     """The largest difference along the loop, relative to 1 + the value."""
     functions = ctypes.CDLL(str(library))
@@ -126,7 +130,9 @@ def _compare(
     call("controller_reset", memory)
     controller.reset()
     compare(estimator[:n_x], ExtendedKalmanFilter(source.model, noise).reset(y))
-    for k in range(steps):
+    for k in range(steps if fall is None else 2 * steps):
+        if k == steps and fall is not None:
+            x[:] = fall
         own.x, own.p = estimator[:n_x].copy(), estimator[covariance].reshape(n_x, n_x).copy()
         call("controller_inputs", memory, estimator, u)  # the state comes first
         compare(u, controller.inputs(k, own.x))

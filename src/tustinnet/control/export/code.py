@@ -85,6 +85,8 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
     tracking = controller if isinstance(controller, Tracking) else None
     final = controller if isinstance(controller, Feedback) else controller.final
+    recovery = tracking.recovery if tracking else None
+    settle = recovery.feedback if recovery else None
     n_x, n_i = len(final.x0), len(final.integral)
     # integrals last, so that the gains of a plan, which has none, are in the same order
     order = [*range(n_x), *range(n_x + n_i, final.gain.shape[1]), *range(n_x, n_x + n_i)]
@@ -98,6 +100,11 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
         "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
         "plan_u": tracking.plan.u if tracking else np.zeros(0),
         "plan_gain": tracking.gains if tracking else np.zeros(0),
+        "settle_gain": settle.gain if settle else np.zeros(0),
+        "settle_x0": settle.x0 if settle else np.zeros(0),
+        "settle_u0": settle.u0 if settle else np.zeros(0),
+        "fallen_beyond": recovery.fallen_beyond if recovery else np.zeros(n_x),
+        "settled_within": recovery.settled_within if recovery else np.zeros(n_x),
     }
     indices = {"integrated": final.integral, "periodic": final.periodic}
     tables = [
@@ -108,7 +115,7 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
         "controller.h": fill_template(
             "controller.h", TEMPLATES, inputs=source.channels.n_u, integrals=n_i,
             previous=final.previous, periodic=len(final.periodic),
-            steps=len(tracking.plan.u) if tracking else 0,
+            steps=len(tracking.plan.u) if tracking else 0, recovers=int(recovery is not None),
         ),
         "controller.c": fill_template(
             "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
@@ -164,6 +171,8 @@ def make_readme(
     kind = "linear feedback about the goal"
     if isinstance(controller, Tracking):
         kind = f"a plan of {len(controller.plan.u)} periods with feedback along it, then {kind}"
+        if controller.recovery is not None:
+            kind += "; after a fall feedback about the plan's start, then the plan again"
     states = [
         f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} | {x0:.6g} |"
         for i, (name, unit, x0) in enumerate(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tustinnet.channels import Channels
-from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.lqr import Feedback, Recovery, Tracking
 from tustinnet.control.plan import Plan
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.export.mat import mat_cells, mat_file
@@ -33,20 +33,16 @@ def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
 
 
 def controller_mat(controller: Feedback | Tracking, channels: Channels) -> bytes:
-    """A controller as a MAT file: structures `feedback` and `plan`, and `gains`.
+    """A controller as a MAT file: structures `feedback`, `plan` and `recovery`, and `gains`.
 
     Vectors are columns; `gains` of a plan is (steps, inputs, states). Indices count from 0.
     """
-    content = {
-        name: {key: _column(v) for key, v in part.items()} if isinstance(part, dict) else part
-        for name, part in _content(controller).items()
-    }
     return mat_file({
         "form": _FORM,
         "period": _feedback(controller).dt,
         "coordinates": mat_cells([c.name for c in channels.coordinates]),
         "inputs": mat_cells([i.name for i in channels.inputs]),
-        **content,
+        **_to_columns(_content(controller)),
     })  # fmt: skip
 
 
@@ -97,7 +93,26 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     )
     n_z = n_x + final.previous * n_u
     gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
-    return Tracking(plan=motion, gains=gains, final=final)
+    recovery = None
+    if "recovery" in content:
+        part = content["recovery"]
+        settle = part.get("feedback") if isinstance(part, dict) else None
+        if not isinstance(settle, dict):
+            raise InputError(file, "a recovery without its feedback", expected)
+        read = _array_reader(file, part, "recovery.")
+        recovery = Recovery(
+            feedback=_read_feedback(
+                _array_reader(file, settle, "recovery.feedback."), float(period)
+            ),
+            fallen_beyond=read("fallen_beyond", (n_x,)),
+            settled_within=read("settled_within", (n_x,)),
+        )
+        if recovery.feedback.gain.shape != (n_u, n_z):
+            raise InputError(
+                file, f"entry 'recovery.feedback.gain' of shape {recovery.feedback.gain.shape}",
+                f"{n_u} x {n_z}",
+            )  # fmt: skip
+    return Tracking(plan=motion, gains=gains, final=final, recovery=recovery)
 
 
 def _feedback(controller: Feedback | Tracking) -> Feedback:
@@ -107,21 +122,31 @@ def _feedback(controller: Feedback | Tracking) -> Feedback:
 
 def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     """The numbers of a controller by name, as arrays."""
-    f = _feedback(controller)
-    feedback = {
+    feedback = _feedback_content(_feedback(controller))
+    if isinstance(controller, Feedback):
+        return {"feedback": feedback}
+    p, recovery = controller.plan, controller.recovery
+    plan = {
+        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "reached": p.reached,
+        "iterations": p.iterations, "goal": p.goal, "before": p.before,
+    }  # fmt: skip
+    content = {"feedback": feedback, "plan": plan, "gains": controller.gains}
+    if recovery is not None:
+        content["recovery"] = {
+            "feedback": _feedback_content(recovery.feedback),
+            "fallen_beyond": recovery.fallen_beyond, "settled_within": recovery.settled_within,
+        }  # fmt: skip
+    return content
+
+
+def _feedback_content(f: Feedback) -> dict[str, Any]:
+    """The numbers of a feedback by name, as arrays."""
+    return {
         "gain": f.gain, "x0": f.x0, "u0": f.u0, "lower": f.lower, "upper": f.upper,
         "integral": np.array(f.integral, int), "periodic": np.array(f.periodic, int),
         "speeds": f.speeds,
         "delay": f.delay,
     }  # fmt: skip
-    if isinstance(controller, Feedback):
-        return {"feedback": feedback}
-    p = controller.plan
-    plan = {
-        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "reached": p.reached,
-        "iterations": p.iterations, "goal": p.goal, "before": p.before,
-    }  # fmt: skip
-    return {"feedback": feedback, "plan": plan, "gains": controller.gains}
 
 
 def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,9 +158,13 @@ def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _column(value: Any) -> Any:
-    """A vector as a column, as MATLAB has it; other values as they are."""
-    return value[:, None] if np.ndim(value) == 1 else value
+def _to_columns(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Content with vectors as columns, as MATLAB has them."""
+    return {
+        name: _to_columns(value) if isinstance(value, dict)
+        else value[:, None] if np.ndim(value) == 1 else value
+        for name, value in content.items()
+    }  # fmt: skip
 
 
 def _read_mat(raw: bytes) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def export_controller(
         TrackingFeedback(controller) if isinstance(controller, Tracking)
         else LinearFeedback(controller)
     )  # fmt: skip
-    check = check_loop(code, own, source, noise, start, steps)
+    check = check_loop(code, own, source, noise, start, steps, _fall(controller))
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
@@ -157,6 +157,13 @@ def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
     return start
 
 
+def _fall(controller: Feedback | Tracking) -> Vector | None:
+    """A state to which a held device falls in the check: beside the start, so that it swings."""
+    if not isinstance(controller, Tracking) or controller.recovery is None:
+        return None
+    return controller.plan.x[0] + controller.recovery.fallen_beyond
+
+
 def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     """Raises unless a controller has the sizes and the period of a model.
 
@@ -186,6 +193,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
         )
     if isinstance(controller, Tracking):
         plan, steps = controller.plan, len(controller.plan.u)
+        n_p, recovery = n_x + previous * n_u, controller.recovery
         if not plan.reached:
             miss = zip(source.states, plan.miss.tolist(), strict=True)
             raise InputError(
@@ -193,9 +201,18 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
                 "its goal, where linear feedback does not hold it",
                 "a plan that reaches the goal", "plan more steps, or from other first guesses",
             )  # fmt: skip
-        for name, value, shape in (
+        arrays = [
             ("x of the plan", plan.x, (steps + 1, n_x)), ("u of the plan", plan.u, (steps, n_u)),
-            ("gains along the plan", controller.gains, (steps, n_u, n_x + previous * n_u)),
-        ):  # fmt: skip
+            ("gains along the plan", controller.gains, (steps, n_u, n_p)),
+        ]  # fmt: skip
+        if recovery is not None:
+            arrays += [
+                ("gain of the recovery", recovery.feedback.gain, (n_u, n_p)),
+                ("x0 of the recovery", recovery.feedback.x0, (n_x,)),
+                ("u0 of the recovery", recovery.feedback.u0, (n_u,)),
+                ("fallen_beyond of the recovery", recovery.fallen_beyond, (n_x,)),
+                ("settled_within of the recovery", recovery.settled_within, (n_x,)),
+            ]
+        for name, value, shape in arrays:
             if np.shape(value) != shape or not np.isfinite(value).all():
                 raise InputError(name, f"shape {np.shape(value)}", f"finite numbers, {shape}")

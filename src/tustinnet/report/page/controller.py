@@ -87,6 +87,7 @@ def write_control_page(
         "has": {
             "playground": bool(modules),
             "plan": design.plan is not None,
+            "recovery": design.recovery is not None,
             "range": training_range is not None,
         },
     }

@@ -1,6 +1,7 @@
 /* u = u0 - gain z within limits. z has the errors of the states, the commands before as differences
    from those of the goal, the latest first, and the integrals of errors. While a plan lasts, goal,
-   u0 and gain are its own, without integrals. Tables of what is not used hold a 0. */
+   u0 and gain are its own, without integrals; so they are while the motion settles about the start
+   of the plan after a fall. Tables of what is not used hold a 0. */
 #include "controller.h"
 
 @helpers@
@@ -9,7 +10,8 @@ enum {
     U = CONTROLLER_INPUTS,
     P = CONTROLLER_PREVIOUS,
     I = CONTROLLER_INTEGRALS,
-    A = CONTROLLER_PERIODIC
+    A = CONTROLLER_PERIODIC,
+    SETTLING = -1
 };
 
 @tables@
@@ -22,22 +24,58 @@ void controller_reset(controller *c)
         c->integral[i] = R(0.0);
 }
 
-void controller_inputs(controller *c, const model_real x[], model_real u[])
+static void errors(const model_real x[], const model_real goal[], model_real z[])
 {
-    const int k = c->step, planned = k < CONTROLLER_STEPS;
-    const int size = planned ? X + P * U : X + P * U + I;
-    const model_real *goal = planned ? plan_x + k * X : x0;
-    const model_real *feed = planned ? plan_u + k * U : u0;
-    const model_real *row = planned ? plan_gain + k * U * size : gain;
-    model_real z[X + P * U + I];
-    int limited = 0;
     for (int i = 0; i < X; i++)
         z[i] = x[i] - goal[i];
     for (int i = 0; i < A; i++)
         z[periodic[i]] = wrapped(z[periodic[i]]);
+}
+
+/* Whether an error is beyond its bound; a bound of 0 is none. */
+static int beyond(const model_real z[], const model_real bounds[])
+{
+    int found = 0;
+    for (int i = 0; i < X; i++)
+        found = found || (bounds[i] > R(0.0) && (z[i] < -bounds[i] || z[i] > bounds[i]));
+    return found;
+}
+
+/* Goes on from the hold to settling, after a fall, and from there to the plan. */
+static void choose_phase(controller *c, const model_real x[])
+{
+    model_real z[X];
+    if (c->step == CONTROLLER_STEPS) {
+        errors(x, x0, z);
+        if (beyond(z, fallen_beyond)) {
+            c->step = SETTLING;
+            for (int i = 0; i < I; i++)
+                c->integral[i] = R(0.0);
+        }
+    }
+    if (c->step == SETTLING) {
+        errors(x, plan_x, z);
+        if (!beyond(z, settled_within))
+            c->step = 0;
+    }
+}
+
+void controller_inputs(controller *c, const model_real x[], model_real u[])
+{
+    if (CONTROLLER_RECOVERS)
+        choose_phase(c, x);
+    const int k = c->step, settling = k == SETTLING;
+    const int planned = !settling && k < CONTROLLER_STEPS, held = k == CONTROLLER_STEPS;
+    const int size = held ? X + P * U + I : X + P * U;
+    const model_real *goal = settling ? settle_x0 : planned ? plan_x + k * X : x0;
+    const model_real *feed = settling ? settle_u0 : planned ? plan_u + k * U : u0;
+    const model_real *row = settling ? settle_gain : planned ? plan_gain + k * U * size : gain;
+    model_real z[X + P * U + I];
+    int limited = 0;
+    errors(x, goal, z);
     for (int j = 0; j < P; j++) {
         const int then = k - 1 - j; /* the step of the plan at which it was commanded */
-        const model_real *reference = !planned ? u0 : then < 0 ? before : plan_u + then * U;
+        const model_real *reference = !planned ? feed : then < 0 ? before : plan_u + then * U;
         for (int i = 0; i < U; i++)
             z[X + j * U + i] = c->previous[j * U + i] - reference[i];
     }
@@ -50,7 +88,7 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
         limited = limited || u[i] < lower[i] || u[i] > upper[i];
         u[i] = u[i] < lower[i] ? lower[i] : u[i] > upper[i] ? upper[i] : u[i];
     }
-    if (!planned && !limited)
+    if (held && !limited)
         for (int i = 0; i < I; i++)
             c->integral[i] += MODEL_PERIOD * z[integrated[i]];
     for (int i = P * U - 1; i >= U; i--)

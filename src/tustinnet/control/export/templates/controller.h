@@ -9,13 +9,14 @@
 #define CONTROLLER_PREVIOUS @previous@ /* samples of commands before, on which it depends */
 #define CONTROLLER_PERIODIC @periodic@ /* angles whose errors are wrapped */
 #define CONTROLLER_STEPS @steps@ /* of the plan that is followed first; 0 without a plan */
+#define CONTROLLER_RECOVERS @recovers@ /* 1 where the plan begins again after a fall */
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 typedef struct controller {
-    int step; /* of the plan */
+    int step; /* of the plan; at its end the goal is held; -1: settling after a fall */
     model_real integral[CONTROLLER_INTEGRALS + 1];
     model_real previous[CONTROLLER_PREVIOUS * CONTROLLER_INPUTS + 1];
 } controller;

@@ -33,12 +33,13 @@ class Toy {
     return command.map((x, i) => Math.min(Math.max(x + added[i], lower[i]), upper[i]));
   }
 
-  // The controller begins anew: by its plan from where that begins, else where it holds.
+  // The controller begins anew: by its plan from where that begins, else where it holds, or where it
+  // has fallen.
   begin() {
     if (!this.pilot) return;
-    const { plan, feedback } = this.pilot, x = this.q;
+    const { plan, feedback, recovery } = this.pilot, x = this.q;
     const from = (to) => Math.max(...x.map((q, i) => Math.abs(this.angular[i] ? wrapped(q - to[i]) : q - to[i])));
-    this.pilot.reset(plan !== null && from(plan.x[0]) < from(feedback.x0));
+    this.pilot.reset(plan !== null && !recovery && from(plan.x[0]) < from(feedback.x0));
     this.commands = [];
   }
 

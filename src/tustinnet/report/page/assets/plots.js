@@ -27,6 +27,10 @@ function shortly(v) {
   return text.length > 6 && v !== 0 && Math.abs(v) < 0.01 ? Number(v.toPrecision(3)).toExponential() : text;
 }
 
+// Pixels from tick to tick of an axis of values, so few that a low plot has two ticks at least: from
+// one step of ticks to the next, as from 5 to 10, is a factor of 2 at most.
+const tickSpace = (u, i, low, high, pixels) => Math.min(26, pixels / 4);
+
 // Powers of ten on an axis, few of them.
 function powers(u, i, low, high) {
   const [from, to] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
@@ -100,7 +104,7 @@ class Plot {
       },
       axes: [last ? axis(xlabel, { size: 26, labelSize: 15, labelGap: 0, space: whole ? 24 : 60,
         ...(whole ? { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] } : {}) }) : axis(undefined, { size: 24, space: 60 }),
-        axis(undefined, { size: whole ? 54 : 46, space: 26, ...(this.log ? { splits: powers } : {}), values: (u, ticks) => ticks.map((v) => (v === null ? "" : shortly(v))) })],
+        axis(undefined, { size: whole ? 54 : 46, space: tickSpace, ...(this.log ? { splits: powers } : {}), values: (u, ticks) => ticks.map((v) => (v === null ? "" : shortly(v))) })],
       hooks: {
         drawAxes: bound ? [(u) => this.shade(u, bound)] : [],
         ready: [(u) => { if (!this.timed && (this.legend ?? lines.length > 1)) u.setLegend({ idx: x.length - 1 }); }],
