@@ -46,7 +46,7 @@ SYSTEM = LagrangianSystem(
     potential=potential,
     dissipation=dissipation,
     input_map=input_map,
-    links=(Link("deflection", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),),
+    links=(Link("deflection", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), shape="spring"),),
 )
 TWIN = Twin(
     SYSTEM,
