@@ -211,8 +211,9 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
 def _needs_finer_steps(problem: Problem, before: SearchState, state: SearchState) -> bool:
     """Whether twice as many integration steps would move a parameter noticeably.
 
-    The error target of `choose_substeps` is that of single samples. Many samples together
-    determine parameters so well that the integration error may show in these.
+    The error target of `choose_substeps` is that of single samples: a share of the encoders'
+    counts. Many samples together determine parameters so well that the integration error may show
+    in these. Without counts the target is far below any noise.
 
     Args:
         problem: the problem.
@@ -220,7 +221,8 @@ def _needs_finer_steps(problem: Problem, before: SearchState, state: SearchState
         state: the state after it.
     """
     result = state.last_result
-    if problem.search.substeps or state.has_diverged or 2 * state.substeps > MOST_CHOSEN:
+    is_chosen = not problem.search.substeps and problem.records[0].channels.resolution.any()
+    if not is_chosen or state.has_diverged or 2 * state.substeps > MOST_CHOSEN:
         return False
     cost = make_cost_function(problem, before, result.segments, 2 * state.substeps)
     finer = cost.products(result.vector, result.x0)
