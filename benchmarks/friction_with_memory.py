@@ -1,10 +1,12 @@
 """Frictions with memory (Dahl, LuGre, Bouc-Wen), identified from twins of several seeds.
 
-    python benchmarks/friction_with_memory.py [SEEDS]      (default: 10)
+    python benchmarks/friction_with_memory.py [SEEDS] [FIRST_SEED]      (default: 10 0)
+    python benchmarks/friction_with_memory.py 20 100 --drawn
 
 A joint with a known torque, an encoder of 1024 counts and a friction by name is simulated. Prints
 for each law in how many twins the largest error is below 5 %, and how many of the true values of
-these twins are within their 95 % intervals.
+these twins are within their 95 % intervals. With --drawn each twin has true values of its own, up
+to a factor of 1.5 about those of the others.
 """
 
 import jax
@@ -42,20 +44,37 @@ LAWS = {
 }
 TRUTH = {"inertia": 0.025, "viscous": 0.02}
 CLOSE = 0.05  # relative error of a value that counts as found
+FACTOR = 1.5  # by which drawn values are larger or smaller, at most
+AT_LEAST = {"joint.hysteresis_shape": 0.5, "joint.hysteresis_exponent": 1.0}  # by definition
 
 
-def sticking_twin(law: str) -> Twin:
-    """The joint with a friction, whose values are those of `LAWS` and `TRUTH`."""
-    parameters = tuple(tn.Parameter(name, "", x, 0.0, 10.0) for name, x in LAWS[law].items())
+def draw_values(law: str, seed: int) -> dict[str, float]:
+    """True values about those of `LAWS` and `TRUTH`, alike on a logarithmic scale."""
+    generator = np.random.default_rng([seed, len(law)])
+    values = {
+        name: x * FACTOR ** float(generator.uniform(-1, 1))
+        for name, x in (LAWS[law] | TRUTH).items()
+    }
+    # the exponent is not searched for
+    fixed = {name: x for name, x in LAWS[law].items() if name == "joint.hysteresis_exponent"}
+    return {name: max(x, AT_LEAST.get(name, 0.0)) for name, x in (values | fixed).items()}
+
+
+def sticking_twin(law: str, values: dict[str, float]) -> Twin:
+    """The joint with a friction, by their true values."""
+    parameters = tuple(tn.Parameter(name, "", values[name], 0.0, 10.0) for name in LAWS[law])
+    own = {name: values[name] for name in TRUTH}
     return Twin(
-        with_forces(JOINT, (f"{law}:joint",), parameters), TRUTH, (2 * np.pi / 1024,),
+        with_forces(JOINT, (f"{law}:joint",), parameters), own, (2 * np.pi / 1024,),
         amplitude=(0.25,), band=(0.3, 3.0), rest=(0.0,), spread=(0.0,), dt=0.005, substeps=20,
     )  # fmt: skip
 
 
-def identify_friction(law: str, seed: int) -> tuple[float, list[bool], tn.Identification]:
+def identify_friction(
+    law: str, seed: int, values: dict[str, float]
+) -> tuple[float, list[bool], tn.Identification]:
     """The largest relative error, whether intervals contain the true values, and the result."""
-    twin = sticking_twin(law)
+    twin = sticking_twin(law, values)
     table = {"name": "friction", "model": {"kind": "euler-lagrange", "forces": [law]}}
     records = twin.records(seed, train=4, validation=0, test=0)
     result = tn.identify(records, JOINT, tn.read_recipe(table))
@@ -70,15 +89,20 @@ def identify_friction(law: str, seed: int) -> tuple[float, list[bool], tn.Identi
 
 def main() -> None:
     """Prints a line for each law."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    numbers = [int(x) for x in sys.argv[1:] if x != "--drawn"]
+    count, first = (*numbers, *(10, 0)[len(numbers) :])
     for law in LAWS:
-        results = [identify_friction(law, seed) for seed in range(seeds)]
+        results = []
+        for seed in range(first, first + count):
+            values = draw_values(law, seed) if "--drawn" in sys.argv else LAWS[law] | TRUTH
+            results.append(identify_friction(law, seed, values))
         found = [(worst, inside) for worst, inside, _ in results if worst < CLOSE]
         intervals = [x for _, inside in found for x in inside]
         worst = max((worst for worst, _ in found), default=float("nan"))
         print(
-            f"{law}: found in {len(found)} of {seeds} twins, largest error {worst:.2%}; "
-            f"{sum(intervals)} of {len(intervals)} values within their intervals"
+            f"{law}: found in {len(found)} of {count} twins, largest error {worst:.2%}; "
+            f"{sum(intervals)} of {len(intervals)} values within their intervals",
+            flush=True,
         )
 
 

@@ -1,8 +1,14 @@
 """The twin of a fast oscillator: few samples in a period, an input that moves between samples.
 
-It simulates the system of duffing.py and writes its logs, in a few seconds:
+It simulates the packaged system `duffing` with values like those of an electronic circuit that
+behaves as such a mass, and writes its logs, in a few seconds:
 
     python examples/duffing_twin.py LOGS
+    tustinnet fit LOGS --system duffing --out my-oscillator
+
+References:
+    Wigren, Schoukens (2013), Three free data sets for development and benchmarking in nonlinear
+    system identification, European Control Conference (a circuit of this kind).
 """
 
 import sys
@@ -18,7 +24,7 @@ from tustinnet.store.data_set_folder import write_data_set
 
 jax.config.update("jax_enable_x64", True)
 
-SYSTEM = tn.load_system(Path(__file__).with_name("duffing.py"))
+SYSTEM = tn.load_system("duffing")
 SAMPLING = 610.35  # Hz
 BAND = 0.285  # of the sampling rate: the input has nothing above
 COUNT = 20 / 2**16  # m: 16 bits from -10 to 10

@@ -225,6 +225,8 @@ def test_energy_is_that_of_the_equations():
         ({"at": (0, 0, np.inf)}, "3 numbers"),
         ({"coordinate": "elbow"}, "a link of the coordinate 'elbow'"),
         ({"parent": "angle"}, "the link of 'angle' on 'angle'; expected base"),
+        ({"shape": "wheel", "reach": (0, 0, 0)}, "a reach of length 0"),
+        ({"shape": "ball"}, "'angle'; expected this shape only for linear coordinates"),
     ],
 )
 def test_links_that_cannot_be_drawn_are_refused(change, told):
@@ -398,7 +400,7 @@ def test_a_tree_of_links_is_placed_as_its_frames_say():
     content = {
         "links": [
             {"coordinate": names.index(of.coordinate), "axis": of.axis, "reach": of.reach,
-             "parent": parent, "at": of.at}
+             "parent": parent, "at": of.at, "shape": of.shape}
             for of, parent in zip(TREE, parent_indices(TREE), strict=True)
         ],
         "coordinates": [{"kind": kind} for kind in kinds], "q": q,

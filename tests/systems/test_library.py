@@ -32,6 +32,11 @@ def test_the_parameters_of_a_twin_are_recovered(module):
     # all that differs from the nominal values had to be found
     assert set(values) == set(twin.values)
     assert values == pytest.approx(dict(twin.values), rel=0.02)
+    # over many seeds 95 % of the intervals contain the true values: benchmarks/library.py
+    intervals = {e.name: e.interval or (np.nan, np.nan) for e in result.estimates}
+    inside = [low <= twin.values[name] <= high for name, (low, high) in intervals.items()]
+    assert sum(inside) >= 0.75 * len(inside)
+    assert all(high - low < 0.1 * twin.values[name] for name, (low, high) in intervals.items())
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -73,6 +78,22 @@ def test_within_the_backlash_the_shaft_transmits_nothing():
     )
     np.testing.assert_allclose(inside, 0.0, atol=1e-6)
     np.testing.assert_allclose(beyond[2:], [-2.0 * 0.01 / 4e-4, 2.0 * 0.01 / 1.5e-3], rtol=1e-4)
+
+
+def test_the_thrust_is_that_of_the_speed_which_follows_the_command():
+    twin = import_module(PACKAGE + "propeller_pendulum").TWIN
+    values = {name: jnp.asarray(value) for name, value in twin.true_values().items()}
+    found = twin.system.model(values).derivative(jnp.array([0.3, 0.5, -0.6]), jnp.array([0.9]))
+    torque = -0.36 * 0.6**2 - 0.42 * np.sin(0.3) - 7e-3 * 0.5
+    np.testing.assert_allclose(found, [0.5, torque / 0.02, 1.5 / 0.09], rtol=1e-6)
+
+
+def test_a_propeller_is_expected_at_its_first_command_after_loading_too(tmp_path):
+    file = tmp_path / "model.safetensors"
+    tn.save(tn.discretise(model("propeller-pendulum"), 0.02, 4), file)
+    again = tn.load_model(file)
+    assert again.internal == ("spin",)
+    np.testing.assert_allclose(again.initial_state(jnp.zeros(2), jnp.array([0.4])), [0, 0, 0.4])
 
 
 def test_a_cart_under_a_leaning_pole_is_pushed_back():

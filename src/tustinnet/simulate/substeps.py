@@ -17,7 +17,7 @@ from tustinnet.simulate.start_rules import PARABOLA_SAMPLES
 from tustinnet.simulate.starts import default_start, start_states
 
 PROBED_SECONDS = 2.0  # of each record
-_MOST_SUBSTEPS = 64
+MOST_CHOSEN = 64  # integration steps in a period
 
 
 def choose_substeps(
@@ -120,7 +120,7 @@ def enough_substeps(positions: Callable[[int], np.ndarray], tolerance: float) ->
         tolerance: largest error allowed [rad or m].
     """
     substeps, coarse = 1, positions(1)
-    while substeps < _MOST_SUBSTEPS:
+    while substeps < MOST_CHOSEN:
         fine = positions(2 * substeps)
         error = float(np.max(np.abs(fine - coarse))) * 16 / 15
         if math.isfinite(error) and error < tolerance:

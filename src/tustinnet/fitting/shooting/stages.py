@@ -28,14 +28,16 @@ from tustinnet.fitting.shooting.problem import (
     report_step,
     score_validation,
 )
+from tustinnet.fitting.shooting.uncertainty import estimate_uncertainty, shift_of_estimate
 from tustinnet.simulate.horizon import pieces
-from tustinnet.simulate.substeps import PROBED_SECONDS, enough_substeps
+from tustinnet.simulate.substeps import MOST_CHOSEN, PROBED_SECONDS, enough_substeps
 
 ESTIMATE = "equation-error estimate"  # what the listener calls the first step
 
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _QUARTER_SWINGS = (4, 16)  # lengths of the early stages' segments
+_SHIFT = 0.25  # standard errors by which finer steps may move a parameter
 _MOST_REWEIGHTINGS = 20
 _LEAST_CHANGE = 1e-5  # of a logarithm, or of a range, by which new weights still matter
 
@@ -176,6 +178,8 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
     """Runs the final stage: whole records, to the tolerance of the recipe.
 
     A robust search repeats it with weights from the residuals before, until these change nothing.
+    It is repeated with twice as many integration steps, too, as long as these would move some
+    parameter by a quarter of its standard error.
 
     Args:
         problem: the problem.
@@ -185,17 +189,51 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
     options = problem.search
     stage = SearchStage(initial_treatment, StoppingRule(options.tolerance, options.iterations))
     finished = state.finished_stages
-    state = run_stage(problem, state, stage)
+    before, state = state, run_stage(problem, state, stage)
     for _ in range(_MOST_REWEIGHTINGS if options.robust != "none" else 0):
-        before = state.vector
-        state = run_stage(problem, replace(state, finished_stages=finished), stage)
+        before = replace(state, finished_stages=finished)
+        state = run_stage(problem, before, stage)
         if (
             state.is_stopped
             or state.has_diverged
-            or np.abs(state.vector - before).max() < _LEAST_CHANGE
+            or np.abs(state.vector - before.vector).max() < _LEAST_CHANGE
         ):
             break
+    while not state.is_stopped and _needs_finer_steps(problem, before, state):
+        before = replace(state, substeps=2 * state.substeps, finished_stages=finished)
+        finer = run_stage(problem, before, stage)
+        if finer.is_stopped or finer.has_diverged:
+            return state
+        state = finer
     return state
+
+
+def _needs_finer_steps(problem: Problem, before: SearchState, state: SearchState) -> bool:
+    """Whether twice as many integration steps would move a parameter noticeably.
+
+    The error target of `choose_substeps` is that of single samples: a share of the encoders'
+    counts. Many samples together determine parameters so well that the integration error may show
+    in these. Without counts the target is far below any noise.
+
+    Args:
+        problem: the problem.
+        before: the state before the final stage, whose variance weighs its anchors.
+        state: the state after it.
+    """
+    result = state.last_result
+    is_chosen = not problem.search.substeps and problem.records[0].channels.resolution.any()
+    if not is_chosen or state.has_diverged or 2 * state.substeps > MOST_CHOSEN:
+        return False
+    cost = make_cost_function(problem, before, result.segments, 2 * state.substeps)
+    finer = cost.products(result.vector, result.x0)
+    if not finer.is_finite:
+        return False
+    inside = state.space.inside(result.vector)
+    curvature = cost.prior.curvature(state.space, result.vector)
+    shift = shift_of_estimate(result.products, finer, curvature, inside)
+    uncertainty = estimate_uncertainty(result.products, result.segments, curvature, inside)
+    errors = np.sqrt(np.diag(uncertainty.trusted)[inside])
+    return bool(np.any(np.abs(shift) > _SHIFT * errors))
 
 
 def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> SearchState:

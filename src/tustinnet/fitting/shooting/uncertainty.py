@@ -5,7 +5,7 @@ two covariances: from `J'J`, and from how the records disagree (clustered).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.special
@@ -116,6 +116,26 @@ def estimate_uncertainty(
         condition=condition,
         worst_direction=worst_direction,
     )
+
+
+def shift_of_estimate(
+    products: NormalProducts,
+    other: NormalProducts,
+    prior_curvature: Float[np.ndarray, " n_p"],
+    inside: Bool[np.ndarray, " n_p"],
+) -> Float[np.ndarray, " n_inside"]:
+    """Shift of an estimate by residuals that are slightly different, to first order.
+
+    Args:
+        products: the products at the estimate.
+        other: the products there with the other residuals.
+        prior_curvature: what priors add to the diagonal of `J'J`, (n_p,).
+        inside: parameters that are not at a bound, (n_p,).
+    """
+    difference = replace(products, gp=other.gp - products.gp, gx=other.gx - products.gx)
+    reduced = eliminate_initial_states(difference)
+    matrix = reduced.matrices.sum(axis=0) + np.diag(prior_curvature)
+    return -_inverse(matrix[np.ix_(inside, inside)]) @ reduced.gradients.sum(axis=0)[inside]
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

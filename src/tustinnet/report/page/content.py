@@ -105,6 +105,7 @@ def mechanism_content(channels: Channels, links: Sequence[Link]) -> dict[str, An
                 "reach": link.reach,
                 "parent": parent,
                 "at": link.at,
+                "shape": link.shape,
             }
             for link, parent in zip(links, parent_indices(links), strict=True)
         ],

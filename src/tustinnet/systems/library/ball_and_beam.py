@@ -54,8 +54,8 @@ SYSTEM = LagrangianSystem(
     dissipation=dissipation,
     input_map=input_map,
     links=(
-        Link("beam", (0.0, -1.0, 0.0), (0.4, 0.0, 0.0)),
-        Link("ball", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0)),
+        Link("beam", (0.0, -1.0, 0.0), (0.4, 0.0, 0.0), shape="beam"),
+        Link("ball", (1.0, 0.0, 0.0), (0.0, 0.0, 0.02), at=(0.0, 0.0, 0.0), shape="ball"),
     ),
 )
 # without a controller the ball soon leaves the beam, so records are short

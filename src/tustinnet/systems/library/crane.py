@@ -58,7 +58,7 @@ SYSTEM = LagrangianSystem(
     input_map=input_map,
     links=(
         Link("trolley", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        Link("rope", (0.0, -1.0, 0.0), (0.0, 0.0, -0.8)),
+        Link("rope", (0.0, -1.0, 0.0), (0.0, 0.0, -0.8), shape="rope"),
     ),
 )
 TWIN = Twin(

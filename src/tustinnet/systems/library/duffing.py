@@ -23,7 +23,7 @@ def potential(q: Coordinates, p: Values) -> Scalar:
 
 def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
     """Viscous friction [N]."""
-    return forces.viscous(v, p["viscous"])
+    return forces.viscous(v, p["damping"])
 
 
 def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
@@ -39,17 +39,17 @@ SYSTEM = LagrangianSystem(
         Parameter("mass", "kg", 1.0, 0.1, 10.0, fixed=True),
         Parameter("stiffness", "N/m", 100.0, 1.0, 1e7),
         Parameter("cubic", "N/m^3", 1e4, -1e9, 1e9),
-        Parameter("viscous", "N s/m", 1.0, 1e-3, 1e4),
+        Parameter("damping", "N s/m", 1.0, 1e-3, 1e4),
         Parameter("gain", "N/V", 1.0, 1e-3, 1e7),
     ),
     kinetic=kinetic,
     potential=potential,
     dissipation=dissipation,
     input_map=input_map,
-    links=(Link("deflection", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),),
+    links=(Link("deflection", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), shape="spring"),),
 )
 TWIN = Twin(
     SYSTEM,
-    {"stiffness": 140.0, "cubic": 2.3e4, "viscous": 0.7, "gain": 1.6},
+    {"stiffness": 140.0, "cubic": 2.3e4, "damping": 0.7, "gain": 1.6},
     resolution=(1e-4,), amplitude=(3.0,), band=(0.5, 5.0), rest=(0.0,), spread=(0.02,),
 )  # fmt: skip

@@ -59,7 +59,7 @@ SYSTEM = LagrangianSystem(
     potential=potential,
     dissipation=dissipation,
     memory=Memory(("spin",), spin_rate, thrust, first_spin),
-    links=(Link("arm", (0.0, -1.0, 0.0), (0.0, 0.0, -0.3)),),
+    links=(Link("arm", (0.0, -1.0, 0.0), (0.0, 0.0, -0.3), shape="propeller"),),
 )
 TWIN = Twin(
     SYSTEM,

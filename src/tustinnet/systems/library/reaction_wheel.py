@@ -56,7 +56,7 @@ SYSTEM = LagrangianSystem(
     input_map=input_map,
     links=(
         Link("pendulum", (0.0, -1.0, 0.0), (0.0, 0.0, -0.2)),
-        Link("wheel", (0.0, -1.0, 0.0), (0.05, 0.0, 0.0)),
+        Link("wheel", (0.0, -1.0, 0.0), (0.05, 0.0, 0.0), shape="wheel"),
     ),
 )
 TWIN = Twin(

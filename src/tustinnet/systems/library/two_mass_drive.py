@@ -59,8 +59,15 @@ SYSTEM = LagrangianSystem(
     dissipation=dissipation,
     input_map=input_map,
     links=(
-        Link("motor", (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), parent=BASE),
-        Link("load", (1.0, 0.0, 0.0), (0.0, 0.0, 0.15), parent=BASE, at=(0.3, 0.0, 0.0)),
+        Link("motor", (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), parent=BASE, shape="wheel"),
+        Link(
+            "load",
+            (1.0, 0.0, 0.0),
+            (0.0, 0.0, 0.15),
+            parent=BASE,
+            at=(0.3, 0.0, 0.0),
+            shape="wheel",
+        ),
     ),
 )
 TWIN = Twin(

@@ -38,6 +38,7 @@ function line(context, ...points) {
 }
 
 const SPARE = 0.4; // rad, beyond what an angle reaches
+const RIM = 24; // corners of a wheel, a multiple of 8
 const STEPS = 8; // in which a trail fades
 
 class Linkage {
@@ -54,8 +55,9 @@ class Linkage {
       of.branch = of.parent !== null && of.at && !between(of.at, links[of.parent].reach);
     });
     this.roots = this.links.filter((of) => of.parent === null);
-    const parents = new Set(links.map((of) => of.parent));
-    this.tips = [...links.keys()].filter((i) => !parents.has(i));
+    // the end of a wheel is no tip: its trail would only be circles
+    const parents = new Set(links.filter((of) => of.shape !== "wheel").map((of) => of.parent));
+    this.tips = [...links.keys()].filter((i) => !parents.has(i) && links[i].shape !== "wheel");
     this.look(ends);
     this.box = this.reached();
   }
@@ -93,8 +95,11 @@ class Linkage {
         rest = Math.floor(rest / turns[i]);
         q[of.coordinate] = low + ((high - low) * step) / (turns[i] - 1 || 1);
       });
-      for (const { origin, begin, end } of this.places(q)) points.push(see(origin), see(begin), see(end));
+      this.places(q).forEach((place, i) => {
+        points.push(see(place.origin), ...this.outline(this.links[i], place).map(see));
+      });
     }
+    for (const of of this.roots) if (of.slides) points.push(...this.railEnds(of, of.origin, STILL).map(see));
     for (const of of this.towers) points.push(see(add(of.origin, [0, 0, -1.2 * this.around(of)])));
     const spare = 0.08 * this.size;
     return [0, 1].map((i) => {
@@ -105,6 +110,19 @@ class Linkage {
 
   // How far a link reaches around its joint.
   around(link) { return lengthOf(link.reach) || 0.3 * this.size; }
+
+  // Points around a link.
+  outline(link, { begin, end, before }) {
+    const arm = add(end, scaled(begin, -1));
+    if (link.shape === "beam") return [add(begin, scaled(arm, -1)), end];
+    if (link.shape === "wheel") {
+      const axis = carried(before, link.axis);
+      return Array.from({ length: RIM }, (_, i) => add(begin, turned(arm, axis, (TURN * i) / RIM)));
+    }
+    if (link.shape === "ball") return STILL.flatMap((axis) => [-1, 1].map(
+      (side) => add(end, scaled(axis, side * lengthOf(arm)))));
+    return [begin, end];
+  }
 
   // Of every link where it is: the place of its joint at 0, its beginning, its end; its rotation and
   // that of what carries it.
@@ -128,13 +146,14 @@ class Linkage {
     return this.tips.map((i) => places[i].end);
   }
 
-  // Where points are on a screen of some size, and how large things are there.
+  // Where points are on a screen of some size, how large things are there, and pixels of a metre.
   camera(width, height) {
     const see = this.seen(), [[left, right], [top, bottom]] = this.box;
     const scale = Math.min(width / (right - left), height / (bottom - top), 0.5 * width / this.size);
     return (point) => {
       const [x, y, k] = see(point);
-      return [width / 2 + scale * (x - (left + right) / 2), height / 2 + scale * (y - (top + bottom) / 2), k];
+      return [width / 2 + scale * (x - (left + right) / 2), height / 2 + scale * (y - (top + bottom) / 2),
+        k, scale * k];
     };
   }
 
@@ -163,25 +182,85 @@ class Linkage {
     context.strokeStyle = colours.line;
     context.lineWidth = 1;
     for (const of of this.towers) this.tower(context, see, of);
+    const shafts = this.shafts(), onShafts = new Set(shafts.flat());
     for (const of of this.roots) {
       if (of.slides) this.rail(context, see, of, of.origin, STILL, 3);
-      else if (!this.towers.includes(of)) {
-        const [x, y] = see(of.origin);
-        context.strokeStyle = colours.grey;
-        context.lineWidth = 1;
-        line(context, [x - 26, y], [x + 26, y]);
-        for (let i = -24; i <= 24; i += 8) line(context, [x + i, y], [x + i + 7, y - 7]);
-      }
+      else if (!this.towers.includes(of) && !onShafts.has(of))
+        this.support(context, see(of.origin), ["beam", "wheel"].includes(of.shape));
+    }
+    for (const [one, other] of shafts) {
+      this.support(context, see(scaled(add(one.origin, other.origin), 0.5)), true);
+      context.lineWidth = 4;
+      line(context, see(one.origin), see(other.origin));
     }
     context.restore();
   }
 
+  // The ground above a joint that something hangs from, or below what stands on it.
+  support(context, [x, y], stands) {
+    const low = stands ? y + 24 : y, side = stands ? 1 : -1;
+    context.strokeStyle = colours.grey;
+    context.lineWidth = 1;
+    if (stands) line(context, [x - 13, low], [x, y], [x + 13, low]);
+    line(context, [x - 26, low], [x + 26, low]);
+    for (let i = -24; i <= 24; i += 8) line(context, [x + i, low], [x + i - 7 * side, low + 7 * side]);
+  }
+
+  // Wheels on the base that turn about one line, by twos: a shaft is between them.
+  shafts() {
+    const wheels = this.roots.filter((of) => of.shape === "wheel");
+    return wheels.flatMap((of, i) => wheels.slice(0, i).map((other) => [other, of])).filter((pair) => {
+      const along = add(pair[1].origin, scaled(pair[0].origin, -1)), long = lengthOf(along);
+      return pair.every(({ axis }) => lengthOf(cross(axis, along)) <= 1e-6 * long);
+    });
+  }
+
   // What a link slides along, in the frame of what carries it.
   rail(context, see, link, origin, rotation, width) {
+    if (link.shape === "ball") return; // it rolls on what carries it
+    context.lineWidth = width;
+    line(context, ...this.railEnds(link, origin, rotation).map(see));
+  }
+
+  railEnds(link, origin, rotation) {
     const [low, high] = this.travel[link.coordinate], spare = 0.12 * (high - low) + 0.05 * this.size;
     const axis = carried(rotation, link.axis);
+    return [low - spare, high + spare].map((x) => add(origin, scaled(axis, x)));
+  }
+
+  // A spring between the end of a rail, a wall, and what slides on it.
+  spring(context, see, link, { origin, begin, before }) {
+    const [[x0, y0], [x1, y1]] = [this.railEnds(link, origin, before)[0], begin].map(see);
+    const long = Math.hypot(x1 - x0, y1 - y0) || 1, [ax, ay] = [(x1 - x0) / long, (y1 - y0) / long];
+    const at = (share, side) => [x0 + share * (x1 - x0) - side * ay, y0 + share * (y1 - y0) + side * ax];
+    const turns = 9, coil = Array.from({ length: 2 * turns }, (_, i) =>
+      at(0.06 + (0.86 * (i + 0.5)) / (2 * turns), i % 2 ? -9 : 9));
+    line(context, at(0, 0), at(0.06, 0), ...coil, at(0.92, 0), at(1, 0));
+    line(context, at(0, -26), at(0, 26));
+  }
+
+  // What a link looks like between its joint and its end, in the colour and width of its pose.
+  body(context, see, link, place, width) {
+    const { begin, end, rotation } = place;
+    if (link.shape === "spring") {
+      context.lineWidth = Math.min(width, 1.5);
+      this.spring(context, see, link, place);
+      context.lineWidth = width;
+    }
+    if (!link.long || link.shape === "ball") return;
+    if (link.shape === "rope") context.lineWidth = Math.min(width, 1.5);
+    const outline = this.outline(link, place);
+    if (link.shape === "wheel") { // a rim, and spokes that show how it turns
+      line(context, ...outline.map(see), see(end));
+      for (let i = 0; i < RIM / 2; i += RIM / 4) line(context, see(outline[i]), see(outline[i + RIM / 2]));
+    } else line(context, ...outline.map(see));
     context.lineWidth = width;
-    line(context, ...[low - spare, high + spare].map((x) => see(add(origin, scaled(axis, x)))));
+    if (link.shape === "propeller") { // it blows across the link
+      const axis = carried(place.before, link.axis), arm = carried(rotation, link.reach);
+      const hub = add(end, scaled(cross(arm, axis), 0.08));
+      line(context, see(end), see(hub));
+      line(context, ...[-0.22, 0.22].map((share) => see(add(hub, scaled(arm, share)))));
+    }
   }
 
   // The circle that a link runs around an upright joint, on its housing.
@@ -239,24 +318,25 @@ class Linkage {
     context.setLineDash(dash);
     this.links.forEach((link, i) => {
       if (link.branch) line(context, see(places[link.parent].begin), see(places[i].origin));
-      if (link.long) line(context, see(places[i].begin), see(places[i].end));
+      this.body(context, see, link, places[i], width);
     });
     context.setLineDash([]);
     this.links.forEach((link, i) => {
-      const [x, y, k] = see(places[i].begin), half = link.slides ? 20 * k : (width + 1.5) * k;
+      const ball = link.shape === "ball", [x, y, k, metre] = see(ball ? places[i].end : places[i].begin);
+      const half = ball ? lengthOf(link.reach) * metre : link.slides ? 20 * k : (width + 1.5) * k;
       context.fillStyle = colours.paper;
       context.lineWidth = Math.min(width, 2);
       context.beginPath();
-      if (link.slides) context.roundRect(x - half, y - 0.6 * half, 2 * half, 1.2 * half, 3);
+      if (link.slides && !ball) context.roundRect(x - half, y - 0.6 * half, 2 * half, 1.2 * half, 3);
       else context.arc(x, y, half, 0, TURN);
       context.fill();
       context.stroke();
     });
     context.fillStyle = colour;
-    for (const i of this.tips.filter((tip) => this.links[tip].long)) {
-      const [x, y, k] = see(places[i].end);
+    for (const i of this.tips.filter((tip) => this.links[tip].long && this.links[tip].shape !== "ball")) {
+      const [x, y, k] = see(places[i].end), load = this.links[i].shape === "rope" ? 6 : 0;
       context.beginPath();
-      context.arc(x, y, (width + 2) * k, 0, TURN);
+      context.arc(x, y, (width + 2 + load) * k, 0, TURN);
       context.fill();
     }
     context.restore();

@@ -1,4 +1,4 @@
-"""The example of a fast oscillator: its system file and its twin."""
+"""The example of a fast oscillator: its twin, and the packaged system with its values."""
 
 import runpy
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_the_input_moves_between_the_samples_as_its_band_says(exact):
 
 
 def test_the_system_is_a_mass_on_a_spring_that_stiffens():
-    system = tn.load_system(EXAMPLES / "duffing.py")
+    system = tn.load_system("duffing")
     model = system.model({k: jnp.asarray(v) for k, v in TWIN_VALUES.items()})
     slope = model.derivative(jnp.array([0.1, 2.0]), jnp.array([0.05]))
     force = 1.825e5 * 0.05 - 1.825e5 * 0.1 - 7.3e5 * 0.1**3 - 38 * 2.0
