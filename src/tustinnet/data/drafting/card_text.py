@@ -46,6 +46,7 @@ def write_card(
         "# every key: docs/reference/data.md",
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",
+        *_assumed(("dt",) if is_period_assumed else ()),
     ]
     if has_header is not None or has_damaged_rows:
         lines += ["", "[format]"]
@@ -58,6 +59,7 @@ def write_card(
         lines += [
             "", f"# {quote(clock.column)}: {clock.because}{doubt}",
             "[time]", f"column = {column_key(clock.column)}", f"unit = {quote(clock.unit)}",
+            *_assumed(() if clock.sure else ("unit",)),
         ]  # fmt: skip
         if clock.worst > _TOLERANCE * dt:
             share = f"{100 * clock.worst / dt:.0f} %"
@@ -91,6 +93,8 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
         "[[coordinates]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
         f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
     ]  # fmt: skip
+    if c.scale != 1:
+        lines.append(f"scale = {c.scale!r}  # {c.unit} in one unit of the column")
     if c.counts is not None:
         lines.append(f"counts_per_revolution = {c.counts}")
     if c.resolution is not None:
@@ -103,7 +107,7 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
             f"# {quote(c.velocity.column)}: {c.velocity.because}",
             f"velocity = {{ column = {column}{entry}, measured = {measured} }}",
         ]
-    return lines
+    return [*lines, *_assumed(c.assumed)]
 
 
 def _input(c: InputChoice) -> list[str]:
@@ -111,8 +115,14 @@ def _input(c: InputChoice) -> list[str]:
     lines += [f"# check {doubt}" for doubt in c.doubts]
     return [
         *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
-        f"unit = {quote(c.unit)}",
+        f"unit = {quote(c.unit)}", *_assumed(c.assumed),
     ]  # fmt: skip
+
+
+def _assumed(keys: Sequence[str]) -> list[str]:
+    """The line of a table with the keys that nothing in the logs says, if there are any."""
+    names = ", ".join(map(quote, keys))
+    return [f"assumed = [{names}]  # check these keys, then delete this line"] if keys else []
 
 
 def _splits(splits: Splits | None) -> list[str]:
