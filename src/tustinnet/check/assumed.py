@@ -25,6 +25,15 @@ def assumed_keys(views: Sequence[RecordView], card: Card) -> Iterator[Finding]:
         seconds = sum(view.experiment.seconds for view in views)
         size = f"the records then last {seconds:.4g} s together"
         yield _finding("", card.time, card.time.assumed, size, time_line(_DELETE))
+    for label, join in card.join.items():
+        remedy = f"under [join.{label}]: {_DELETE}"
+        if "unit" in join.assumed:
+            size = f"the times of its files are in {join.unit}"
+            yield _finding(label, join, ("unit",), size, remedy)
+        if "starts_together" in join.assumed:
+            what = f"the files of {label} were assumed to begin together with those of the records"
+            size = "their clocks have nothing in common"
+            yield Finding(ASSUMED, "note", what, size, remedy, (), label, str(join.column))
     for j, c in enumerate(card.coordinates):
         if c.assumed:
             size = _range_text([v.experiment.q[:, j] for v in views], first.coordinates[j].unit)

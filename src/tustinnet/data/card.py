@@ -273,6 +273,7 @@ class FileCard(Declaration):
             from the file's first timestamp on [s], as logged: before it is put on a grid.
         k_bar: end of the transient as a row of the record, instead of the detected one.
         groups: conditions of the record: `{ payload = "1kg" }`.
+        join: other files of the record, by the labels of their tables `[join.LABEL]`.
     """
 
     file: str
@@ -283,6 +284,12 @@ class FileCard(Declaration):
     seconds: Seconds | None = None
     k_bar: Row | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
+    join: dict[Name, str] = Field(default_factory=dict)
+
+    @field_validator("join")
+    @classmethod
+    def _require_files(cls, join: dict[str, str]) -> dict[str, str]:
+        return {label: cls._require_below_folder(file) for label, file in join.items()}
 
     @field_validator("file")
     @classmethod
@@ -302,6 +309,8 @@ class FileCard(Declaration):
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
         if self.cell is not None and self.record is not None:
             raise ValueError(f"`cell` and `record` of '{self.file}'; give one of them")
+        if self.join and (self.cell is not None or self.record is not None):
+            raise ValueError(f"`join` of a part of '{self.file}'; only whole files are joined")
         return self
 
     @property
@@ -353,6 +362,32 @@ class FormatCard(Declaration):
         return name
 
 
+class JoinCard(Declaration):
+    """Files that have more columns of the records, one for each record.
+
+    Attributes:
+        column: their column of times, name or number; without it, row belongs to row.
+        unit: unit of these times: s, ms, us or ns.
+        starts_together: whether they begin at the same instant as the records' own files, for
+            clocks that have nothing else in common.
+        format: layout of text files.
+        assumed: keys of this table that nothing in the logs says; the check reminds of them.
+    """
+
+    column: ColumnKey | None = None
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    starts_together: StrictBool = False
+    format: FormatCard = FormatCard()
+    assumed: tuple[Literal["unit", "starts_together"], ...] = ()
+
+    @model_validator(mode="after")
+    def _check_assumed(self) -> "JoinCard":
+        _require_assumed(self, self.assumed)
+        if self.column is None and self.model_fields_set & {"unit", "starts_together"}:
+            raise ValueError("`unit` or `starts_together` without `column`; give the times' column")
+        return self
+
+
 class Card(Declaration):
     """The data card.
 
@@ -367,6 +402,7 @@ class Card(Declaration):
         time: the time column; without it samples are taken to be `dt` apart.
         coordinates: at least one.
         inputs: any number.
+        join: files with more columns of the records, by a label.
         assumed: keys of the top level that nothing in the logs says; the check reminds of them.
     """
 
@@ -379,6 +415,7 @@ class Card(Declaration):
     time: TimeCard | None = None
     coordinates: list[CoordinateCard] = Field(min_length=1)
     inputs: list[InputCard] = Field(default_factory=list)
+    join: dict[Name, JoinCard] = Field(default_factory=dict)
     assumed: tuple[Literal["dt"], ...] = ()
 
     @field_validator("splits", mode="before")
@@ -401,6 +438,19 @@ class Card(Declaration):
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise ValueError(f"two channels are called '{duplicates[0]}'")
+        return self
+
+    @model_validator(mode="after")
+    def _check_labels(self) -> "Card":
+        files = {label for entries in self.splits.values() for e in entries for label in e.join}
+        if missing := files - {*self.join}:
+            raise ValueError(f"a file joins '{min(missing)}'; add a table [join.{min(missing)}]")
+        if unused := {*self.join} - files:
+            label = min(unused)
+            raise ValueError(
+                f"no file of [splits] joins '{label}'; "
+                f'{{ file = "...", join = {{ {label} = "..." }} }}'
+            )
         return self
 
     @property
