@@ -167,3 +167,31 @@ def test_records_that_hold_little_are_checked_without_an_error(
         assert "nan" not in finding.text, what
     for e in records:
         check_record(e)
+
+
+# --- what the card assumes ---
+
+
+def test_keys_that_the_card_assumes_are_notes_until_they_are_deleted(tmp_path: Path) -> None:
+    table = np.column_stack([DT * np.arange(800), swing(), np.sin(7 * DT * np.arange(800))])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,theta,u", comments="")
+    card = (
+        'name = "arm"\ndt = 0.01\nassumed = ["dt"]\n[time]\ncolumn = "t"\nunit = "s"\n'
+        'assumed = ["unit"]\n[[coordinates]]\nname = "theta"\nkind = "angular"\n'
+        'column = "theta"\nunit = "rad"\nassumed = ["kind", "unit"]\n[[inputs]]\n'
+        'name = "motor"\ncolumn = "u"\nunit = "V"\nassumed = ["unit"]\n'
+    )
+    (tmp_path / "dataset.toml").write_text(card)
+    found = [f for f in check_folder(tmp_path) if f.check == "assumed"]
+    assert {f.severity for f in found} == {"note"}
+    assert [(f.channel, f.what) for f in found] == [
+        ("", "the sampling period [s] was assumed to be 0.01"),
+        ("", "the unit of the times was assumed to be s"),
+        ("theta", "the kind and unit of theta were assumed to be angular and rad"),
+        ("motor", "the unit of motor was assumed to be V"),
+    ]
+    assert "to 1 rad" in found[2].size
+    assert found[2].remedy.startswith("under [[coordinates]] theta: correct")
+    kept = [line for line in card.splitlines() if not line.startswith("assumed")]
+    (tmp_path / "dataset.toml").write_text("\n".join(kept))
+    assert not [f for f in check_folder(tmp_path) if f.check == "assumed"]

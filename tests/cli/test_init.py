@@ -139,6 +139,7 @@ def test_fit_drafts_a_card_into_its_own_folder(tiny_recipe, tmp_path, capsys):
     assert code == 0, err
     card = out / "dataset.toml"
     assert f"no card in {folder}: drafted {card}" in err
+    assert ("assumed to be" in err) == ("assumed = [" in card.read_text())
     assert f"{folder} --card {card}" in printed
     assert sorted(folder.iterdir()) == before
     assert (out / "init.png").is_file()

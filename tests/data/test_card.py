@@ -61,7 +61,7 @@ def cart(**keys: Any) -> CoordinateCard:
         ),
         ({"splits": {"train": [{"flie": "b.csv"}]}}, "splits.train.0.flie", "did you mean 'file'"),
         # far from all
-        ({"time": {"column": "t", "zzz": 1}}, "time.zzz", "known keys: column, irregular"),
+        ({"time": {"column": "t", "zzz": 1}}, "time.zzz", "known keys: assumed, column, irregular"),
     ],
 )  # fmt: skip
 def test_an_unknown_key_is_refused_with_the_nearest_known_one(
@@ -92,6 +92,16 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
             {"coordinates": [{**ANGLE, "velocity": {"column": "v", "unit": "mm/s"}}]},
             "coordinates.0 'angle': velocity unit 'mm/s' of a position in rad",
         ),
+        (
+            {"coordinates": [{**ANGLE, "unit": "counts", "resolution": 1e-3, "scale": 2.0}]},
+            "`scale` of counts; scale `resolution`",
+        ),
+        ({"coordinates": [{**ANGLE, "scale": -1.0}]}, "scale: .*greater than or equal"),
+        (
+            {"coordinates": [{**ANGLE, "assumed": ["counts_per_revolution"]}]},
+            "`assumed` names 'counts_per_revolution', which this table lacks",
+        ),
+        ({"coordinates": [{**ANGLE, "assumed": ["column"]}]}, "assumed.0: .*'kind', 'unit'"),
         ({"coordinates": [{**ANGLE, "resolution": 0}]}, "resolution: .*greater than or equal"),
         ({"coordinates": [{**ANGLE, "sign": 2}]}, "sign: .*1 or -1"),
         ({"coordinates": [ANGLE, ANGLE]}, "two channels are called 'angle'"),
@@ -175,6 +185,8 @@ def test_a_path_is_short_for_a_file_entry() -> None:
         (angle(), 1.0),
         (angle(unit="deg"), np.pi / 180),
         (angle(unit="rev"), 2 * np.pi),
+        (angle(unit="rev", scale=0.2), 0.4 * np.pi),
+        (cart(scale=0.5), 0.5),
         (angle(unit="counts", counts_per_revolution=4096), 2 * np.pi / 4096),
         (cart(), 1.0),
         (cart(unit="mm"), 1e-3),

@@ -12,6 +12,7 @@ from laboratories import EVERY, Truth
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.numbers import examine
 
 Laboratory = Callable[[Path], Truth]
 
@@ -71,6 +72,52 @@ def test_the_draft_says_what_a_person_would_say(laboratory: Laboratory, tmp_path
     truth = laboratory(tmp_path)
     card = draft(tmp_path)
     assert differences(card, truth, tn.load(tmp_path)) == []
+
+
+# --- what nothing in the logs says ---
+
+
+def turning(turn: float) -> list[np.ndarray]:
+    """Angles of a wheel that turns to and fro, which start again after each turn."""
+    t = 0.01 * np.arange(800)
+    return [turn * ((k * np.sin(0.6 * t) + 2 * np.sin(1.9 * t)) % 1) for k in (2, 3, 4)]
+
+
+UNSAID = {
+    "counts": (4096.0, {"unit": "counts", "counts_per_revolution": 4096},
+               ["counts_per_revolution"]),
+    "turns": (1.0, {"unit": "rev"}, ["unit"]),
+    "volts": (5.0, {"unit": "rev", "scale": 0.2}, ["unit", "scale"]),
+    "radians": (2 * np.pi, {"unit": "rad"}, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", UNSAID)
+def test_the_scale_of_an_angle_that_starts_again_is_proposed_and_asked(
+    case: str, tmp_path: Path
+) -> None:
+    turn, keys, assumed = UNSAID[case]
+    for k, angle in enumerate(turning(turn)):
+        values = np.floor(angle) if case == "counts" else angle
+        pl.DataFrame({"t": 0.01 * np.arange(800), "x": values}).write_csv(tmp_path / f"r{k}.csv")
+    files = [f"r{k}.csv" for k in range(3)]
+    found = draft_card(tmp_path, files)
+    (coordinate,) = tomllib.loads(found.text)["coordinates"]
+    assert {key: coordinate.get(key) for key in keys} == keys
+    assert coordinate["kind"] == "angular"
+    assert coordinate.get("assumed") == assumed
+    assert bool(found.questions) == bool(assumed)
+    if case == "volts":
+        (question,) = found.questions
+        answered = draft_card(tmp_path, files, {question.key: "10"})
+        (coordinate,) = tomllib.loads(answered.text)["coordinates"]
+        assert (coordinate["scale"], coordinate.get("assumed")) == (0.1, None)
+
+
+def test_a_switched_voltage_does_not_wrap() -> None:
+    rng = np.random.default_rng(1)
+    voltage = 12.0 * np.sign(np.sin(0.1 * np.arange(2000))) + rng.normal(0, 0.05, 2000)
+    assert examine([voltage]).wrap is None
 
 
 NAMES = [

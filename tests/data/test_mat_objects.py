@@ -4,6 +4,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -22,7 +23,7 @@ COMMAND_T = np.arange(41) * 0.05
 COMMAND = np.random.default_rng(0).choice([-1.0, 0.0, 2.0], 41)
 
 
-def timeseries(t: np.ndarray | None, data: np.ndarray) -> Any:
+def timeseries(t: np.ndarray | None, data: np.ndarray, name: str = "arm", unit: Any = None) -> Any:
     """A timeseries object; without times it has only their beginning, step and number."""
     with warnings.catch_warnings(action="ignore"):
         from matio.utils import MatlabOpaque
@@ -30,8 +31,11 @@ def timeseries(t: np.ndarray | None, data: np.ndarray) -> Any:
     info = {"Start_": 0.0, "Increment_": 0.01, "Length": float(len(data)), "Units": "seconds"}
     properties = {
         "Data_": data[:, None], "Time_": np.zeros((0, 0)) if t is None else t[:, None],
-        "TimeInfo": MatlabOpaque(properties=info, classname="tsdata.timemetadata"), "Name": "arm",
+        "TimeInfo": MatlabOpaque(properties=info, classname="tsdata.timemetadata"), "Name": name,
     }  # fmt: skip
+    if unit is not None:
+        about = MatlabOpaque(properties={"Units": unit}, classname="tsdata.datametadata")
+        properties["DataInfo"] = about
     return MatlabOpaque(properties=properties, classname="timeseries")
 
 
@@ -114,3 +118,132 @@ def test_the_signals_of_a_simulink_export_are_channels(tmp_path: Path, count: in
     found = inspect_file(tmp_path / "log.mat")
     (tmp_path / "dataset.toml").write_text(found.draft)
     assert len(tn.load(tmp_path)) == 1
+
+
+# --- names and units in texts beside the numbers ---
+
+
+def write_text(group: h5py.Group, name: str, text: str) -> h5py.Dataset:
+    """A char row as MATLAB 7.3 writes it; an empty one is stored as its size."""
+    codes = np.array([[ord(c)] for c in text], np.uint16) if text else np.zeros(2, np.uint64)
+    item = group.create_dataset(name, data=codes)
+    item.attrs["MATLAB_class"] = np.bytes_("char")
+    if not text:
+        item.attrs["MATLAB_empty"] = np.uint8(1)
+    return item
+
+
+def write_struct_array(group: h5py.Group, name: str, elements: list[dict[str, Any]]) -> None:
+    """A struct array as MATLAB 7.3 writes it: a data set of references for each field."""
+    array = group.create_group(name)
+    array.attrs["MATLAB_class"] = np.bytes_("struct")
+    store = group.file.require_group("#refs#")
+    for field in elements[0]:
+        references = []
+        for value in (element[field] for element in elements):
+            label = f"r{len(store)}"
+            if isinstance(value, str):
+                write_text(store, label, value)
+            else:
+                store[label] = value[None]
+            references.append([store[label].ref])
+        array.create_dataset(field, data=references, dtype=h5py.ref_dtype)
+
+
+def exported_file(path: Path) -> Path:
+    """Exports of dSPACE and Simulink and a timeseries that was made a struct, version 7.3."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["exp1/X/Data"] = T[None]
+        write_text(file, "exp1/X/Unit", "s")
+        write_text(file, "exp1/X/Name", "")
+        signals = [{"Name": "Winkel \u03c6", "Unit": "rad", "Data": ANGLE},
+                   {"Name": "u_cmd", "Unit": "V", "Data": 2 * ANGLE}]  # fmt: skip
+        write_struct_array(file.require_group("exp1"), "Y", signals)
+        file["ts/Data"], file["ts/Time"] = ANGLE[None], T[None]
+        write_text(file, "ts/Name", "theta")
+        write_text(file, "ts/DataInfo/Units", "deg")
+        file["out/time"] = T[None]
+        scope = [{"values": ANGLE, "label": "q"}, {"values": 2 * ANGLE, "label": ""}]
+        write_struct_array(file.require_group("out"), "signals", scope)
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
+    with path.open("r+b") as stream:
+        stream.write(head)
+    return path
+
+
+def test_texts_of_structs_in_7_3_are_names_and_units(tmp_path: Path) -> None:
+    columns = read_columns(exported_file(tmp_path / "log.mat"))
+    assert columns.labels == {
+        "exp1.Y(1).Data": "Winkel \u03c6", "exp1.Y(2).Data": "u_cmd", "ts.Data": "theta",
+        "out.signals(1).values": "q",
+    }  # fmt: skip
+    assert columns.units == {
+        "exp1.X.Data": "s", "exp1.Y(1).Data": "rad", "exp1.Y(2).Data": "V", "ts.Data": "deg",
+    }  # fmt: skip
+
+
+def test_elements_of_a_cell_array_keep_names_and_units(tmp_path: Path) -> None:
+    cell = np.empty((1, 2), object)
+    for k in range(2):
+        cell[0, k] = {"angle": {"Data": ANGLE, "Name": "theta", "Unit": "deg"}, "t": T}
+    scipy.io.savemat(tmp_path / "log.mat", {"runs": cell})
+    first = read_columns(tmp_path / "log.mat").element(1)
+    assert first.labels == {"runs.angle.Data": "theta"}
+    assert first.units == {"runs.angle.Data": "deg"}
+
+
+def logged(name: str, values: Any) -> Any:
+    """A signal of a Simulink data set."""
+    with warnings.catch_warnings(action="ignore"):
+        from matio.utils import MatlabOpaque
+    return MatlabOpaque(
+        properties={"Name": name, "Values": values}, classname="Simulink.SimulationData.Signal"
+    )
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_names_and_units_of_objects_and_strings(tmp_path: Path, version: str) -> None:
+    with warnings.catch_warnings(action="ignore"):
+        import matio
+        from matio.utils import MatlabOpaque
+
+    elements = np.empty((1, 2), object)
+    # since 2016 the unit of a logged signal is an object with a name
+    volt = MatlabOpaque(properties={"Name": "V"}, classname="Simulink.SimulationData.Unit")
+    elements[0, 0] = logged("angle", timeseries(T, ANGLE, "angle", "rad"))
+    elements[0, 1] = logged("motor", timeseries(T, 2 * ANGLE, "", volt))
+    storage = MatlabOpaque(
+        properties={"Elements": elements},
+        classname="Simulink.SimulationData.Storage.RamDatasetStorage",
+    )
+    data_set = MatlabOpaque(
+        properties={"Name": "logsout", "Storage_": storage},
+        classname="Simulink.SimulationData.Dataset",
+    )
+    strings = {key: np.array([[text]], np.dtypes.StringDType())
+               for key, text in (("Name", "elbow"), ("Unit", "deg"))}  # fmt: skip
+    content = {"logsout": data_set, "arm": {"Data": ANGLE[:, None], **strings}}
+    path = tmp_path / "log.mat"
+    with warnings.catch_warnings(action="ignore"):
+        matio.save_to_mat(str(path), content, version=version)
+    columns = read_columns(path)
+    signal = "logsout.Storage.Elements{{{}}}.Values.Data"
+    expected = {signal.format(1): ("angle", "rad"), signal.format(2): ("motor", "V"),
+                "arm.Data": ("elbow", "deg")}  # fmt: skip
+    assert {n: (columns.labels[n], columns.units[n]) for n in columns.labels} == expected
+    np.testing.assert_allclose(columns[signal.format(2)], 2 * ANGLE)
+
+
+def test_texts_belong_to_variables_of_their_case_and_columns_of_a_matrix_are_numbered(
+    tmp_path: Path,
+) -> None:
+    two = np.stack([ANGLE, 2 * ANGLE], axis=1)
+    scipy.io.savemat(tmp_path / "log.mat", {
+        "U": {"Data": ANGLE, "Name": "voltage"}, "u": {"Data": 2 * ANGLE, "Name": "unnamed"},
+        "arm": {"Data": two, "Name": "joints", "Units": "deg"},
+    })  # fmt: skip
+    columns = read_columns(tmp_path / "log.mat")
+    assert columns.labels == {
+        "U.Data": "voltage", "arm.Data[1]": "joints[1]", "arm.Data[2]": "joints[2]",
+    }  # fmt: skip
+    assert columns.units == {"arm.Data[1]": "deg", "arm.Data[2]": "deg"}

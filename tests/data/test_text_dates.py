@@ -34,7 +34,9 @@ def test_dates_are_seconds_since_midnight(case: str) -> None:
         assert t == expected if expected is None else abs(t - expected) < 1e-9
 
 
-@pytest.mark.parametrize("cell", ["1.5", "12", "1.2.3", "1.000.000", "angle", "", "-", "20240301"])
+@pytest.mark.parametrize(
+    "cell", ["1.5", "12", "1.2.3", "1.000.000", "angle", "", "-", "20240301", "-1500", "+0130"]
+)
 def test_numbers_and_words_are_no_dates(cell: str) -> None:
     assert not is_date(cell)
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from tustinnet.check import between_splits, excitation, in_record
+from tustinnet.check.assumed import assumed_keys
 from tustinnet.check.between_records import compare_records
 from tustinnet.check.excitation import null_space
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
@@ -31,6 +32,7 @@ def check_records(records: Iterable[Experiment], card: Card | None = None) -> tu
     if not views:
         return ()
     findings = [f for view in views for f in check_view(view)]
+    findings += [] if card is None else [*assumed_keys(views, card)]
     with np.errstate(all="ignore"):  # as in `check_view`; a generator would leave it at once
         findings += [*_check_together(views, findings)]
     return sort_findings(merge_findings(findings))

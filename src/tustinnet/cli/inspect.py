@@ -210,6 +210,18 @@ def warning_lines(
     return lines
 
 
+def assumed_lines(findings: "Iterable[Finding]") -> list[str]:
+    """A line about what a card assumes, for commands that go on; none where it assumes nothing."""
+    from tustinnet.check.assumed import ASSUMED
+
+    facts = [f.what for f in findings if f.check == ASSUMED]
+    if not facts:
+        return []
+    more = len(facts) - _MOST_NAMED
+    named = "; ".join(facts[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+    return [f"note: {named}: check the card, then delete `assumed` there"]
+
+
 def spoiled_lines(
     records: "Iterable[Experiment]", held: "Iterable[HeldEquilibrium | None]"
 ) -> list[str]:

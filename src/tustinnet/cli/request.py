@@ -180,7 +180,7 @@ def load_records_to_fit(
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
     from tustinnet.check.check import check_records
-    from tustinnet.cli.inspect import require_sound, spoiled_lines, warning_lines
+    from tustinnet.cli.inspect import assumed_lines, require_sound, spoiled_lines, warning_lines
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import held_equilibrium
     from tustinnet.data.loading import load_folder
@@ -202,7 +202,7 @@ def load_records_to_fit(
     findings = check_records(records, located_card)
     if strict:
         require_sound(findings)
-    lines = warning_lines(findings, len(records), data, card)
+    lines = [*warning_lines(findings, len(records), data, card), *assumed_lines(findings)]
     for line in (*lines, *spoiled_lines(records, map(held_equilibrium, records))):
         console.print(line, highlight=False, soft_wrap=True)
     return records

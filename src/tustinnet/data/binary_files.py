@@ -36,7 +36,7 @@ def list_columns(path: Path, reader: Reader) -> Listing:
     places = _places(path, contents.arrays)
     return Listing(
         list(places), dict(contents.others), _by_column(places, contents.clocks),
-        _by_column(places, contents.units), _by_column(places, contents.labels),
+        _by_column(places, contents.units), _numbered(places, contents.labels),
         dict(contents.parts), list(contents.notes),
     )  # fmt: skip
 
@@ -165,3 +165,11 @@ def _alarm(seconds: float) -> None:
     """Ends this process after some seconds, also where the parent cannot any more."""
     if sys.platform != "win32":
         signal.alarm(math.ceil(seconds))
+
+
+def _numbered(places: Mapping[str, _Place], labels: Mapping[str, str]) -> dict[str, str]:
+    """Labels by the name of a column; those of the columns of a matrix are numbered as these."""
+    return {
+        name: label if (number := places[name].number) is None else f"{label}[{number + 1}]"
+        for name, label in _by_column(places, labels).items()
+    }

@@ -48,6 +48,13 @@ def _rising(message: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _require_assumed(block: Declaration, assumed: tuple[str, ...]) -> None:
+    """Raises unless the keys that `assumed` names are in its table."""
+    missing = next((key for key in assumed if key not in block.model_fields_set), None)
+    if missing is not None:
+        raise ValueError(f"`assumed` names '{missing}', which this table lacks; delete it there")
+
+
 def _nonzero(factor: float) -> float:
     if abs(factor) < _SMALLEST_FACTOR:
         raise ValueError(f"a factor of at least {_SMALLEST_FACTOR:g} in size, of either sign")
@@ -84,7 +91,7 @@ class VelocityCard(Declaration):
 
 
 class CoordinateCard(Declaration):
-    """A coordinate: `SI value = sign * factor(unit) * (column - offset)`.
+    """A coordinate: `SI value = sign * scale * factor(unit) * (column - offset)`.
 
     Attributes:
         name: name of the coordinate.
@@ -93,6 +100,8 @@ class CoordinateCard(Declaration):
         unit: rad, deg, rev, ... of an angle; m, mm, in, ... of a linear coordinate, or a unit that
             is no length (V, mA, K, 1), of which the records have the SI unit; or `counts` of the
             encoder. Any unit that pint knows.
+        scale: units of `unit` in one unit of the column, as of a gear or of a sensor in volts; also
+            applies to a velocity column without a unit.
         sign: 1 or -1; also applies to the velocity column.
         offset: reading of the column where the coordinate is 0, in the column's unit.
         resolution: encoder count in rad or m, or in the SI unit of `unit`.
@@ -102,12 +111,14 @@ class CoordinateCard(Declaration):
             whole turns to begin above -135 and at most at 225 degrees; by default where a record
             jumps by a turn.
         velocity: the velocity column, if there is one.
+        assumed: keys of this table that nothing in the logs says; the check reminds of them.
     """
 
     name: Name
     kind: Kind
     column: ColumnKey
     unit: str | None = None
+    scale: Annotated[float, Field(ge=1e-12, le=1e12)] = 1.0
     sign: Literal[1, -1] = 1
     offset: Amount = 0.0
     resolution: Resolution | None = None
@@ -115,9 +126,13 @@ class CoordinateCard(Declaration):
     unwrap: bool = True
     wraps: bool | None = None
     velocity: VelocityCard | None = None
+    assumed: tuple[
+        Literal["kind", "unit", "scale", "resolution", "counts_per_revolution"], ...
+    ] = ()
 
     @model_validator(mode="after")
     def _check_units(self) -> "CoordinateCard":
+        _require_assumed(self, self.assumed)
         if (self.si_unit == "rad") != (self.kind == "angular"):
             raise ValueError(
                 f"unit '{self.unit}' of an angular coordinate; an angle, e.g. rad, deg, rev, counts"
@@ -126,6 +141,8 @@ class CoordinateCard(Declaration):
             )
         if self.unit == "counts" and self.count is None:
             raise ValueError("unit 'counts' needs `resolution` or `counts_per_revolution`")
+        if self.unit == "counts" and self.scale != 1:
+            raise ValueError("`scale` of counts; scale `resolution` or `counts_per_revolution`")
         if self.counts_per_revolution and self.kind == "linear":
             raise ValueError("`counts_per_revolution` of a linear coordinate; give `resolution`")
         if self.wraps is not None and (self.kind == "linear" or not self.unwrap):
@@ -153,7 +170,7 @@ class CoordinateCard(Declaration):
         """SI units in one unit of the position column."""
         if self.unit == "counts":
             return float(self.count or np.nan)
-        return 1.0 if self.unit is None else convert_to_si(self.unit)[0]
+        return self.scale * (1.0 if self.unit is None else convert_to_si(self.unit)[0])
 
     def velocity_factor(self) -> float:
         """SI units in one unit of the velocity column."""
@@ -186,6 +203,7 @@ class InputCard(Declaration):
         limits: smallest and largest `value` of the actuator.
         delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
             also where there is no such key.
+        assumed: keys of this table that nothing in the logs says; the check reminds of them.
     """
 
     name: Name
@@ -197,6 +215,12 @@ class InputCard(Declaration):
     hold: Hold = "zero-order"
     limits: Limits | None = None
     delay: Delay | Literal["unknown"] = 0.0
+    assumed: tuple[Literal["unit", "scale"], ...] = ()
+
+    @model_validator(mode="after")
+    def _check_assumed(self) -> "InputCard":
+        _require_assumed(self, self.assumed)
+        return self
 
     def input(self) -> Input:
         """The input as records have it."""
@@ -215,12 +239,19 @@ class TimeCard(Declaration):
         tolerance: largest |interval - dt| that is accepted as jitter, as a share of dt.
         irregular: beyond it, `refuse` the record, `resample` it onto a grid, or `keep` the
             samples as they are.
+        assumed: keys of this table that nothing in the logs says; the check reminds of them.
     """
 
     column: ColumnKey
     unit: Literal["s", "ms", "us", "ns"] = "s"
     tolerance: float = Field(default=0.05, ge=0, le=1e3)
     irregular: Literal["refuse", "resample", "keep"] = "refuse"
+    assumed: tuple[Literal["unit"], ...] = ()
+
+    @model_validator(mode="after")
+    def _check_assumed(self) -> "TimeCard":
+        _require_assumed(self, self.assumed)
+        return self
 
     def factor(self) -> float:
         """Seconds in one unit of the column."""
@@ -242,6 +273,7 @@ class FileCard(Declaration):
             from the file's first timestamp on [s], as logged: before it is put on a grid.
         k_bar: end of the transient as a row of the record, instead of the detected one.
         groups: conditions of the record: `{ payload = "1kg" }`.
+        join: other files of the record, by the labels of their tables `[join.LABEL]`.
     """
 
     file: str
@@ -252,6 +284,12 @@ class FileCard(Declaration):
     seconds: Seconds | None = None
     k_bar: Row | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
+    join: dict[Name, str] = Field(default_factory=dict)
+
+    @field_validator("join")
+    @classmethod
+    def _require_files(cls, join: dict[str, str]) -> dict[str, str]:
+        return {label: cls._require_below_folder(file) for label, file in join.items()}
 
     @field_validator("file")
     @classmethod
@@ -271,6 +309,8 @@ class FileCard(Declaration):
             raise ValueError(f"`rows` and `seconds` of '{self.file}'; give one of them")
         if self.cell is not None and self.record is not None:
             raise ValueError(f"`cell` and `record` of '{self.file}'; give one of them")
+        if self.join and (self.cell is not None or self.record is not None):
+            raise ValueError(f"`join` of a part of '{self.file}'; only whole files are joined")
         return self
 
     @property
@@ -322,6 +362,32 @@ class FormatCard(Declaration):
         return name
 
 
+class JoinCard(Declaration):
+    """Files that have more columns of the records, one for each record.
+
+    Attributes:
+        column: their column of times, name or number; without it, row belongs to row.
+        unit: unit of these times: s, ms, us or ns.
+        starts_together: whether they begin at the same instant as the records' own files, for
+            clocks that have nothing else in common.
+        format: layout of text files.
+        assumed: keys of this table that nothing in the logs says; the check reminds of them.
+    """
+
+    column: ColumnKey | None = None
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    starts_together: StrictBool = False
+    format: FormatCard = FormatCard()
+    assumed: tuple[Literal["unit", "starts_together"], ...] = ()
+
+    @model_validator(mode="after")
+    def _check_assumed(self) -> "JoinCard":
+        _require_assumed(self, self.assumed)
+        if self.column is None and self.model_fields_set & {"unit", "starts_together"}:
+            raise ValueError("`unit` or `starts_together` without `column`; give the times' column")
+        return self
+
+
 class Card(Declaration):
     """The data card.
 
@@ -336,6 +402,8 @@ class Card(Declaration):
         time: the time column; without it samples are taken to be `dt` apart.
         coordinates: at least one.
         inputs: any number.
+        join: files with more columns of the records, by a label.
+        assumed: keys of the top level that nothing in the logs says; the check reminds of them.
     """
 
     name: Text
@@ -347,6 +415,8 @@ class Card(Declaration):
     time: TimeCard | None = None
     coordinates: list[CoordinateCard] = Field(min_length=1)
     inputs: list[InputCard] = Field(default_factory=list)
+    join: dict[Name, JoinCard] = Field(default_factory=dict)
+    assumed: tuple[Literal["dt"], ...] = ()
 
     @field_validator("splits", mode="before")
     @classmethod
@@ -363,10 +433,24 @@ class Card(Declaration):
 
     @model_validator(mode="after")
     def _check_names(self) -> "Card":
+        _require_assumed(self, self.assumed)
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise ValueError(f"two channels are called '{duplicates[0]}'")
+        return self
+
+    @model_validator(mode="after")
+    def _check_labels(self) -> "Card":
+        files = {label for entries in self.splits.values() for e in entries for label in e.join}
+        if missing := files - {*self.join}:
+            raise ValueError(f"a file joins '{min(missing)}'; add a table [join.{min(missing)}]")
+        if unused := {*self.join} - files:
+            label = min(unused)
+            raise ValueError(
+                f"no file of [splits] joins '{label}'; "
+                f'{{ file = "...", join = {{ {label} = "..." }} }}'
+            )
         return self
 
     @property

@@ -144,7 +144,8 @@ def list_input_files(data: str | Path, card: str | Path | None = None) -> list[P
     folder, content = locate(data, card)
     path = Path(data)
     default = path if path.suffix == ".toml" else folder / CARD_NAME
-    records = [folder / entry.file for _, entry in list_record_files(folder, content)]
+    entries = [entry for _, entry in list_record_files(folder, content)]
+    records = [folder / file for e in entries for file in (e.file, *e.join.values())]
     return [default if card is None else Path(card), *records]
 
 

@@ -124,7 +124,11 @@ class Columns:
 
         others = self._element_names(self.others, number)
         texts = {name: self.others[source] for name, source in others.items()}
-        return Columns(tuple(sources), read, self._rows, self.notes, texts)
+        units = {name: self.units[s] for name, s in sources.items() if s in self.units}
+        labels = {name: self.labels[s] for name, s in sources.items() if s in self.labels}
+        return Columns(
+            tuple(sources), read, self._rows, self.notes, texts, units=units, labels=labels
+        )
 
     def _match_element(self, name: str) -> re.Match[str] | None:
         signal = _SIGNAL.match(name)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.alignment import align_columns
-from tustinnet.data.card import Card, ColumnKey, FileCard, TimeCard
+from tustinnet.data.card import Card, ColumnKey, FileCard, JoinCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
@@ -20,7 +20,7 @@ from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.drafting.logs import find_clock_of
 from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
 from tustinnet.data.formats.mat import OBJECT, object_remedy
-from tustinnet.data.readers import read_columns
+from tustinnet.data.joining import join_columns, read_formatted
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 from tustinnet.wording import counted
@@ -202,26 +202,23 @@ def _load_file(
     path = folder / entry.file
     if not follow_links:
         require_inside(folder, path)
-    form = card.format
-    columns = read_columns(
-        path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
-        encoding=form.encoding, skips_damaged=form.damaged_rows == "skip",
-    )  # fmt: skip
+    columns = read_formatted(path, card.format)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
     def read(columns: Columns, where: object, name: str) -> _LoadedRecord:
-        count = len(columns.names)
-        if card.format.columns is not None and count != card.format.columns:
-            raise InputError(
-                path, counted(count, "column"), f"{card.format.columns} as in the card"
-            )
+        if not entry.join:
+            _require_width(columns, card, path)
         reader = _ColumnReader(columns, where, entry.rows)
         return _read_record(
             reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
         )
 
     name = entry.name or path.stem
+    if entry.join:
+        _require_width(columns, card, path)
+        joined = _join_files(columns, folder, entry, card, follow_links=follow_links)
+        return [read(joined, path, name)]
     names = {key for key in card.columns if isinstance(key, str)}
     if entry.cell is not None:
         if entry.cell > columns.elements:
@@ -245,6 +242,26 @@ def _load_file(
         except InputError as error:
             records.append(error)
     return records
+
+
+def _require_width(columns: Columns, card: Card, path: Path) -> None:
+    """Raises unless a file has as many columns as the card says, if it does."""
+    count = len(columns.names)
+    if card.format.columns is not None and count != card.format.columns:
+        raise InputError(path, counted(count, "column"), f"{card.format.columns} as in the card")
+
+
+def _join_files(
+    columns: Columns, folder: Path, entry: FileCard, card: Card, *, follow_links: bool
+) -> Columns:
+    """The columns of a record's own file and of its other files."""
+    others: dict[str, tuple[Columns, JoinCard]] = {}
+    for label, file in entry.join.items():
+        if not follow_links:
+            require_inside(folder, folder / file)
+        join = card.join[label]
+        others[label] = read_formatted(folder / file, join.format), join
+    return join_columns(columns, card.time, others, folder / entry.file)
 
 
 def _parts(columns: Columns, names: set[str]) -> dict[str, Columns]:

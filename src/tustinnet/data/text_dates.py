@@ -33,11 +33,11 @@ _LEAST = 4  # characters of a time: 1:00
 
 def is_date(cell: str) -> bool:
     """Whether a cell is a date, a time of day, or both."""
-    return (
-        len(cell) >= _LEAST
-        and (":" in cell or not cell.isdigit())
-        and _WHOLE.fullmatch(cell) is not None
-    )
+    if len(cell) < _LEAST or (":" not in cell and cell.isdigit()):
+        return False
+    match = _WHOLE.fullmatch(cell)
+    # a zone alone is none: -1500 is a number
+    return match is not None and (match["date"] is not None or ":" in cell)
 
 
 def read_dates(cells: "pl.Series") -> "pl.Series":

@@ -1,11 +1,12 @@
 """The text of a drafted card, with comments that say why."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 
 from tustinnet.data.columns import NUMBERED
 from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoice
-from tustinnet.data.drafting.logs import Clock
+from tustinnet.data.drafting.logs import Clock, JoinedFile
 from tustinnet.data.drafting.splits import DraftRecord, Splits
 
 _TOLERANCE = 0.05  # of the period, as cards accept without a key
@@ -21,6 +22,7 @@ def write_card(
     has_header: bool | None,
     has_damaged_rows: bool,
     texts: Mapping[str, str],
+    joined: Mapping[str, JoinedFile],
     is_period_assumed: bool,
 ) -> str:
     """The text of a data card.
@@ -34,6 +36,7 @@ def write_card(
         has_header: whether files without names of columns have a header; None with names.
         has_damaged_rows: whether files have rows that are no samples.
         texts: columns that hold no numbers, and what they hold.
+        joined: other files of each record, by their labels.
         is_period_assumed: whether nothing in the files says the period.
     """
     why = (
@@ -46,6 +49,7 @@ def write_card(
         "# every key: docs/reference/data.md",
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",
+        *_assumed(("dt",) if is_period_assumed else ()),
     ]
     if has_header is not None or has_damaged_rows:
         lines += ["", "[format]"]
@@ -58,10 +62,12 @@ def write_card(
         lines += [
             "", f"# {quote(clock.column)}: {clock.because}{doubt}",
             "[time]", f"column = {column_key(clock.column)}", f"unit = {quote(clock.unit)}",
+            *_assumed(() if clock.sure else ("unit",)),
         ]  # fmt: skip
         if clock.worst > _TOLERANCE * dt:
             share = f"{100 * clock.worst / dt:.0f} %"
             lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
+    lines += [line for label, file in joined.items() for line in _joined(label, file)]
     lines += [line for coordinate in choice.coordinates for line in _coordinate(coordinate)]
     if not choice.coordinates:
         lines += ["", "# [[coordinates]]: no column could be a position"]
@@ -74,6 +80,22 @@ def write_card(
     return "\n".join([*lines, *_splits(splits)]) + "\n"
 
 
+def _joined(label: str, file: JoinedFile) -> list[str]:
+    """The table of other files of the records."""
+    lines = ["", f"# columns of other files of the records are called {quote(label + '/...')}"]
+    if file.starts_together:
+        lines.append("# check that both files begin at one instant: their clocks say nothing of it")
+    lines.append(f"[join.{_bare(label)}]")
+    if file.column is not None:
+        lines += [f"column = {column_key(file.column)}", f"unit = {quote(file.unit)}"]
+    lines += ["starts_together = true"] if file.starts_together else []
+    assumed = [] if file.is_sure else ["unit"]
+    lines += _assumed([*assumed, *(["starts_together"] if file.starts_together else [])])
+    form = [] if file.has_header is None else [f"header = {str(file.has_header).lower()}"]
+    form += ['damaged_rows = "skip"'] if file.has_damaged_rows else []
+    return [*lines, *([f"format = {{ {', '.join(form)} }}"] if form else [])]
+
+
 def column_key(column: str) -> str:
     """A column as cards name it: by number where it has no name."""
     return column.removeprefix(NUMBERED) if column.startswith(NUMBERED) else quote(column)
@@ -84,6 +106,11 @@ def quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def _bare(key: str) -> str:
+    """A key of a table, in quotation marks where TOML wants them."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else quote(key)
+
+
 def _coordinate(c: CoordinateChoice) -> list[str]:
     lines = ["", f"# {quote(c.column)} as a coordinate: {'; '.join(c.because)}"]
     lines += [f"# check {doubt}" for doubt in c.doubts]
@@ -91,6 +118,8 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
         "[[coordinates]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
         f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
     ]  # fmt: skip
+    if c.scale != 1:
+        lines.append(f"scale = {c.scale!r}  # {c.unit} in one unit of the column")
     if c.counts is not None:
         lines.append(f"counts_per_revolution = {c.counts}")
     if c.resolution is not None:
@@ -103,7 +132,7 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
             f"# {quote(c.velocity.column)}: {c.velocity.because}",
             f"velocity = {{ column = {column}{entry}, measured = {measured} }}",
         ]
-    return lines
+    return [*lines, *_assumed(c.assumed)]
 
 
 def _input(c: InputChoice) -> list[str]:
@@ -111,8 +140,14 @@ def _input(c: InputChoice) -> list[str]:
     lines += [f"# check {doubt}" for doubt in c.doubts]
     return [
         *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
-        f"unit = {quote(c.unit)}",
+        f"unit = {quote(c.unit)}", *_assumed(c.assumed),
     ]  # fmt: skip
+
+
+def _assumed(keys: Sequence[str]) -> list[str]:
+    """The line of a table with the keys that nothing in the logs says, if there are any."""
+    names = ", ".join(map(quote, keys))
+    return [f"assumed = [{names}]  # check these keys, then delete this line"] if keys else []
 
 
 def _splits(splits: Splits | None) -> list[str]:
@@ -142,6 +177,8 @@ def _entries(records: Sequence[DraftRecord]) -> list[str]:
         keys = [f"file = {quote(piece.log.file)}"]
         keys += [] if piece.log.cell is None else [f"cell = {piece.log.cell}"]
         keys += [] if piece.log.record is None else [f"record = {quote(piece.log.record)}"]
+        files = (f"{_bare(k)} = {quote(f.file)}" for k, f in piece.log.joined.items())
+        keys += [f"join = {{ {', '.join(files)} }}"] if piece.log.joined else []
         keys += [] if piece.whole else [f"rows = [{piece.rows[0]}, {piece.rows[1]}]"]
         entries.append(quote(piece.log.file) if len(keys) == 1 else f"{{ {', '.join(keys)} }}")
     return entries

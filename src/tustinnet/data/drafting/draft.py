@@ -15,12 +15,14 @@ from tustinnet.data.drafting.findings import (
     InputChoice,
     Question,
 )
+from tustinnet.data.drafting.joined_files import join_logs
 from tustinnet.data.drafting.logs import (
     Clock,
     Log,
     Piece,
     find_clock,
     find_pieces,
+    keep_usual,
     read_logs,
     read_names,
 )
@@ -138,7 +140,8 @@ def draft_card(
     """
     answers = answers or {}
     notes: list[str] = []
-    logs = read_logs(folder, files, notes.append)
+    logs = join_logs(read_logs(folder, files, notes.append), notes.append)
+    logs = keep_usual(logs, notes.append)
     notes += dict.fromkeys(note for log in logs for note in log.notes)
     readings = read_names(logs)
     clock = find_clock(logs, readings)
@@ -175,7 +178,7 @@ def draft_card(
         name or _name(folder), clock, dt, choice, splits if has_splits else None,
         has_header=logs[0].has_header,
         has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
-        is_period_assumed=clock.dt is None and _PERIOD not in answers,
+        joined=logs[0].joined, is_period_assumed=clock.dt is None and _PERIOD not in answers,
     )  # fmt: skip
     return Draft(
         text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,

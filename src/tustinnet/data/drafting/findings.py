@@ -52,9 +52,11 @@ class CoordinateChoice:
         unit: its unit as the card has it.
         counts: encoder counts in a turn, None where not known.
         resolution: encoder count [rad or m], None where not known.
+        scale: units of `unit` in one unit of the column.
         velocity: its velocity column, if there is one.
         because: the reasons, a sentence each.
         doubts: what to check, a sentence each.
+        assumed: keys of the card that neither a name nor the numbers say.
     """
 
     column: str
@@ -66,6 +68,8 @@ class CoordinateChoice:
     velocity: VelocityChoice | None = None
     because: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ class InputChoice:
     unit: str
     because: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
 
 
 @dataclass

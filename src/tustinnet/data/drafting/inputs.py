@@ -111,11 +111,14 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     """An input with its unit: by its name, else by the quantity that its words say."""
     reading, numbers = findings.readings[column], findings.numbers[column]
     doubts: list[str] = []
+    assumed: tuple[str, ...] = ()
     quantity = reading.quantity
     key = f"unit {column}"
     unit = findings.answers.get(key) or reading.unit
-    if not unit and quantity in _QUANTITY_UNITS and reading.quantities[quantity] >= 3:
-        unit = _QUANTITY_UNITS[quantity]
+    if not unit:
+        weights = {q: reading.quantities.get(q, 0.0) for q in _QUANTITY_UNITS}
+        strongest = max(weights, key=lambda q: weights[q])
+        unit = _QUANTITY_UNITS[strongest] if weights[strongest] >= 3 else ""
     if not unit and quantity == "duty":
         unit = "%" if 1.5 < numbers.largest <= 100 else "1"
     leads = findings.verdicts[column].leads
@@ -123,7 +126,7 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
         unit = findings.readings[leads].unit
     if not unit:
         units = (u for q, u in _QUANTITY_UNITS.items() if q in reading.quantities)
-        unit = next(units, "1")
+        unit, assumed = next(units, "1"), ("unit",)
         doubts.append(f"the unit: {unit} is assumed")
         choice.questions.append(
             Question(key, f"unit of the input '{column}' (range {range_text(numbers)})", unit)
@@ -133,4 +136,4 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
         doubts.append("a set point: the model includes the controller")
     if verdict.rival in ("position", "set point"):
         doubts.append(f"an input, or a {verdict.rival}?")
-    return InputChoice(column, name, unit, verdict.reasons, tuple(doubts))
+    return InputChoice(column, name, unit, verdict.reasons, tuple(doubts), assumed)

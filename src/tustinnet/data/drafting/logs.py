@@ -34,6 +34,30 @@ _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj",
 
 
 @dataclass(frozen=True)
+class JoinedFile:
+    """Another file of a record, whose columns are called by its label.
+
+    Attributes:
+        file: the file below the folder of the card.
+        column: its column of times, None where row belongs to row.
+        unit: unit of these times.
+        is_sure: whether the unit is sure.
+        starts_together: whether it begins with the record's own file, as the clocks have nothing
+            else in common.
+        has_header: as that of a log.
+        has_damaged_rows: as that of a log.
+    """
+
+    file: str
+    column: str | None
+    unit: str = "s"
+    is_sure: bool = True
+    starts_together: bool = False
+    has_header: bool | None = None
+    has_damaged_rows: bool = False
+
+
+@dataclass(frozen=True)
 class Log:
     """The columns of a file, or of one element of its cell or struct arrays.
 
@@ -53,6 +77,8 @@ class Log:
         labels: what the file calls columns in texts beside them.
         clock_of: the column of the times of each column that has times of its own.
         spans: first and last time of each of these columns in the file [s].
+        joined: other files of the record by their labels.
+        factor: seconds in a unit of the first of `clocks`.
     """
 
     file: str
@@ -68,6 +94,8 @@ class Log:
     labels: Mapping[str, str] = field(default_factory=dict)
     clock_of: Mapping[str, str] = field(default_factory=dict)
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joined: Mapping[str, JoinedFile] = field(default_factory=dict)
+    factor: float = 1.0
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
@@ -90,7 +118,7 @@ class Log:
         if len(spans) < 2:
             return self
         held = spans.keys() - {self.clock_of.get(name) for name in motion} - {self.clocks[0]}
-        is_covered = find_covered(self.values[self.clocks[0]], spans, held)
+        is_covered = find_covered(self.values[self.clocks[0]] * self.factor, spans, held)
         values = {name: column[is_covered] for name, column in self.values.items()}
         return replace(self, values=values)
 
@@ -155,7 +183,7 @@ class Clock:
 
 
 def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], None]) -> list[Log]:
-    """Reads the logs of a folder that have the same columns as most of them.
+    """Reads the logs of a folder.
 
     Args:
         folder: the folder of the card.
@@ -180,6 +208,16 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
         )
     for error in errors:
         on_message(f"left out: {error}")
+    return logs
+
+
+def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Log]:
+    """The logs that have the columns of most samples, without others that some have beside them.
+
+    Args:
+        logs: the logs.
+        on_message: called with a sentence on each log that is left out.
+    """
     samples: Counter[tuple[str, ...]] = Counter()
     for log in logs:
         samples[tuple(log.values)] += len(log)
@@ -368,7 +406,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
     unit, because, sure = "s", "in s, as the file says", True
-    if not own_times:
+    if not own_times or logs[0].joined:
         unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
     intervals = _intervals([log.values[best] for log in logs])

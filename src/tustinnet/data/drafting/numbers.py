@@ -16,6 +16,9 @@ _SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a
 _OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
 _SUPPLY = 0.1  # range over largest value, of a supply under load
 _FEWEST = 20  # values of a column that wraps
+_CALM = 0.15  # of the range; a column with a turn of any size moves by less between its wraps
+_SAME_TURN = 0.02  # relative; the wraps of a column are of one size
+_WITHIN = 0.2  # of the samples, in the middle half of the range: less, and it switches
 
 # counts of encoders in a turn that are sold, and four times as many where edges are counted
 _LINES = (
@@ -40,6 +43,7 @@ class Numbers:
         levels: whether it is constant most of the time and then changes far.
         rises: whether it never falls in a record.
         wrap: length of a turn in the column's unit, where it jumps by turns.
+        usual_turn: whether that is a turn of a usual unit or encoder.
         count: the step of which all its changes are multiples, None without one.
     """
 
@@ -52,6 +56,7 @@ class Numbers:
     levels: bool = False
     rises: bool = False
     wrap: float | None = None
+    usual_turn: bool = True
     count: float | None = None
 
     @property
@@ -101,6 +106,8 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         return Numbers(extent, len(levels), lost, bool((levels == np.round(levels)).all()))
     changes = float(np.mean(steps != 0))
     has_levels = changes < _FEW_CHANGES and bool(np.median(moving) > _LEAST_LEVEL * np.ptp(levels))
+    usual = None if has_levels else _find_turn(steps, levels)
+    other = None if has_levels or usual else _find_unusual_turn(pieces, extent)
     return Numbers(
         range=extent,
         distinct=len(levels),
@@ -110,7 +117,8 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         roughness=float(np.sqrt(np.mean(steps**2)) / np.std(finite)),
         levels=has_levels,
         rises=bool((steps >= 0).all()),
-        wrap=None if has_levels else _find_turn(steps, levels),
+        wrap=usual or other,
+        usual_turn=other is None,
         count=encoder_count(finite),
     )
 
@@ -132,6 +140,40 @@ def _find_turn(steps: Values, levels: Values) -> float | None:
         if near and np.abs(sizes - turn).max() <= 1.5 * others + 1e-3 * turn:
             return float(turn)
     return None
+
+
+def _find_unusual_turn(
+    pieces: Sequence[Values], extent: tuple[float, float] | None
+) -> float | None:
+    """The length of a turn of any size, where a column jumps by it in both directions."""
+    if extent is None or not all(np.isfinite(piece).all() for piece in pieces):
+        return None
+    low, high = extent
+    span = high - low
+    turns: list[float] = []
+    directions: set[float] = set()
+    count = 0
+    for piece in pieces:
+        steps = np.diff(piece)
+        is_jump = np.abs(steps) > span / 2
+        if np.abs(steps[~is_jump]).max(initial=0.0) > _CALM * span:
+            return None
+        count += int(is_jump.sum())
+        for k in np.flatnonzero(is_jump):
+            around = [steps[j] for j in (k - 1, k + 1) if 0 <= j < len(steps) and not is_jump[j]]
+            if around:  # it also moves on while it jumps
+                turns.append(abs(float(steps[k]) - float(np.mean(around))))
+                directions.add(float(np.sign(steps[k])))
+    everything = np.concatenate(pieces)
+    inside = np.mean(np.abs(everything - (low + high) / 2) < span / 4)
+    if len(directions) < 2 or count > _OFTEN * len(everything) or inside < _WITHIN:
+        return None
+    turn = float(np.median(turns))
+    worst = float(np.max(np.abs(np.array(turns) - turn)))
+    if worst > _SAME_TURN * turn + _CALM * span / 2 or not 0.8 * turn < span < 1.05 * turn:
+        return None
+    whole = bool((everything == np.round(everything)).all())
+    return float(round(turn)) if whole else float(f"{turn:.2g}")
 
 
 def unwrap(piece: Values, turn: float | None) -> Values:

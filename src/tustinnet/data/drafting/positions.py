@@ -23,6 +23,8 @@ _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
 _USUAL_COUNTS = 4096
+_ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
+_UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
 # SI units in units of speeds, of angles and of lengths
 _ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
@@ -59,20 +61,30 @@ def describe_coordinate(
     factor = findings.slopes.between(column, velocity)[1] if velocity else None
     speed = findings.readings[velocity].unit if velocity else ""
     kind = _find_kind(column, velocity, input_kind, findings, because)
+    assumed: list[str] = []
     unit = _find_unit(column, speed, factor, kind, findings, because)
-    if unit is None:
+    scale = 1.0
+    if unit is None and numbers.wrap is not None:
+        unit, scale = "rev", _share_of_turn(column, numbers.wrap, findings, choice, doubts, assumed)
+    elif unit is None:
         unit = _unit_by_size(column, kind, findings, choice, because, doubts)
-    kind = _kind_of_unit(unit, kind)
+        assumed += ["unit"] if kind else ["kind", "unit"]
+    known_kind, kind = kind, _kind_of_unit(unit, kind)
     counts = resolution = None
     if unit != "counts":
         counts, resolution = _resolution(numbers, unit, kind)
     elif kind == "angular":
-        counts = _counts(column, speed, factor, findings, choice, because, doubts)
+        counts, is_assumed = _counts(column, speed, factor, findings, choice, because, doubts)
+        if is_assumed:
+            assumed += [key for key in ("kind",) if known_kind is None and key not in assumed]
+            assumed.append("counts_per_revolution")
     else:
-        resolution = _length_of_count(column, speed, factor, findings, choice, doubts)
+        resolution, is_assumed = _length_of_count(column, speed, factor, findings, choice, doubts)
+        assumed += ["resolution"] * is_assumed
     return CoordinateChoice(
         column, name, kind, unit, counts, resolution,
         _velocity(column, velocity, unit, kind, factor, findings), tuple(because), tuple(doubts),
+        tuple(assumed), scale,
     )  # fmt: skip
 
 
@@ -107,7 +119,7 @@ def _find_unit(
     if reading.unit and not is_word and _is_card_unit(reading.unit):
         return reading.unit
     if numbers.wrap is not None:
-        return _unit_of_turn(numbers.wrap)
+        return _unit_of_turn(numbers)
     if unit := _unit_by_velocity(numbers, speed, factor, kind):
         because.append(f"in {unit} by its velocity")
         return unit
@@ -117,11 +129,28 @@ def _find_unit(
     return None
 
 
-def _unit_of_turn(turn: float) -> str:
-    """The unit in which a turn has a length."""
-    if turn == 360.0:
+def _unit_of_turn(numbers: Numbers) -> str | None:
+    """The unit in which a turn has the length at which a position starts again, None if unknown."""
+    if numbers.wrap == 360.0:
         return "deg"
-    return "counts" if turn > 7 else "rev" if turn == 1.0 else "rad"
+    if numbers.whole:
+        return "counts"
+    return "rad" if numbers.usual_turn and numbers.wrap != 1.0 else None
+
+
+def _share_of_turn(
+    column: str, turn: float, findings: Findings, choice: Choice, doubts: list[str],
+    assumed: list[str],
+) -> float:  # fmt: skip
+    """Turns in one unit of a position that starts again at a number that no unit explains."""
+    key = f"turn {column}"
+    if key in findings.answers:
+        return 1.0 / float(findings.answers[key])
+    text = f"a turn of '{column}' in its unit (it starts again after {turn:.6g})"
+    choice.questions.append(Question(key, text, f"{turn:.6g}", is_number=True))
+    doubts.append(f"the scale: a turn of {turn:.6g} is assumed, as it wraps")
+    assumed += ["unit"] if turn == 1.0 else ["unit", "scale"]
+    return 1.0 / turn
 
 
 def _kind_of_unit(unit: str, kind: Kind | None) -> Kind:
@@ -212,13 +241,14 @@ def _unit_by_size(
     numbers = findings.numbers[column]
     unit, is_clear = _usual_unit(numbers, kind or "angular")
     reason = f"in {unit} by its range {range_text(numbers)}"
-    if kind is not None and is_clear:
+    # controllers of drives give the position of an encoder in turns, or in units of the machine
+    is_of_encoder = bool(_ENCODERS & {*findings.readings[column].words})
+    if kind is not None and is_clear and not is_of_encoder:
         because.append(reason)
         return unit
     doubts.append(f"the unit: {reason}" + ("" if kind else ", if it is an angle"))
     text = f"unit of the position '{column}' (range {range_text(numbers)})"
-    options = ("rad", "deg", "counts", "m", "mm")
-    choice.questions.append(Question(f"unit {column}", text, unit, options))
+    choice.questions.append(Question(f"unit {column}", text, unit, _UNITS_TO_CHOOSE))
     return unit
 
 
@@ -260,39 +290,40 @@ def _counts_by_copy(column: str, findings: Findings) -> int | None:
 def _counts(
     column: str, speed: str, factor: float | None, findings: Findings, choice: Choice,
     because: list[str], doubts: list[str],
-) -> int:  # fmt: skip
-    """Counts in a turn: as answered, by wraps, by velocity or copy, or assumed with a question."""
+) -> tuple[int, bool]:  # fmt: skip
+    """Counts in a turn, and whether they are assumed: neither answered nor by velocity or copy."""
     turn = findings.numbers[column].wrap
     key = f"counts {column}"
     if key in findings.answers:
         because.append(f"{findings.answers[key]} counts in a turn as you say")
-        return int(float(findings.answers[key]))
-    counts = round(turn) if turn and turn not in _OVERFLOWS else None
-    counts = counts or _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
-    if counts is not None:
-        because.append(f"{counts} counts in a turn")
-        return counts
+        return int(float(findings.answers[key])), False
+    by_wrap = round(turn) if turn and turn not in _OVERFLOWS else None
+    known = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
+    if known is not None and (by_wrap is None or abs(known / by_wrap - 1) < _SAME_FACTOR):
+        because.append(f"{by_wrap or known} counts in a turn")
+        return by_wrap or known, False
+    counts = by_wrap or _USUAL_COUNTS
     overflow = f", which starts again at {turn:.0f}" if turn else ""
     text = f"counts in a turn of the encoder '{column}'{overflow}"
-    choice.questions.append(Question(key, text, str(_USUAL_COUNTS), is_number=True))
-    doubts.append(f"counts in a turn: {_USUAL_COUNTS} is assumed")
-    return _USUAL_COUNTS
+    choice.questions.append(Question(key, text, str(counts), is_number=True))
+    doubts.append(f"counts in a turn: {counts} is assumed" + (", as it wraps" if by_wrap else ""))
+    return counts, True
 
 
 def _length_of_count(
     column: str, velocity_unit: str, factor: float | None, findings: Findings, choice: Choice,
     doubts: list[str],
-) -> float:  # fmt: skip
-    """The length of a count [m], by its velocity, as answered, or as assumed with a question."""
+) -> tuple[float, bool]:  # fmt: skip
+    """The length of a count [m], and whether it is assumed: neither answered nor by velocity."""
     key = f"resolution {column}"
     if key in findings.answers:
-        return float(findings.answers[key])
+        return float(findings.answers[key]), False
     if velocity_unit in _LINEAR_SPEEDS and factor:
-        return float(f"{factor * _LINEAR_SPEEDS[velocity_unit]:.4g}")
+        return float(f"{factor * _LINEAR_SPEEDS[velocity_unit]:.4g}"), False
     text = f"length of a count of '{column}' [m]"
     choice.questions.append(Question(key, text, "1e-05", is_number=True))
     doubts.append("the length of a count: 1e-05 m is assumed")
-    return 1e-5
+    return 1e-5, True
 
 
 # --- velocities ---
@@ -337,13 +368,13 @@ def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool
 def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -> CoordinateChoice:
     """A speed as a coordinate of its own, where no position is measured."""
     reading, numbers = findings.readings[column], findings.numbers[column]
-    unit, doubts = reading.unit, []
+    unit, doubts, assumed = reading.unit, [], ()
     key = f"unit {column}"
     if key in findings.answers:
         unit = findings.answers[key]
     elif not unit:
         unit = "m/s" if reading.kind == "linear" else "rpm" if numbers.largest > 300 else "rad/s"
-        doubts = [f"the unit: {unit} by its range {range_text(numbers)}"]
+        doubts, assumed = [f"the unit: {unit} by its range {range_text(numbers)}"], ("unit",)
         options = ("rad/s", "rpm", "deg/s", "m/s", "mm/s", "V")
         choice.questions.append(
             Question(
@@ -354,4 +385,6 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
         *findings.verdicts[column].reasons,
         "no position is measured, so the speed is the coordinate (docs/how-to/speed-only.md)",
     )
-    return CoordinateChoice(column, name, "linear", unit, because=because, doubts=tuple(doubts))
+    return CoordinateChoice(
+        column, name, "linear", unit, because=because, doubts=tuple(doubts), assumed=assumed
+    )

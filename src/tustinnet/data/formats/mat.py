@@ -6,7 +6,7 @@ A field of a struct is `log.q`, the third element of a cell array `logs{3}`, tha
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,8 +25,11 @@ _OBJECT = 3  # `MATLAB_object_decode` of objects
 _UNNAMED = "None"  # the name that scipy gives objects
 OBJECT = "a MATLAB object (timeseries, timetable, table, ...)"
 _LABELS = ("name", "label", "signalname", "title")  # fields of a struct with what `Data` is
-_UNITS = ("unit", "units")
+_UNITS = ("unit", "units", "DataInfo.units")
 _DESCRIBED = ("data", "values")
+_TEXT_FIELDS = {*_LABELS, "unit", "units"}
+_LONGEST_TEXT = 200  # characters of a name or a unit
+_NAMELESS = "unnamed"  # what MATLAB calls a timeseries that was given no name
 _REMEDY = "save it as numbers: s = struct(ts), or t = ts.Time, x = ts.Data"
 
 
@@ -41,6 +44,7 @@ class MatVariable(NamedTuple):
         clock: name of the variable of its times, where it has times of its own.
         label: what a text beside it calls it, as exports of dSPACE and Simulink have it.
         unit: its unit, where a text beside it says it.
+        text: content of a short text, which may be such a label or unit.
     """
 
     name: str
@@ -50,6 +54,7 @@ class MatVariable(NamedTuple):
     clock: str = ""
     label: str = ""
     unit: str = ""
+    text: str = ""
 
 
 def object_remedy() -> str:
@@ -66,7 +71,7 @@ def _contents(path: Path) -> Contents:
     opened = {o for o in objects if any(_is_in(v.name, o) for v in inner)} | (
         {""} if inner else set()
     )
-    variables = [v for v in variables if v.name not in opened] + inner
+    variables = _described([v for v in variables if v.name not in opened] + inner)
     return Contents(
         [(v.name, v.shape) for v in variables if v.shape is not None],
         {v.name: v.other for v in variables if v.shape is None},
@@ -93,8 +98,42 @@ def _in_objects(path: Path, objects: set[str]) -> list[MatVariable]:
     except Exception:  # objects that the library does not know, or damaged ones
         return []
     inner = [a for a in arrays if any(_is_in(a.name, name) for name in objects)]
-    variables = [_numbers(a.name, a.values.shape, lambda a=a: a.values) for a in inner]
-    return list(_oriented(v._replace(clock=a.clock) for v, a in zip(variables, inner, strict=True)))
+    return list(_oriented(
+        MatVariable(a.name, None, other="text", text=a.text[:_LONGEST_TEXT]) if a.text
+        else _numbers(a.name, a.values.shape, lambda a=a: a.values)._replace(clock=a.clock)
+        for a in inner
+    ))  # fmt: skip
+
+
+def _described(variables: Sequence[MatVariable]) -> list[MatVariable]:
+    """Variables with what the texts beside `Data` or `Values` call them, and with their units.
+
+    A signal of a Simulink data set has its name beside the timeseries `Values`, which may have
+    none.
+    """
+    texts = {_in_small_field(v.name): v.text for v in variables if v.text and v.text != _NAMELESS}
+
+    def find(owner: str, fields: Sequence[str]) -> str:
+        found = (texts.get(f"{owner}.{field}", "") for field in fields)
+        return next((text for text in found if text), "")
+
+    described: list[MatVariable] = []
+    for v in variables:
+        owner, _, field = v.name.rpartition(".")
+        if v.shape is None or field.lower() not in _DESCRIBED or not texts:
+            described.append(v)
+            continue
+        label = find(owner, _LABELS)
+        if not label and owner.endswith(".Values"):
+            label = find(owner.removesuffix(".Values"), _LABELS)
+        described.append(v._replace(label=label, unit=find(owner, _UNITS)))
+    return described
+
+
+def _in_small_field(name: str) -> str:
+    """A name whose last part is in small letters; variables `U` and `u` stay two."""
+    owner, _, field = name.rpartition(".")
+    return f"{owner}.{field.lower()}"
 
 
 def _owner(name: str) -> str:
@@ -220,12 +259,8 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
     if isinstance(value, MatlabOpaque | MatlabObject | MatlabFunction):
         yield MatVariable(name, None, other=OBJECT)
     elif hasattr(value, "_fieldnames"):
-        fields = {field: getattr(value, field) for field in value._fieldnames}
-        label, unit = (_text_of(fields, names) for names in (_LABELS, _UNITS))
-        for field, inner in fields.items():
-            for variable in _mat5_value(f"{name}.{field}", inner):
-                is_described = field.lower() in _DESCRIBED and variable.shape is not None
-                yield variable._replace(label=label, unit=unit) if is_described else variable
+        for field in value._fieldnames:
+            yield from _mat5_value(f"{name}.{field}", getattr(value, field))
     elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
         elements = value.ravel(order="F")
         structs = all(hasattr(element, "_fieldnames") for element in elements)
@@ -236,15 +271,11 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
         array = np.asarray(value)
         if array.dtype.kind in _NUMBERS:
             yield _numbers(name, array.shape, lambda: array)
+        elif array.dtype.kind == "U":
+            text = value.strip()[:_LONGEST_TEXT] if isinstance(value, str) else ""
+            yield MatVariable(name, None, other="text", text=text)
         else:
-            yield MatVariable(name, None, other="text" if array.dtype.kind == "U" else "no numbers")
-
-
-def _text_of(fields: Mapping[str, Any], names: Sequence[str]) -> str:
-    """The first text that is not empty among some fields of a struct, by their small letters."""
-    small = {field.lower(): value for field, value in fields.items()}
-    texts = (small[name] for name in names if isinstance(small.get(name), str))
-    return next((text.strip() for text in texts if text.strip()), "")
+            yield MatVariable(name, None, other="no numbers")
 
 
 # --- version 7.3 ---
@@ -269,7 +300,7 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
     elif _has_references(item):
         yield from _elements(path, f"{name}{{", "}", item, depth)
     elif kind == b"char" or item.dtype.kind in "SO":
-        yield MatVariable(name, None, other="text")
+        yield MatVariable(name, None, other="text", text=_hdf5_text(name, item))
     elif item.attrs.get("MATLAB_empty"):
         yield MatVariable(name, None, other="empty")
     elif item.dtype.kind in REAL:
@@ -278,6 +309,16 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
         yield _numbers(name, (item.shape or ())[::-1], lambda: item[()].T)
     else:
         yield MatVariable(name, None, other="no real numbers")
+
+
+def _hdf5_text(name: str, item: Any) -> str:
+    """The content of a short text that may be a label or a unit: codes of its characters."""
+    is_telling = name.rpartition(".")[2].lower() in _TEXT_FIELDS
+    is_row = item.dtype.kind == "u" and item.size == max(item.shape or (0,)) <= _LONGEST_TEXT
+    if not is_telling or not is_row or item.attrs.get("MATLAB_empty"):
+        return ""
+    codes = item[()].reshape(-1).astype("<u2")
+    return codes.tobytes().decode("utf-16-le", "replace").strip("\0 ")
 
 
 def _has_references(item: Any) -> bool:

@@ -15,17 +15,19 @@ _SECONDS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanosec
 
 
 class ObjectArray(NamedTuple):
-    """An array in an object.
+    """An array or a text in an object.
 
     Attributes:
         name: its name, as `ts.Data`.
-        values: the array.
+        values: the array; empty for a text.
         clock: name of the array of its times [s], empty without one.
+        text: the text, empty for an array.
     """
 
     name: str
     values: Array
     clock: str = ""
+    text: str = ""
 
 
 def can_read_objects() -> bool:
@@ -45,7 +47,7 @@ _PLAIN |= {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 
 
 def object_arrays(path: Path, variables: list[str]) -> Iterator[ObjectArray]:
-    """The arrays in some variables, those of structs and cells too."""
+    """The arrays and texts in some variables, those of structs and cells too."""
     import matio
 
     for name, value in matio.load_from_mat(str(path), variable_names=variables).items():
@@ -70,7 +72,7 @@ def _walk(name: str, value: Any, depth: int) -> Iterator[ObjectArray]:
 
 
 def _walk_array(name: str, value: Array, depth: int) -> Iterator[ObjectArray]:
-    """The arrays in an array of structs or cells, and any of numbers or times."""
+    """The arrays in an array of structs or cells, and any of numbers, times or text."""
     if value.dtype.names:
         for k, element in enumerate(value.ravel(order="F"), 1):
             place = name if value.size == 1 else f"{name}({k})"
@@ -84,6 +86,15 @@ def _walk_array(name: str, value: Array, depth: int) -> Iterator[ObjectArray]:
         yield ObjectArray(name, _seconds(value))
     elif value.dtype.kind in "fiub":
         yield ObjectArray(name, value)
+    elif value.dtype.kind in "UT" and value.size == 1:
+        yield from _text(name, value)
+
+
+def _text(name: str, value: Any) -> Iterator[ObjectArray]:
+    """A char row or a string scalar, unless it is empty or missing."""
+    content = np.asarray(value).ravel()
+    if content.size == 1 and isinstance(content[0], str) and content[0].strip():
+        yield ObjectArray(name, np.empty(0), text=content[0].strip())
 
 
 def _seconds(times: Array) -> Array:
@@ -110,8 +121,7 @@ def _timeseries(name: str, properties: dict[str, Any]) -> Iterator[ObjectArray]:
     """Times and data of a timeseries; equidistant times are stored as their beginning and step."""
     data = np.asarray(properties.get("Data_", properties.get("Data")))
     times = np.asarray(properties.get("Time_", properties.get("Time", ())))
-    info = properties.get("TimeInfo")
-    info = getattr(info.flat[0] if isinstance(info, np.ndarray) else info, "properties", {})
+    info = _properties(properties.get("TimeInfo"))
     if not times.size and info:
         begin, step, length = (_number(info, key) for key in ("Start", "Increment", "Length"))
         times = begin + step * np.arange(int(min(length, 2**31)))
@@ -120,6 +130,19 @@ def _timeseries(name: str, properties: dict[str, Any]) -> Iterator[ObjectArray]:
         clock = f"{name}.Time"
         yield ObjectArray(clock, times * _SECONDS[units], clock)
         yield ObjectArray(f"{name}.Data", data, clock)
+        yield from _text(f"{name}.Name", properties.get("Name", ""))
+        about = _properties(properties.get("DataInfo"))
+        unit = about.get("Units_", about.get("Units", ""))
+        # logging of Simulink has an object there, whose name is the unit
+        yield from _text(f"{name}.DataInfo.Units", _properties(unit).get("Name", unit))
+
+
+def _properties(value: Any) -> dict[str, Any]:
+    """The properties of an object, none of anything else."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.flat[0]
+    properties = getattr(value, "properties", None)
+    return properties if isinstance(properties, dict) else {}
 
 
 def _number(info: dict[str, Any], key: str) -> float:
