@@ -15,7 +15,7 @@ References:
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -57,6 +57,7 @@ _RANDOM_POINTS = 300  # by which base parameters are found
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
 _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
 _USUAL_NOISE = 0.02  # of the force of a motion
+_LEAST_FORCE = 1e-9  # N m or N, so that no noise is 0
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
 
@@ -365,11 +366,12 @@ def design_record(
     starts = [
         _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
     ]
-    noise = _choose_noise(knowledge, options, dynamics, shapes, starts, judged)
     cutoff = cutoff_for(options.highest, options.dt)
-    weight = compared_samples(options.seconds, cutoff) / len(judged)
+    count = compared_samples(options.seconds, cutoff)
+    fixed = knowledge.noise if options.noise is None else None
+    noise = _Noise(fixed, options.noise or _USUAL_NOISE)
     known = _information(knowledge, dynamics)
-    problem = _Problem(dynamics, shapes, box, known, weight / noise**2, judged)
+    problem = _Problem(dynamics, shapes, box, noise, known, count, judged)
     first = problem.information(starts[0])[0]
     results, stopped = [], False
     for k, x in enumerate(starts):
@@ -388,7 +390,8 @@ def design_record(
         stopped = stopped or is_late
     information = [problem.information(x)[0] for x in results]
     best = results[int(np.argmax(information))]
-    combinations = _find_combinations(dynamics, shapes, noise, rng)
+    missing = problem.missing(best)
+    combinations = _find_combinations(dynamics, shapes, missing, rng)
     file = _errors(combinations, np.eye(len(known)))
     before = None if knowledge.covariance is None else _errors(combinations, known)
     expected = _errors(combinations, problem.information(best)[1])
@@ -401,7 +404,7 @@ def design_record(
     u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
     channels = replace(system.channels, dt=options.dt)
     return RecordDesign(
-        channels, options, limits, motion, t, q, v, a, u, force, noise,
+        channels, options, limits, motion, t, q, v, a, u, force, missing,
         _base_parameters(dynamics, combinations, file, before, expected),
         float(np.median(ratios)), stopped,
     )  # fmt: skip
@@ -484,6 +487,25 @@ class _Box:
     def shares(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         """Points and actuation by the limits: within -1 and 1 where they are kept."""
         return (values - self.middle) / self.half
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Missing forces that are expected.
+
+    Attributes:
+        fixed: standard deviation at each coordinate, (n_q,) [N m or N]; None for a share.
+        share: share of the root mean square of the actuators' force.
+    """
+
+    fixed: Float[np.ndarray, " n_q"] | None
+    share: float
+
+    def deviation(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
+        """The standard deviation along a motion that needs some forces, (n_q,) [N m or N]."""
+        if self.fixed is not None:
+            return self.fixed
+        return self.share * np.sqrt(np.mean(force**2, axis=0) + _LEAST_FORCE**2)
 
 
 class _Dynamics:
@@ -581,8 +603,9 @@ class _Problem:
         dynamics: the dynamics.
         shapes: the motions.
         box: the limits.
+        noise: the missing forces.
         known: information before the record, in standard deviations of the priors, (n_p, n_p).
-        weights: weight of a squared force of each coordinate at a point, (n_q,).
+        count: number of independent samples of the record.
         t: times at which motions are judged [s], (n,).
     """
 
@@ -591,12 +614,14 @@ class _Problem:
         dynamics: _Dynamics,
         shapes: _Shapes,
         box: _Box,
+        noise: _Noise,
         known: Float[np.ndarray, "n_p n_p"],
-        weights: Float[np.ndarray, " n_q"],
+        count: float,
         t: Float[np.ndarray, " n"],
     ) -> None:
-        self._dynamics, self._shapes, self._box, self._known = dynamics, shapes, box, known
-        self._root, self._t = np.sqrt(weights), t
+        self._dynamics, self._shapes, self._box = dynamics, shapes, box
+        self._noise, self._known, self._each = noise, known, count / len(t)
+        self._t, self._n = t, len(shapes.middle)
         self._steps = _STEP * shapes.sizes.ravel()
 
     def information(
@@ -604,12 +629,23 @@ class _Problem:
     ) -> tuple[float, Float[np.ndarray, "n_p n_p"]]:
         """Half the logarithm of the determinant of the information of a motion, and the matrix."""
         points = self._shapes.points(x, self._t)
-        u = self._dynamics.actuation(points)[:, : len(self._root)]
-        matrix = self._matrix(self._dynamics.slopes(points, u))
+        u, force = np.split(self._dynamics.actuation(points), [-self._n], axis=1)
+        matrix = self._matrix(self._dynamics.slopes(points, u), self._weights(force))
         return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
 
-    def _matrix(self, slopes: Float[np.ndarray, "n n_q n_p"]) -> Float[np.ndarray, "n_p n_p"]:
-        rows = (slopes * self._root[:, None]).reshape(-1, slopes.shape[2])
+    def missing(self, x: Float[np.ndarray, "count n_q"]) -> Float[np.ndarray, " n_q"]:
+        """The force that is missing at each coordinate along a motion, (n_q,) [N m or N]."""
+        points = self._shapes.points(x, self._t)
+        return self._noise.deviation(self._dynamics.actuation(points)[:, -self._n :])
+
+    def _weights(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
+        """Weights of squares of forces at a point, by the forces of the motion."""
+        return self._each / self._noise.deviation(force) ** 2
+
+    def _matrix(
+        self, slopes: Float[np.ndarray, "n n_q n_p"], weights: Float[np.ndarray, " n_q"]
+    ) -> Float[np.ndarray, "n_p n_p"]:
+        rows = (slopes * np.sqrt(weights)[:, None]).reshape(-1, slopes.shape[2])
         return self._known + rows.T @ rows
 
     def cost(
@@ -624,21 +660,29 @@ class _Problem:
         moved = points[:, None] + np.concatenate([np.diag(self._steps), -np.diag(self._steps)])
         everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
         actuation = self._dynamics.actuation(everywhere)
-        slopes = self._dynamics.slopes(everywhere, actuation[:, : len(self._root)])
-        matrix = self._matrix(slopes[:n])
+        u, force = np.split(actuation, [-self._n], axis=1)
+        slopes = self._dynamics.slopes(everywhere, u)
+        weights = self._weights(force[:n])
+        matrix = self._matrix(slopes[:n], weights)
         _, logarithm = np.linalg.slogdet(matrix)
         shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
         beyond = np.maximum(np.abs(shares) - 1, 0.0)
         cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
         # derivatives of the information by the derivatives of forces, of the cost by limits
-        weighted = (slopes[:n] * self._root[:, None] ** 2) @ np.linalg.inv(matrix)
+        weighted = (slopes[:n] * weights[:, None]) @ np.linalg.inv(matrix)
         by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
+        by_actuation = by_share[:, n_m:].copy()
+        if self._noise.fixed is None:  # more force is more noise
+            told = np.sum(weighted * slopes[:n], axis=(0, 2))
+            by_actuation[:, -self._n :] += (
+                told * force[:n] / np.sum(force[:n] ** 2 + _LEAST_FORCE**2, axis=0)
+            )
         along = np.einsum(
             "nqp,nkqp->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
             optimize=True,
         )  # fmt: skip
         changed = actuation[n:].reshape(n, 2 * n_m, -1)
-        limited = np.einsum("nf,nkf->nk", by_share[:, n_m:], changed)
+        limited = np.einsum("nf,nkf->nk", by_actuation, changed)
         both = limited - along
         by_points = (both[:, :n_m] - both[:, n_m:]) / (2 * self._steps) + by_share[:, :n_m]
         return cost, self._shapes.gradient(by_points, self._t).ravel()
@@ -793,23 +837,6 @@ def _search(
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True
     return vector.reshape(x.shape), False
-
-
-def _choose_noise(
-    knowledge: Knowledge,
-    options: DesignOptions,
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    motions: Sequence[Float[np.ndarray, "count n_q"]],
-    t: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n_q"]:
-    """The missing force of each coordinate: what a fit has left, or a share of that of motions."""
-    if options.noise is None and knowledge.noise is not None:
-        return knowledge.noise
-    n = len(shapes.middle)
-    force = [dynamics.actuation(shapes.points(x, t))[:, -n:] for x in motions]
-    size = np.sqrt(np.mean(np.concatenate(force) ** 2, axis=0))
-    return (options.noise or _USUAL_NOISE) * np.maximum(size, 1e-6 * size.max() + 1e-12)
 
 
 def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
