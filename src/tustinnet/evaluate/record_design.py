@@ -29,6 +29,7 @@ from tustinnet.data.dataset import from_arrays
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
+from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.groups import (
     expand_parameters,
@@ -43,7 +44,7 @@ from tustinnet.fitting.shooting.inverse_dynamics import (
 )
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.contract import require_float64
-from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
 
@@ -81,7 +82,7 @@ class DesignOptions:
 
     seconds: float = 10.0
     frequency: float | None = None
-    harmonics: int = 5
+    harmonics: int = 10
     dt: float = 0.005
     margin: float = 0.1
     noise: float | None = None
@@ -269,10 +270,53 @@ def prior_knowledge(system: LagrangianSystem, groups: Mapping[str, str]) -> Know
     Raises:
         InputError: a group is missing.
     """
+    _require_groups(system, groups)
     parameters = expand_parameters(system, [_blank_record(system, groups)])
     space = make_search_space(system, {}, {}, parameters)
     nominal = {p.name: p.nominal for p in parameters}
     return Knowledge(space, nominal)
+
+
+def fitted_knowledge(
+    model: LagrangianModel, identification: Mapping[str, Any] | None, groups: Mapping[str, str]
+) -> Knowledge:
+    """What a fit says of the parameters of a system, and of the forces that it has not explained.
+
+    Args:
+        model: the equations of motion.
+        identification: the identification, as model files have it; None where only the values are
+            known, beside the priors.
+        groups: the groups of the record to be made, as `{"payload": "1kg"}`.
+
+    Raises:
+        InputError: no parameter has an error, or a group is missing.
+    """
+    _require_groups(model.system, groups)
+    values = {name: float(x) for name, x in model.values.items()}
+    if identification is None:
+        parameters = expand_parameters_by_values(model.system, values)
+        return Knowledge(make_search_space(model.system, values, {}, parameters), values)
+    errors = {e["coordinate"]: float(e["train"]) for e in identification.get("force_errors", ())}
+    # a covariance by inverse dynamics has its priors in it, so all directions have errors
+    space, covariance, _ = parameter_covariance(model, identification, 0.0 if errors else SHRINKAGE)
+    noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
+    return Knowledge(space, values, covariance, noise)
+
+
+def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None:
+    """Raises unless the groups are those by which parameters of a system differ."""
+    needed = {str(p.per): p.name for p in system.grouped}
+    for per, name in needed.items():
+        if per not in groups:
+            raise InputError(
+                "next-record --design", f"no group '{per}', which '{name}' is per",
+                "the group of the record to be made", f"--group {per}=NAME",
+            )  # fmt: skip
+    if unknown := [name for name in groups if name not in needed]:
+        raise InputError(
+            "--group", f"'{unknown[0]}', which nothing in the system is per",
+            f"one of {', '.join(needed)}" if needed else "no --group",
+        )  # fmt: skip
 
 
 def gather_limits(
