@@ -97,6 +97,8 @@ class DesignOptions:
             ("--rate", 1 / self.dt, 0 < self.dt <= self.seconds / 10,
              "samples a second, at least 10 in the record"),
             ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
+            ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
+            ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
             ("--noise", self.noise or 0.0, self.noise is None or 0 < self.noise <= 10,
              "a share of the force, above 0"),
         ):  # fmt: skip

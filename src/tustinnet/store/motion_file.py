@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from tustinnet.evaluate.record_design import RecordDesign
 from tustinnet.store.files import write_into
+
+_DECIMALS = 12
 
 
 def write_motion(folder: Path, name: str, design: RecordDesign) -> None:
@@ -24,4 +28,6 @@ def write_motion(folder: Path, name: str, design: RecordDesign) -> None:
     for j, c in enumerate(design.channels.coordinates):
         columns |= {c.name + ending: values[:, j] for ending, values in motion.items()}
     columns |= {i.name: design.u[:, j] for j, i in enumerate(design.channels.inputs)}
-    write_into(folder, name, pl.DataFrame(columns).write_csv())
+    # so that what is at rest is exactly 0
+    table = pl.DataFrame({key: np.round(x, _DECIMALS) + 0.0 for key, x in columns.items()})
+    write_into(folder, name, table.write_csv())
