@@ -1,6 +1,6 @@
 """Twins of robots: records in a closed loop, with encoders and noise of the torques."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -73,8 +73,9 @@ def record_in_loop(
     noise: float = 0.02,
     seed: int = 0,
     amplitude: float = 0.6,
+    motions: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> tn.DataSet:
-    """Records of a robot that a PD controller moves along sums of sines.
+    """Records of a robot that a PD controller moves along sums of sines, or other motions.
 
     Args:
         system: the robot; each input is the force at a joint, other joints swing freely.
@@ -85,6 +86,7 @@ def record_in_loop(
         noise: standard deviation of the torques' noise, relative to their root mean square.
         seed: seed of set points and noise.
         amplitude: size of the set points [rad or m].
+        motions: positions and velocities that the first records follow instead, (n, n_q) each.
     """
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
     step = tn.compiled_step(tn.discretise(model, dt, 5, inputs=system.inputs))
@@ -106,9 +108,11 @@ def record_in_loop(
         middle = rng.uniform(-0.5, 0.5, n)
         wanted = middle + np.sum(size * np.sin(omega * t[:, None, None] + phase), axis=1)
         speed = np.sum(size * omega * np.cos(omega * t[:, None, None] + phase), axis=1)
+        if k < len(motions):
+            wanted, speed = motions[k]
         x = np.concatenate([wanted[0], speed[0]])
-        states, torques = np.empty((len(t), 2 * n)), np.empty((len(t), len(driven)))
-        for i in range(len(t)):
+        states, torques = np.empty((len(wanted), 2 * n)), np.empty((len(wanted), len(driven)))
+        for i in range(len(wanted)):
             states[i] = x
             force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
             torques[i] = force[driven]

@@ -1,10 +1,13 @@
-"""`next-record`: which of some proposed records would tell the most."""
+"""`next-record`: which of some proposed records would tell the most, and a design of one."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 import pytest
 from test_verbs import tustinnet
 
@@ -110,6 +113,137 @@ def test_what_cannot_be_asked_is_one_line(place, run_folder, tmp_path, capsys):
     network = run_folder / "model.safetensors"
     refuse(capsys, "nothing says how sure it is", network, place.proposals)
     refuse(capsys, "no such file", place.model, tmp_path / "x.toml", "--system", place.system)
+
+
+ARM = Path(__file__).parents[2] / "examples" / "robots" / "scara.urdf"
+ROLL = (
+    "--within", "roll=-3:3", "--within", "roll_dot=-6:6", "--limits", "roll_torque=-2:2",
+)  # fmt: skip
+QUICK = ("--harmonics", 3, "--seconds", 4, "--starts", 1, "--budget", "2s")
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory) -> tuple[Path, str, str]:
+    """The folder of a motion that was designed for a robot's file alone, and what was printed."""
+    out = tmp_path_factory.mktemp("designed") / "motion"
+    words = ["next-record", "--design", "--system", ARM, "--out", out, "--rate", "100", *ROLL,
+             *QUICK, "--margin", "0.2", "--noise", "0.05", "--seed", "3",
+             "--within", "elbow_ddot=-8:8"]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "tustinnet", *map(str, words)], capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout, done.stderr
+
+
+def test_a_motion_is_designed_for_the_file_of_a_robot(designed):
+    out, printed, progress = designed
+    assert {path.name for path in out.iterdir()} == {"motion.csv", "motion.png", "design.json"}
+    table = pl.read_csv(out / "motion.csv")
+    joints, n = ["shoulder", "elbow", "lift", "roll"], 4 * 100 + 1
+    assert table.columns == [
+        "time", *(name + end for name in joints for end in ("", "_dot", "_ddot")),
+        "shoulder_torque", "elbow_torque", "lift_force", "roll_torque",
+    ]  # fmt: skip
+    assert len(table) == n
+    for name, low, high in (
+        ("shoulder", -2.3, 2.3), ("lift", -0.2, 0.0), ("roll_dot", -6, 6), ("elbow_dot", -6, 6),
+        ("elbow_ddot", -8, 8), ("roll_torque", -2, 2), ("elbow_torque", -40, 40),
+    ):  # fmt: skip
+        middle, half = (low + high) / 2, 0.8 * (high - low) / 2  # less the margin
+        values = table[name].to_numpy()
+        assert np.abs(values - middle).max() <= half * (1 + 1e-9), name
+        assert np.ptp(values) > 0
+    for name in joints:
+        for row in (0, -1):
+            assert (table[f"{name}_dot"][row], table[f"{name}_ddot"][row]) == (0, 0)
+        v = np.gradient(table[name].to_numpy(), 0.01)
+        assert np.abs(v - table[f"{name}_dot"].to_numpy())[1:-1].max() < 0.02 * np.abs(v).max()
+    assert "22 base parameters; by random motions within the same limits" in printed
+    assert "collisions are not looked at" in printed
+    assert "it begins and ends at rest at shoulder" in printed
+    assert "start 1 of 1" in progress
+    plain = json.loads((out / "design.json").read_text())
+    shares = [b["expected"] / b["file"] for b in plain["base_parameters"]]
+    assert shares == sorted(shares)
+    assert (len(shares), plain["seed"], plain["margin"]) == (22, 3, 0.2)
+
+
+def test_a_design_adds_to_the_records_of_a_fit(place, tmp_path, capsys):
+    out = tmp_path / "motion"
+    words = ["next-record", place.model, "--system", place.system, "--design", "--out", out,
+             "--within", "angle=-2:2", "--within", "angle_dot=-4:4", "--limits", "torque=-9:9",
+             "--frequency", 0.5, *QUICK, "--json", "--quiet"]  # fmt: skip
+    code, printed, err = tustinnet(capsys, *words)
+    assert code == 0, err
+    assert "start" not in err
+    plain = json.loads(printed)
+    assert (plain["seconds"], plain["frequency"]) == (4, 0.5)
+    errors = {b["name"]: (b["known"], b["expected"]) for b in plain["base_parameters"]}
+    summary = json.loads((place.model.parent / "summary.json").read_text())
+    for e in summary["identification"]["estimates"]:
+        known, expected = errors[e["name"]]
+        assert known == pytest.approx(e["error"], rel=1e-6)
+        assert expected < known
+    assert tustinnet(capsys, *words)[0] == 1, "there already"
+    code, printed, _ = tustinnet(capsys, *words[:-2], "--overwrite")
+    assert code == 0
+    assert "it makes the errors of the records so far" in printed
+
+
+def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
+    design = ("--design", "--out", tmp_path / "motion")
+    robot = (*design, "--system", ARM)
+    refuse(capsys, "no limits of the position of 'roll'; expected limits of every position and "
+           "velocity; for instance --within roll=-1:1", *robot)  # fmt: skip
+    refuse(capsys, "velocity of 'roll'", *robot, *ROLL[:2])
+    refuse(capsys, "no limits of the input 'roll_torque' at 'roll'", *robot, *ROLL[:4])
+    refuse(capsys, "no 'rol'; expected one of shoulder", *robot, "--within", "rol=-1:1")
+    refuse(capsys, "no input 'roll'", *robot, "--limits", "roll=-1:1")
+    refuse(capsys, "one direction alone", *robot, "--within", "roll_dot=1:2")
+    refuse(capsys, "it needs", *robot, *ROLL, "--limits", "lift_force=-1:1")
+    refuse(capsys, "--seconds: -1", *robot, *ROLL, "--seconds", -1)
+    refuse(capsys, "2.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.25)
+    refuse(capsys, "a tenth of the sampling rate", *robot, *ROLL, "--rate", 5)
+    refuse(capsys, "--rate: 0", *robot, *ROLL, "--rate", 0)
+    refuse(capsys, "--margin: 1", *robot, *ROLL, "--margin", 1)
+    refuse(capsys, "--starts: 0", *robot, *ROLL, "--starts", 0)
+    refuse(capsys, "--seed: -1", *robot, *ROLL, "--seed", -1)
+    refuse(capsys, "--budget: 'soon'", *robot, *ROLL, "--budget", "soon")
+    refuse(capsys, "which nothing in the system is per", *robot, *ROLL, "--group", "payload=1kg")
+    pendulum = ARM.parent / "double_pendulum.urdf"
+    free = [word for name in ("upper_joint", "lower_joint")
+            for word in ("--within", f"{name}=-1:1", "--within", f"{name}_dot=-1:1")]  # fmt: skip
+    refuse(capsys, "1 inputs of 2 coordinates", *design, "--system", pendulum, *free)
+    refuse(capsys, "neither a model nor a system", *design)
+    refuse(capsys, "no folder for the motion; expected --out DIR", "--design", "--system", ARM)
+    network = run_folder / "model.safetensors"
+    refuse(capsys, "a model without equations of motion", network, *design)
+    refuse(capsys, "--horizon: not applicable to a design", *robot, "--horizon", 1)
+    refuse(capsys, "PROPOSALS: not applicable to a design", place.model, place.proposals, *design)
+    assert not (tmp_path / "motion").exists()
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--out", "motion"), ("--seconds", 5), ("--harmonics", 5), ("--frequency", 1),
+        ("--rate", 100), ("--within", "angle=-1:1"), ("--limits", "torque=-1:1"),
+        ("--margin", 0.1), ("--noise", 0.1), ("--group", "payload=1kg"), ("--starts", 2),
+        ("--seed", 1), ("--budget", "1s"), ("--overwrite",), ("--quiet",),
+    ],
+)  # fmt: skip
+def test_a_ranking_refuses_the_options_of_a_design(option, place, capsys):
+    refuse(capsys, f"{option[0]}: not applicable to a ranking", place.model, place.proposals,
+           "--system", place.system, *option)  # fmt: skip
+
+
+def test_a_ranking_needs_a_model_and_proposals(place, capsys):
+    for arguments in ((), (place.model,)):
+        code, _, err = tustinnet(capsys, "next-record", *arguments)
+        assert code == 2
+        assert "missing" in err
 
 
 def refuse(capsys, told: str, *arguments: object) -> None:

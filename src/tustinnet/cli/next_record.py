@@ -1,18 +1,35 @@
-"""`tustinnet next-record`: ranks proposed records by the information that they would add."""
+"""`tustinnet next-record`: ranks proposed records by their information, or designs one."""
 
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tustinnet.cli import options, terminal
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tustinnet.evaluate.record_design import DesignProgress, RecordDesign
+
+MOTION, FIGURE, SUMMARY = "motion.csv", "motion.png", "design.json"
+_RATE = 200.0  # Hz, of a design without a model
+_HIGHEST_RATE = 1e6  # Hz
+_LINE_EVERY = 5.0  # seconds between two lines of progress
+
 
 def next_record(
-    model: options.Model,
+    model: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="MODEL", help="Model file (.safetensors). With --design, --system may do."
+        ),
+    ] = None,
     proposals: Annotated[
-        Path, typer.Argument(metavar="PROPOSALS", help="TOML file of records that could be made.")
-    ],
+        Path | None,
+        typer.Argument(metavar="PROPOSALS", help="TOML file of records that could be made."),
+    ] = None,
     horizon: Annotated[
         float | None,
         typer.Option(
@@ -21,15 +38,138 @@ def next_record(
             "records.",
         ),
     ] = None,
+    design: Annotated[
+        bool,
+        typer.Option(
+            "--design", help="Design a motion that tells the most, instead of ranking PROPOSALS."
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="With --design: folder for the motion.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="With --design: length of the record. Default: 10.")
+    ] = None,
+    harmonics: Annotated[
+        int | None, typer.Option(metavar="K", help="With --design: harmonics. Default: 10.")
+    ] = None,
+    frequency: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="With --design: base frequency. Default: one period in the record."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="With --design: samples a second. Default: those of the model, else 200.",
+        ),
+    ] = None,
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="With --design: limits of a position (NAME), velocity (NAME_dot) or acceleration "
+            "(NAME_ddot), instead of the robot file's. May be repeated.",
+        ),
+    ] = None,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="With --design: limits of an input, beside those of the robot file. May be "
+            "repeated.",
+        ),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE", help="With --design: share of each limit to keep free. Default: 0.1."
+        ),
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="With --design: share of a force that stays unexplained. Default: what the fit "
+            "left, else 0.02.",
+        ),
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="With --design: group of the record, e.g. payload=1kg; may be repeated.",
+        ),
+    ] = None,
+    starts: Annotated[
+        int | None,
+        typer.Option(metavar="K", help="With --design: random motions to search from. Default: 4."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="With --design: seed of these. Default: 0.")
+    ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="With --design: time limit, or none. Default: 60s."),
+    ] = None,
     system: options.System = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="With --design: replace an earlier one in --out.")
+    ] = False,
     json: options.Json = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="With --design: do not show progress.")
+    ] = False,
 ) -> None:
-    """Rank proposed records by how much a model would gain.
+    """Rank proposed records by how much a model would gain, or design one.
 
     PROPOSALS has tables [[proposals]] with name, start (initial values by coordinate), and either
     seconds (without inputs) or inputs (a file with a column for each input). The first record of
     the ranking should be recorded next.
+
+    With --design: a periodic motion of a robot, within limits, that makes the errors of its
+    parameters smallest, for a model or for a robot's file alone (--system arm.urdf).
     """
+    from tustinnet.errors import InputError
+
+    if not design:
+        if model is None or proposals is None:
+            raise typer.BadParameter(
+                "missing; a model and a file of proposals, or --design",
+                param_hint="MODEL" if model is None else "PROPOSALS",
+            )
+        for option, value in {
+            "--out": out, "--seconds": seconds, "--harmonics": harmonics, "--frequency": frequency,
+            "--rate": rate, "--within": within, "--limits": limits, "--margin": margin,
+            "--noise": noise, "--group": group, "--starts": starts, "--seed": seed,
+            "--budget": budget, "--overwrite": overwrite or None, "--quiet": quiet or None,
+        }.items():  # fmt: skip
+            if value is not None:
+                raise InputError(option, "not applicable to a ranking of proposals", "--design")
+        _rank(model, proposals, horizon, system, json=json)
+        return
+    if proposals is not None or horizon is not None:
+        name = "PROPOSALS" if proposals is not None else "--horizon"
+        raise InputError(name, "not applicable to a design", "MODEL, --system, or both",
+                         "omit it, or omit --design")  # fmt: skip
+    if out is None:
+        raise InputError("--design", "no folder for the motion", "--out DIR")
+    given = {
+        "seconds": seconds, "harmonics": harmonics, "frequency": frequency, "margin": margin,
+        "noise": noise, "starts": starts, "seed": seed,
+    }  # fmt: skip
+    _design(
+        model, out, system, {key: value for key, value in given.items() if value is not None},
+        rate, within, limits, group, budget, overwrite=overwrite, json=json, quiet=quiet,
+    )  # fmt: skip
+
+
+def _rank(
+    model: Path, proposals: Path, horizon: float | None, system: str | None, *, json: bool
+) -> None:
+    """Ranks proposed records."""
     terminal.prepare_jax()
     from tustinnet.cli.request import load_model
     from tustinnet.data.proposals import read_proposals
@@ -50,3 +190,117 @@ def next_record(
     columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
     terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
     typer.echo(f"record next: {ranking.gains[0].name}")
+
+
+def _design(
+    model: Path | None,
+    out: Path,
+    system: str | None,
+    given: dict[str, Any],
+    rate: float | None,
+    within: list[str] | None,
+    limits: list[str] | None,
+    group: list[str] | None,
+    budget: str | None,
+    *,
+    overwrite: bool,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Designs a record, prints what it is worth, and writes it with a figure."""
+    terminal.prepare_jax()
+    from tustinnet.cli import request
+    from tustinnet.cli.select import parse_seconds
+    from tustinnet.errors import InputError
+    from tustinnet.evaluate.next_record import equations_of_motion
+    from tustinnet.evaluate.record_design import (
+        DesignOptions,
+        design_record,
+        fitted_knowledge,
+        gather_limits,
+        prior_knowledge,
+    )
+    from tustinnet.store.files import lock_folder, require_outputs
+    from tustinnet.store.header import read_header
+    from tustinnet.systems.files import find_system, load_system
+
+    groups = request.parse_groups(group)
+    seconds = parse_seconds(budget) if budget is not None else DesignOptions.budget
+    inputs = request.list_input_files(None, None, model, system)
+    require_outputs(
+        [out / name for name in (MOTION, FIGURE, SUMMARY)], overwrite=overwrite, read=inputs
+    )
+    if model is None:
+        if system is None:
+            raise InputError("--design", "neither a model nor a system", "one of them",
+                             "for instance --system arm.urdf")  # fmt: skip
+        equations = load_system(find_system(system))
+        knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
+    else:
+        fitted, header = request.load_model(model, system), read_header(model)
+        mechanics = equations_of_motion(fitted)
+        if mechanics is None:
+            raise InputError(
+                model, "a model without equations of motion", "an identified system",
+                "fit one: tustinnet fit LOGS --recipe inverse-dynamics --system arm.urdf",
+            )  # fmt: skip
+        equations, channels, dt = mechanics.system, fitted.channels, fitted.dt
+        knowledge = fitted_knowledge(mechanics, header.get("identification"), groups)
+    if rate is not None and not 0 < rate <= _HIGHEST_RATE:
+        raise InputError("--rate", f"{rate:g}", f"a rate above 0 and at most {_HIGHEST_RATE:g} Hz")
+    design_options = DesignOptions(dt=dt if rate is None else 1 / rate, budget=seconds, **given)
+    box = gather_limits(
+        equations, request.parse_limits("--within", within),
+        request.parse_limits("--limits", limits), channels,
+    )  # fmt: skip
+    with lock_folder(out):
+        result = design_record(
+            equations, knowledge, box, design_options, groups=groups,
+            on_progress=_make_listener(terminal.make_printer(quiet=quiet)),
+        )  # fmt: skip
+        _write(result, out, json=json)
+
+
+def _make_listener(printer: "Callable[[str], None]") -> "Callable[[DesignProgress], None]":
+    """Makes a function that prints a line of progress now and then."""
+    last, start = time.monotonic(), 0
+
+    def on_progress(progress: "DesignProgress") -> None:
+        nonlocal last, start
+        if progress.start == start and time.monotonic() - last < _LINE_EVERY:
+            return
+        last, start = time.monotonic(), progress.start
+        printer(
+            f"start {progress.start} of {progress.starts}, step {progress.iteration}: "
+            f"information {progress.gain:+.1f} nats"
+        )
+
+    return on_progress
+
+
+def _write(result: "RecordDesign", out: Path, *, json: bool) -> None:
+    """Prints a design, and writes its motion, its figure and its summary."""
+    from tustinnet.report.record_design import (
+        design_figure,
+        error_table,
+        motion_table,
+        sentences,
+    )
+    from tustinnet.store.files import to_json, write_into
+    from tustinnet.store.motion_file import write_motion
+
+    write_motion(out, MOTION, result)
+    write_into(out, SUMMARY, to_json(result.as_plain()))
+    if json:
+        terminal.print_json(result.as_plain())
+    else:
+        terminal.print_tables(motion_table(result), error_table(result))
+        for sentence in sentences(result):
+            typer.echo(f"* {sentence}")
+
+    from tustinnet.report.figures import write_figure
+
+    write_figure(design_figure(result), out, FIGURE)
+    terminal.messages().print(
+        f"written: {', '.join(str(out / name) for name in (MOTION, FIGURE, SUMMARY))}"
+    )

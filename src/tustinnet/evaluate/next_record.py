@@ -10,12 +10,14 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.bands import find_alternatives, predict
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
+from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
@@ -23,7 +25,7 @@ from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.simulate.input_signal import initial_inputs, input_signals
 from tustinnet.simulate.simulation import simulate_runs
 
-_SHRUNK = 0.1  # of the correlations: those of few records leave directions without any error
+SHRINKAGE = 0.1  # of the correlations: those of few records leave directions without any error
 COVARIANCE, DISAGREEMENT = "covariance of the parameters", "disagreement of the members"
 
 
@@ -144,30 +146,11 @@ def _covariance_gains(
     """By how much the covariance of an identified system's parameters would shrink."""
     if not records:
         return []
+    continuous = equations_of_motion(model)
     assert isinstance(model, Discretised)
-    continuous = model.continuous
-    assert isinstance(continuous, LagrangianModel)
+    assert continuous is not None
     values = {name: float(x) for name, x in continuous.values.items()}
-    rows = [
-        i
-        for i, e in enumerate(identification["estimates"])
-        if e["error"] and e["name"] in values
-    ]  # fmt: skip
-    if not rows:
-        raise InputError("next-record", "a model whose parameters have no errors",
-                         "one whose parameters have some", "fit it to more records")  # fmt: skip
-    estimates = [identification["estimates"][i] for i in rows]
-    names = [e["name"] for e in estimates]
-    space = search_space_for(continuous.system, values, names)
-    order = np.array([names.index(name) for name in space.names])
-    # in the order of the space, correlations shrunk
-    index = np.asarray(rows)[order]
-    correlation = np.array(identification["correlation"], float)
-    correlation = np.nan_to_num(correlation)[np.ix_(index, index)]
-    errors = np.array([identification["estimates"][i]["error"] for i in index])
-    shrunk = (1 - _SHRUNK) * correlation + _SHRUNK * np.eye(len(index))
-    covariance = shrunk * np.outer(errors, errors)
-    covariance = covariance / np.outer(*[space.derivatives(space.to_vector(values))] * 2)
+    space, covariance, estimates = parameter_covariance(continuous, identification, SHRINKAGE)
     # residuals of a record are not independent: it counts as much less as the errors say
     ratios = [e["naive_error"] / e["error"] for e in estimates if e["naive_error"]]
     weight = min(float(np.median(ratios)) ** 2, 1.0) if ratios else 1.0
@@ -190,6 +173,53 @@ def _covariance_gains(
         words = f"error of {space.names[best]} to {100 * remaining[best]:.0f} %"
         gains.append(InformationGain(e.name, gain, words))
     return gains
+
+
+def equations_of_motion(model: Model) -> LagrangianModel | None:
+    """The equations of motion that a model steps, None for one that is not made of them alone."""
+    continuous = model.continuous if isinstance(model, Discretised) else None
+    return continuous if isinstance(continuous, LagrangianModel) else None
+
+
+def parameter_covariance(
+    model: LagrangianModel, identification: Mapping[str, Any], shrinkage: float
+) -> tuple[SearchSpace, Float[np.ndarray, "n_p n_p"], list[Mapping[str, Any]]]:
+    """The covariance of identified parameters, in the coordinates of a search.
+
+    Args:
+        model: the equations of motion.
+        identification: the identification, as model files have it.
+        shrinkage: share by which correlations are made smaller.
+
+    Returns:
+        The search space of the parameters that have errors, their covariance, and their entries in
+        the file, in the order of the file.
+
+    Raises:
+        InputError: no parameter has an error.
+    """
+    values = {name: float(x) for name, x in model.values.items()}
+    rows = [
+        i
+        for i, e in enumerate(identification["estimates"])
+        if e["error"] and e["name"] in values
+    ]  # fmt: skip
+    if not rows:
+        raise InputError("next-record", "a model whose parameters have no errors",
+                         "one whose parameters have some", "fit it to more records")  # fmt: skip
+    estimates = [identification["estimates"][i] for i in rows]
+    names = [e["name"] for e in estimates]
+    space = search_space_for(model.system, values, names)
+    order = np.array([names.index(name) for name in space.names])
+    # in the order of the space, correlations shrunk
+    index = np.asarray(rows)[order]
+    correlation = np.array(identification["correlation"], float)
+    correlation = np.nan_to_num(correlation)[np.ix_(index, index)]
+    errors = np.array([identification["estimates"][i]["error"] for i in index])
+    shrunk = (1 - shrinkage) * correlation + shrinkage * np.eye(len(index))
+    covariance = shrunk * np.outer(errors, errors)
+    covariance = covariance / np.outer(*[space.derivatives(space.to_vector(values))] * 2)
+    return space, covariance, estimates
 
 
 def _disagreement_gains(

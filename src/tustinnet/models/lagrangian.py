@@ -25,6 +25,7 @@ from tustinnet.models.contract import (
     State,
 )
 from tustinnet.models.kinematics import Link, require_links
+from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
@@ -165,6 +166,8 @@ class LagrangianSystem:
             it; None to derive them from it.
         source: the file of a robot from which it was made, and from which it can be made with
             coordinates and inputs in another order; None if its functions know no names.
+        limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
+            equation of motion knows of them.
     """
 
     name: str
@@ -181,6 +184,7 @@ class LagrangianSystem:
     links: tuple[Link, ...] = ()
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None
+    limits: tuple[MotionLimits, ...] = ()
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -202,6 +206,11 @@ class LagrangianSystem:
         if not self.coordinates:
             raise InputError(f"system '{self.name}'", "no coordinates", "at least one")
         require_links(self.links, self.coordinates, f"system '{self.name}'")
+        if self.limits and len(self.limits) != len(self.coordinates):
+            raise InputError(
+                f"system '{self.name}'", f"limits of {len(self.limits)} coordinates",
+                f"of all {len(self.coordinates)}, or none",
+            )  # fmt: skip
         self._require_shapes()
 
     def nominal(self) -> dict[str, float]:

@@ -233,6 +233,7 @@ def _joint_of(
         coulomb=float(model.dof_frictionloss[dof]),
         stiffness=float(np.ravel(model.jnt_stiffness[k])[0]),
         spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
+        range=_range_of(model.jnt_limited[k], model.jnt_range[k]),
     )  # fmt: skip
 
 
@@ -275,9 +276,32 @@ def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
         joint_name = model.joint(joint).name
         actuators.append(RobotActuator(
             name or joint_name, joint_name, gear * gain, gear**2 * by_position,
-            gear**2 * by_speed, gear * bias,
+            gear**2 * by_speed, gear * bias, _largest_force(model, i, gear, gain),
         ))  # fmt: skip
     return tuple(actuators)
+
+
+def _largest_force(model: Any, i: int, gear: float, gain: float) -> float | None:
+    """The largest force of an actuator at its joint in both directions, None if unknown."""
+    joint = int(model.actuator_trnid[i, 0])
+    ranges = [
+        (_range_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]), gear),
+        (_range_of(model.jnt_actfrclimited[joint], model.jnt_actfrcrange[joint]), 1.0),
+    ]
+    if model.actuator_biastype[i] == _NO_BIAS:
+        ranges.append((_range_of(model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]),
+                       gear * gain))  # fmt: skip
+    # a force that has one direction alone cannot move a joint to and fro
+    return min(
+        (abs(factor) * min(-ends[0], ends[1])
+         for ends, factor in ranges if ends is not None and ends[0] < 0 < ends[1]),
+        default=None,
+    )  # fmt: skip
+
+
+def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:
+    """The ends of a range, None where it does not hold."""
+    return (float(ends[0]), float(ends[1])) if is_limited and ends[0] < ends[1] else None
 
 
 def _inertia_of(mujoco: Any, model: Any, i: int) -> LinkInertia | None:

@@ -82,6 +82,7 @@ class RobotJoint:
         spring_rest: position at which that spring is at rest [rad or m].
         effort: largest force of its actuator [N m or N], None if unknown.
         speed: largest speed [rad/s or m/s], None if unknown.
+        range: smallest and largest position [rad or m], None if unknown.
     """
 
     name: str
@@ -101,6 +102,7 @@ class RobotJoint:
     spring_rest: float = 0.0
     effort: float | None = None
     speed: float | None = None
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,7 @@ class RobotActuator:
         by_position: force by position [N m/rad or N/m].
         by_speed: force by speed [N m s/rad or N s/m].
         bias: force without input [N m or N].
+        largest_force: largest force in both directions [N m or N], None if unknown.
     """
 
     name: str
@@ -122,6 +125,7 @@ class RobotActuator:
     by_position: float = 0.0
     by_speed: float = 0.0
     bias: float = 0.0
+    largest_force: float | None = None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from tustinnet.models.chains import (
 )
 from tustinnet.models.kinematics import BASE, Link
 from tustinnet.models.lagrangian import ChannelSource, LagrangianSystem, Parameter
+from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.systems.files import ROBOT_ENDINGS, find_robot_path, find_system
 from tustinnet.systems.mjcf import read_mjcf
 from tustinnet.systems.robot import (
@@ -550,6 +551,7 @@ class _Assembly:
             links=self._drawn_links(),
             inertia=chain.inertia,
             source=source,
+            limits=tuple(self._limits(k) for k in range(len(self.free))),
         )
 
     def _body_parameters(self, i: int) -> list[Parameter]:
@@ -654,6 +656,29 @@ class _Assembly:
             f"{name}.armature", unit, nominal, nominal / 100, max(largest, 2 * nominal)
         )
 
+    def _limits(self, k: int) -> MotionLimits:
+        """The limits of a coordinate: of its joint, of those that follow it, of its actuators."""
+        position, velocity = (-np.inf, np.inf), np.inf
+        for name, mover in self.moved_by.items():
+            joint = self.joints[name]
+            if mover.joint != self.free[k] or mover.ratio == 0:
+                continue
+            if joint.range is not None:
+                low, high = sorted((end - mover.offset) / mover.ratio for end in joint.range)
+                position = max(position[0], low), min(position[1], high)
+            velocity = min(velocity, (joint.speed or np.inf) / abs(mover.ratio))
+        forces = [
+            abs(d.ratio) * (self.joints[d.joint].effort or d.largest_force or np.inf)
+            for d in self.drives
+            if d.coordinate == k
+        ]
+        has_range = np.isfinite(position).all() and position[0] < position[1]
+        return MotionLimits(
+            (float(position[0]), float(position[1])) if has_range else None,
+            float(velocity) if np.isfinite(velocity) else None,
+            force=float(sum(forces)) if forces and np.isfinite(forces).all() else None,
+        )
+
     def _scale(self, k: int) -> tuple[float, float]:
         """Largest inertia and force of gravity that a coordinate sees, the robot stretched out."""
         inertia = force = 0.0
@@ -691,10 +716,11 @@ class _Assembly:
             joint, mover = self.joints[name], self.moved_by[name]
             word = "torque" if joint.kind == "angular" else "force"
             unit, gain = _force_unit(joint), 1.0
-            terms = (0.0, 0.0, 0.0)
+            terms, largest = (0.0, 0.0, 0.0), None
             if actuator is not None:
                 gain = actuator.gain
                 terms = actuator.by_position, actuator.by_speed, actuator.bias
+                largest = actuator.largest_force
                 if gain != 1.0 or any(terms):
                     unit = ANY_UNIT
             if has_motor := name in self.motor_constants:
@@ -702,7 +728,7 @@ class _Assembly:
             inputs.append(Input(actuator.name if actuator else f"{name}_{word}", unit))
             constant = f"{name}.motor_constant" if has_motor else None
             drives.append(Drive(name, self.free.index(mover.joint), mover.ratio, mover.offset,
-                                constant, gain, *terms))  # fmt: skip
+                                constant, gain, *terms, largest))  # fmt: skip
         for name in self.motor_constants:
             if name not in [joint for _, joint in actuators]:
                 raise InputError(

@@ -157,7 +157,9 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     viscous, coulomb = (_number(dynamics, key, "0", place) for key in ("damping", "friction"))
     if viscous < 0 or coulomb < 0:
         raise InputError(place, "a negative friction", "damping and friction of at least 0")
-    effort, speed = (_number(limit, key, "0", place) for key in ("effort", "velocity"))
+    effort, speed, lower, upper = (
+        _number(limit, key, "0", place) for key in ("effort", "velocity", "lower", "upper")
+    )
     parent, child = ends
     return RobotJoint(
         name, _KINDS[kind], parent, child, rotation, position,
@@ -169,6 +171,7 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
         ),
         viscous=viscous, coulomb=coulomb,
         effort=effort if effort > 0 else None, speed=speed if speed > 0 else None,
+        range=(lower, upper) if lower < upper and kind != "continuous" else None,
     )  # fmt: skip
 
 

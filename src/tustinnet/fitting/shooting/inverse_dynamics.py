@@ -126,7 +126,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     formula = missing_forces(equations)
     values = space.to_values(state.vector)
     unit = _force_sizes(formula, equations, problem, train, values)
-    prior = _Prior(space)
+    prior = Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
     if not np.isfinite(point.cost):
         raise InputError(
@@ -214,16 +214,39 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
 
 def _choose_cutoff(records: Sequence[Experiment]) -> float:
     """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
-    rate = 1 / records[0].dt
     band = max(occupied_band(e.q, e.dt) for e in records)
-    return min(_BAND * band, _HIGHEST * rate)
+    return cutoff_for(band, records[0].dt)
 
 
-class _Prior:
-    """Priors in the coordinates of the search, about the nominal values.
+def cutoff_for(band: float, dt: float) -> float:
+    """The frequency up to which forces of a motion are compared [Hz].
+
+    Args:
+        band: highest frequency of the motion [Hz].
+        dt: sampling period [s].
+    """
+    return min(_BAND * band, _HIGHEST * (1 / dt))
+
+
+def compared_samples(seconds: float, cutoff: float) -> float:
+    """The number of nearly independent samples of forces that a record has.
+
+    Args:
+        seconds: length of the record [s].
+        cutoff: frequency up to which forces are compared [Hz].
+    """
+    return _SAMPLES * cutoff * seconds
+
+
+class Prior:
+    """Priors in the coordinates of a search, about the nominal values.
 
     Args:
         space: the search space. A parameter without a prior has one of half its range.
+
+    Attributes:
+        spread: standard deviations, (n_p,).
+        centre: the nominal values, (n_p,).
     """
 
     def __init__(self, space: SearchSpace) -> None:
@@ -247,7 +270,7 @@ def _evaluate(
     equations: SystemEquations,
     problem: Problem,
     space: SearchSpace,
-    prior: _Prior,
+    prior: Prior,
     train: Sequence[MeasuredForces],
     unit: Float[np.ndarray, " n_q"],
     vector: ParameterVector,
@@ -286,7 +309,7 @@ def _propose(
     equations: SystemEquations,
     problem: Problem,
     space: SearchSpace,
-    prior: _Prior,
+    prior: Prior,
     train: Sequence[MeasuredForces],
     unit: Float[np.ndarray, " n_q"],
     point: _Point,
@@ -366,7 +389,7 @@ def _make_identification(
     state: SearchState,
     formula: Formula,
     equations: SystemEquations,
-    prior: _Prior,
+    prior: Prior,
     train: Sequence[MeasuredForces],
     held_out: Sequence[MeasuredForces],
     point: _Point,
@@ -532,7 +555,7 @@ def _describe_carried(
     return sentences
 
 
-def _rank(point: _Point, prior: _Prior) -> int:
+def _rank(point: _Point, prior: Prior) -> int:
     """How many combinations of parameters change the forces at all: the base parameters."""
     matrix = point.matrices.sum(axis=0) * np.outer(prior.spread, prior.spread)
     eigenvalues = np.linalg.eigvalsh(matrix)
@@ -540,7 +563,7 @@ def _rank(point: _Point, prior: _Prior) -> int:
 
 
 def _covariance(
-    point: _Point, prior: _Prior, space: SearchSpace
+    point: _Point, prior: Prior, space: SearchSpace
 ) -> tuple[Float[np.ndarray, "n_p n_p"], str, float]:
     """Covariance of the estimates, NaN at a bound; what it is from; errors of half an interval.
 

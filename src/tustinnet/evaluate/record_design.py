@@ -1,0 +1,960 @@
+"""Design of a record: the motion that tells the most about the parameters of a robot.
+
+`design_record` takes a system with an input for each coordinate, what is known of its parameters
+and limits of its motion. It returns a periodic motion that begins and ends at rest, and the errors
+that the parameters are expected to have once it has been recorded. Forces along the motion count,
+as in the identification by inverse dynamics.
+
+References:
+    Swevers, Ganseman, Tükel, De Schutter, Van Brussel (1997), Optimal robot excitation and
+    identification, IEEE Transactions on Robotics and Automation 13(5): Fourier series, the
+    determinant of the covariance. Gautier, Khalil (1992), Exciting trajectories for the
+    identification of base inertial parameters of robots, International Journal of Robotics
+    Research 11(4). Gautier (1991), Numerical calculation of the base inertial parameters of
+    robots, Journal of Robotic Systems 8(4).
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tustinnet.channels import Channels
+from tustinnet.data.dataset import from_arrays
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
+from tustinnet.errors import InputError
+from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.groups import (
+    expand_parameters,
+    expand_parameters_by_values,
+    group_indices,
+)
+from tustinnet.fitting.shooting.inverse_dynamics import (
+    Prior,
+    compared_samples,
+    cutoff_for,
+    missing_forces,
+)
+from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
+from tustinnet.models.contract import require_float64
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.motion_limits import MotionLimits
+from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
+
+_POINTS = 16  # of a period of the highest harmonic at which a motion is judged
+_STEP = 1e-5  # of the limits of a motion, by which derivatives are differences
+_PENALTIES = (1e2, 1e4, 1e6)  # of squares of what is beyond the limits, one stage each
+_ITERATIONS = 150  # of each stage, at most
+_DRAWS = 200  # random motions until one is within the limits
+_BISECTIONS = 30  # until the size of a motion is found
+_RANDOM_POINTS = 300  # by which base parameters are found
+_NULL = 1e-5  # of the largest direction, below which parameters change no force
+_SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
+_USUAL_NOISE = 0.02  # of the force of a motion
+_LEAST_FORCE = 1e-9  # N m or N, so that no noise is 0
+_DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """Options of the design of a record.
+
+    Attributes:
+        seconds: length of the record [s], a whole number of periods.
+        frequency: base frequency [Hz]; None for one period.
+        harmonics: number of harmonics.
+        dt: sampling period [s].
+        margin: share of each limit that is kept free, for a controller that does not follow
+            exactly.
+        noise: what is not known of a force, by the root mean square of it; None for what the fit
+            has left, or 2 %.
+        starts: number of random motions that the search starts from.
+        seed: seed of these.
+        budget: time that the search may take [s], None for no limit.
+    """
+
+    seconds: float = 10.0
+    frequency: float | None = None
+    harmonics: int = 10
+    dt: float = 0.005
+    margin: float = 0.1
+    noise: float | None = None
+    starts: int = 4
+    seed: int = 0
+    budget: float | None = 60.0
+
+    def __post_init__(self) -> None:
+        for option, value, is_valid, expected in (
+            ("--seconds", self.seconds, 0 < self.seconds <= 1e4, "above 0, and at most 10000"),
+            ("--harmonics", self.harmonics, 2 <= self.harmonics <= 50, "from 2 to 50"),
+            ("--rate", 1 / self.dt, 0 < self.dt <= self.seconds / 10,
+             "samples a second, at least 10 in the record"),
+            ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
+            ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
+            ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
+            ("--noise", self.noise or 0.0, self.noise is None or 0 < self.noise <= 10,
+             "a share of the force, above 0"),
+        ):  # fmt: skip
+            if not is_valid:
+                raise InputError(option, f"{value:g}", expected)
+        periods = self.seconds * self.base_frequency
+        if not periods >= 1 - 1e-9 or abs(periods - round(periods)) > 1e-6 * periods:
+            raise InputError(
+                "--frequency", f"{periods:.4g} periods in {self.seconds:g} s", "a whole number",
+                f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
+            )  # fmt: skip
+        if self.highest > 0.1 / self.dt:
+            raise InputError(
+                "--harmonics", f"a highest frequency of {self.highest:.4g} Hz",
+                f"at most a tenth of the sampling rate, {0.1 / self.dt:.4g} Hz",
+                "fewer harmonics, a lower --frequency or a higher --rate",
+            )  # fmt: skip
+
+    @property
+    def base_frequency(self) -> float:
+        """Frequency of the first harmonic [Hz]."""
+        return 1 / self.seconds if self.frequency is None else self.frequency
+
+    @property
+    def highest(self) -> float:
+        """Frequency of the highest harmonic [Hz]."""
+        return self.harmonics * self.base_frequency
+
+
+@dataclass(frozen=True)
+class DesignLimits:
+    """Limits of the motion and of the inputs of a system.
+
+    Attributes:
+        motion: limits of each coordinate; position and velocity are there.
+        inputs: smallest and largest value of each input, None without limits.
+    """
+
+    motion: tuple[MotionLimits, ...]
+    inputs: tuple[tuple[float, float] | None, ...]
+
+
+class Knowledge(NamedTuple):
+    """Knowledge about the parameters of a system before a record is made.
+
+    Attributes:
+        space: the free parameters, and the values of the others.
+        values: the values of all parameters.
+        covariance: covariance of the free parameters by the records so far, in the coordinates of
+            the space, (n_p, n_p); None without records: the priors count.
+        noise: missing force of each coordinate that a fit has left, (n_q,) [N m or N], None
+            without one.
+    """
+
+    space: SearchSpace
+    values: Mapping[str, float]
+    covariance: Float[np.ndarray, "n_p n_p"] | None = None
+    noise: Float[np.ndarray, " n_q"] | None = None
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A combination of parameters that forces tell by itself, with its errors.
+
+    Attributes:
+        name: the parameter that it is named after.
+        unit: its unit.
+        terms: the other parameters in it, each with its factor, by which a change of it counts as
+            one of the first.
+        file: standard error by the priors, which is by the robot's file.
+        known: standard error by the records so far, None without records.
+        expected: standard error with the designed record.
+    """
+
+    name: str
+    unit: str
+    terms: Mapping[str, float]
+    file: float
+    known: float | None
+    expected: float
+
+    @property
+    def remaining(self) -> float:
+        """The expected error by that of the file."""
+        return self.expected / self.file
+
+
+@dataclass(frozen=True)
+class RecordDesign:
+    """A designed record.
+
+    Attributes:
+        channels: coordinates, inputs and sampling period.
+        options: options of the design.
+        limits: limits that it keeps.
+        motion: the motion.
+        t: times of the samples [s], (n,).
+        q: positions there, (n, n_q) [rad or m].
+        v: velocities, (n, n_q).
+        a: accelerations, (n, n_q).
+        u: inputs that are expected, (n, n_u), in the units of the inputs.
+        force: forces of the actuators that are expected, (n, n_q) [N m or N].
+        noise: force that is taken to be missing at each coordinate, (n_q,) [N m or N].
+        base_parameters: base parameters, the best determined one first.
+        by_random: errors of random motions within the limits by those of this one: the geometric
+            mean over the base parameters, the median over the motions.
+        stopped: whether the time ended before the search did.
+    """
+
+    channels: Channels
+    options: DesignOptions
+    limits: DesignLimits
+    motion: FourierMotion
+    t: Float[np.ndarray, " n"]
+    q: Float[np.ndarray, "n n_q"]
+    v: Float[np.ndarray, "n n_q"]
+    a: Float[np.ndarray, "n n_q"]
+    u: Float[np.ndarray, "n n_u"]
+    force: Float[np.ndarray, "n n_q"]
+    noise: Float[np.ndarray, " n_q"]
+    base_parameters: tuple[BaseParameter, ...]
+    by_random: float
+    stopped: bool
+
+    def as_plain(self) -> dict[str, Any]:
+        """The design as plain values, its samples left out."""
+        names = [c.name for c in self.channels.coordinates]
+        return {
+            "seconds": self.options.seconds,
+            "rate": 1 / self.options.dt,
+            "frequency": self.motion.frequency,
+            "offset": dict(zip(names, self.motion.offset.tolist(), strict=True)),
+            "sine": dict(zip(names, self.motion.sine.T.tolist(), strict=True)),
+            "cosine": dict(zip(names, self.motion.cosine.T.tolist(), strict=True)),
+            "margin": self.options.margin,
+            "seed": self.options.seed,
+            "noise": dict(zip(names, self.noise.tolist(), strict=True)),
+            "random_errors_by_these": self.by_random,
+            "stopped": self.stopped,
+            "base_parameters": [
+                {"name": b.name, "unit": b.unit, "terms": dict(b.terms), "file": b.file,
+                 "known": b.known, "expected": b.expected}
+                for b in self.base_parameters
+            ],
+        }  # fmt: skip
+
+
+class DesignProgress(NamedTuple):
+    """State of the search for a motion.
+
+    Attributes:
+        start: number of the random motion that it started from, from 1.
+        starts: the number of these.
+        iteration: steps of the search.
+        gain: information by that of the first motion [nats].
+    """
+
+    start: int
+    starts: int
+    iteration: int
+    gain: float
+
+
+def prior_knowledge(system: LagrangianSystem, groups: Mapping[str, str]) -> Knowledge:
+    """What the declaration of a system, or a robot's file, says of its parameters.
+
+    Args:
+        system: the system.
+        groups: the groups of the record to be made, as `{"payload": "1kg"}`.
+
+    Raises:
+        InputError: a group is missing.
+    """
+    _require_groups(system, groups)
+    parameters = expand_parameters(system, [_blank_record(system, groups)])
+    space = make_search_space(system, {}, {}, parameters)
+    nominal = {p.name: p.nominal for p in parameters}
+    return Knowledge(space, nominal)
+
+
+def fitted_knowledge(
+    model: LagrangianModel, identification: Mapping[str, Any] | None, groups: Mapping[str, str]
+) -> Knowledge:
+    """What a fit says of the parameters of a system, and of the forces that it has not explained.
+
+    Args:
+        model: the equations of motion.
+        identification: the identification, as model files have it; None where only the values are
+            known, beside the priors.
+        groups: the groups of the record to be made, as `{"payload": "1kg"}`.
+
+    Raises:
+        InputError: no parameter has an error, or a group is missing.
+    """
+    _require_groups(model.system, groups)
+    values = {name: float(x) for name, x in model.values.items()}
+    if identification is None:
+        parameters = expand_parameters_by_values(model.system, values)
+        return Knowledge(make_search_space(model.system, values, {}, parameters), values)
+    errors = {e["coordinate"]: float(e["train"]) for e in identification.get("force_errors", ())}
+    # a covariance by inverse dynamics has its priors in it, so all directions have errors
+    space, covariance, _ = parameter_covariance(model, identification, 0.0 if errors else SHRINKAGE)
+    noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
+    return Knowledge(space, values, covariance, noise)
+
+
+def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None:
+    """Raises unless the groups are those by which parameters of a system differ."""
+    needed = {str(p.per): p.name for p in system.grouped}
+    for per, name in needed.items():
+        if per not in groups:
+            raise InputError(
+                "next-record --design", f"no group '{per}', which '{name}' is per",
+                "the group of the record to be made", f"--group {per}=NAME",
+            )  # fmt: skip
+    if unknown := [name for name in groups if name not in needed]:
+        raise InputError(
+            "--group", f"'{unknown[0]}', which nothing in the system is per",
+            f"one of {', '.join(needed)}" if needed else "no --group",
+        )  # fmt: skip
+
+
+def gather_limits(
+    system: LagrangianSystem,
+    within: Mapping[str, tuple[float, float]],
+    inputs: Mapping[str, tuple[float, float]],
+    channels: Channels,
+) -> DesignLimits:
+    """The limits of a system: those that are given, else those of its declaration or file.
+
+    Args:
+        system: the system.
+        within: limits of positions by the names of coordinates, of velocities by `NAME_dot`, of
+            accelerations by `NAME_ddot`.
+        inputs: limits of inputs by name.
+        channels: the inputs of the records, which may have limits as well.
+
+    Raises:
+        InputError: a limit of a position, a velocity or an actuator is missing, or there is
+            nothing of a name.
+    """
+    coordinates = system.coordinates
+    names = [c.name + end for end in ("", "_dot", "_ddot") for c in coordinates]
+    if unknown := [name for name in within if name not in names]:
+        raise InputError("--within", f"no '{unknown[0]}'", f"one of {', '.join(names)}")
+    if unknown := [name for name in inputs if name not in [i.name for i in system.inputs]]:
+        raise InputError("--limits", f"no input '{unknown[0]}'",
+                         f"one of {', '.join(i.name for i in system.inputs)}")  # fmt: skip
+    for name, (low, high) in within.items():
+        if name not in names[: len(coordinates)] and not low < 0 < high:
+            raise InputError(f"--within {name}={low:g}:{high:g}", "one direction alone",
+                             "limits on both sides of 0")  # fmt: skip
+    bounds = [inputs.get(i.name, i.limits) for i in channels.inputs]
+    limits = []
+    for k, c in enumerate(coordinates):
+        own = system.limits[k] if system.limits else MotionLimits()
+        rates = [
+            min(-within[c.name + end][0], within[c.name + end][1]) if c.name + end in within else x
+            for end, x in (("_dot", own.velocity), ("_ddot", own.acceleration))
+        ]
+        own = MotionLimits(within.get(c.name, own.position), *rates, own.force)
+        for what, value, name, size in (
+            ("position", own.position, c.name, "-1:1"),
+            ("velocity", own.velocity, f"{c.name}_dot", "-1.5:1.5"),
+        ):
+            if value is None:
+                raise InputError(
+                    f"system '{system.name}'", f"no limits of the {what} of '{c.name}'",
+                    "limits of every position and velocity", f"for instance --within {name}={size}",
+                )  # fmt: skip
+        limits.append(own)
+    return DesignLimits(tuple(limits), tuple(bounds))
+
+
+def design_record(
+    system: LagrangianSystem,
+    knowledge: Knowledge,
+    limits: DesignLimits,
+    options: DesignOptions,
+    *,
+    groups: Mapping[str, str] | None = None,
+    on_progress: Callable[[DesignProgress], None] | None = None,
+) -> RecordDesign:
+    """Designs the motion within limits that makes the covariance of the base parameters smallest.
+
+    The determinant of the information matrix is maximised by L-BFGS, with penalties beyond the
+    limits, from several random motions. Collisions are not considered.
+
+    Args:
+        system: the system.
+        knowledge: what is known of its parameters.
+        limits: limits of the motion and of the inputs.
+        options: options.
+        groups: the groups of the record, as `{"payload": "1kg"}`.
+        on_progress: called after each step of the search.
+
+    Raises:
+        InputError: a system with internal states or without an input for each coordinate, an
+            actuator without limits, or limits that no motion keeps.
+    """
+    require_float64("next-record --design")
+    start_time = time.monotonic()
+    dynamics = _Dynamics(system, knowledge, groups or {})
+    shapes = _Shapes(limits, options)
+    rng = np.random.default_rng(options.seed)
+    _require_actuated(system, dynamics, limits, shapes, rng)
+    box = _Box(limits, options.margin)
+    t = np.arange(round(options.seconds / options.dt) + 1) * options.dt
+    judged = np.arange(_POINTS * options.harmonics) / (_POINTS * options.highest)
+    every = np.union1d(judged, t[t < 1 / options.base_frequency])
+    starts = [
+        _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
+    ]
+    cutoff = cutoff_for(options.highest, options.dt)
+    count = compared_samples(options.seconds, cutoff)
+    fixed = knowledge.noise if options.noise is None else None
+    noise = _Noise(fixed, options.noise or _USUAL_NOISE)
+    known = _information(knowledge, dynamics)
+    problem = _Problem(dynamics, shapes, box, noise, known, count, judged)
+    first = problem.information(starts[0])[0]
+    results, stopped = [], False
+    for k, x in enumerate(starts):
+        remaining = np.inf
+        if options.budget is not None:
+            remaining = start_time + options.budget - time.monotonic()
+        deadline = time.monotonic() + remaining / (options.starts - k)
+
+        def on_step(iteration: int, cost: float, k: int = k) -> None:
+            if on_progress is not None:
+                on_progress(DesignProgress(k + 1, options.starts, iteration, -cost - first))
+
+        found, is_late = _search(problem, x, deadline, on_step)
+        reached = _shrink(found, dynamics, shapes, box, every)
+        results.append(x if reached is None else reached)
+        stopped = stopped or is_late
+    information = [problem.information(x)[0] for x in results]
+    best = results[int(np.argmax(information))]
+    missing = problem.missing(best)
+    combinations = _find_combinations(dynamics, shapes, missing, rng)
+    file = _errors(combinations, np.eye(len(known)))
+    before = None if knowledge.covariance is None else _errors(combinations, known)
+    expected = _errors(combinations, problem.information(best)[1])
+    ratios = [
+        np.exp(np.mean(np.log(_errors(combinations, problem.information(x)[1]) / expected)))
+        for x in starts
+    ]
+    motion = shapes.motion(best)
+    q, v, a = motion.sample(t)
+    u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
+    channels = replace(system.channels, dt=options.dt)
+    return RecordDesign(
+        channels, options, limits, motion, t, q, v, a, u, force, missing,
+        _base_parameters(dynamics, combinations, file, before, expected),
+        float(np.median(ratios)), stopped,
+    )  # fmt: skip
+
+
+class _Shapes:
+    """Motions as vectors: the offset and the size of each shape, by coordinate.
+
+    Args:
+        limits: the limits, by which vectors are about 1.
+        options: harmonics and base frequency.
+
+    Attributes:
+        count: number of rows of a vector.
+        middle: middle of the positions, (n_q,).
+        sizes: half of the ranges of position, velocity and acceleration, (3, n_q); acceleration
+            by the limit, or what the highest harmonic has at the largest velocity.
+    """
+
+    def __init__(self, limits: DesignLimits, options: DesignOptions) -> None:
+        ends = np.array([own.position for own in limits.motion])
+        velocity = np.array([own.velocity for own in limits.motion])
+        speed = 2 * np.pi * options.highest
+        acceleration = [own.acceleration or speed * own.velocity for own in limits.motion]  # pyright: ignore[reportOptionalOperand]
+        self.middle = ends.mean(axis=1)
+        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, np.array(acceleration)])
+        self._options = options
+        self._shapes = motions_from_rest(options.harmonics, options.base_frequency)
+        self.count = 1 + len(self._shapes)
+
+    def motion(self, x: Float[np.ndarray, "count n_q"]) -> FourierMotion:
+        """The motion of a vector."""
+        offset = self.middle + self.sizes[0] * x[0]
+        sine, cosine = np.split(self._shapes.T @ (x[1:] * self.sizes[1]), 2)
+        return FourierMotion(self._options.base_frequency, offset, sine, cosine)
+
+    def points(
+        self, x: Float[np.ndarray, "count n_q"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n n_m"]:
+        """Positions, velocities and accelerations of a vector at times, (n, 3 n_q)."""
+        return np.concatenate(self.motion(x).sample(t), axis=1)
+
+    def gradient(
+        self, by_points: Float[np.ndarray, "n n_m"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "count n_q"]:
+        """Derivatives by the vector, from those by the points at times."""
+        sine, cosine = harmonics(self._options.harmonics, self._options.base_frequency, t)
+        values = np.concatenate([sine, cosine], axis=2) @ self._shapes.T  # (3, n, shapes)
+        parts = np.stack(np.split(by_points, 3, axis=1))
+        shapes = np.einsum("dns,dnq->sq", values, parts) * self.sizes[1]
+        return np.concatenate([(parts[0].sum(axis=0) * self.sizes[0])[None], shapes])
+
+
+class _Box:
+    """Limits of points and actuation as one box, less a margin.
+
+    Args:
+        limits: the limits.
+        margin: share of each that is kept free.
+    """
+
+    def __init__(self, limits: DesignLimits, margin: float) -> None:
+        middles, halves = [], []
+        ranges: list[list[tuple[float, float] | None]] = [
+            [own.position for own in limits.motion],
+            *([None if x is None else (-x, x) for x in column] for column in (
+                [own.velocity for own in limits.motion],
+                [own.acceleration for own in limits.motion],
+            )),
+            list(limits.inputs),
+            [None if own.force is None else (-own.force, own.force) for own in limits.motion],
+        ]  # fmt: skip
+        for column in ranges:
+            for ends in column:
+                low, high = ends or (-np.inf, np.inf)
+                middles.append((low + high) / 2 if ends else 0.0)
+                halves.append((1 - margin) * (high - low) / 2)
+        self.middle, self.half = np.array(middles), np.array(halves)
+
+    def shares(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        """Points and actuation by the limits: within -1 and 1 where they are kept."""
+        return (values - self.middle) / self.half
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Missing forces that are expected.
+
+    Attributes:
+        fixed: standard deviation at each coordinate, (n_q,) [N m or N]; None for a share.
+        share: share of the root mean square of the actuators' force.
+    """
+
+    fixed: Float[np.ndarray, " n_q"] | None
+    share: float
+
+    def deviation(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
+        """The standard deviation along a motion that needs some forces, (n_q,) [N m or N]."""
+        if self.fixed is not None:
+            return self.fixed
+        return self.share * np.sqrt(np.mean(force**2, axis=0) + _LEAST_FORCE**2)
+
+
+class _Dynamics:
+    """Forces along motions, and their derivatives by the parameters.
+
+    Args:
+        system: the system.
+        knowledge: values and free parameters.
+        groups: the groups of the record.
+
+    Raises:
+        InputError: internal states.
+    """
+
+    def __init__(
+        self, system: LagrangianSystem, knowledge: Knowledge, groups: Mapping[str, str]
+    ) -> None:
+        if system.internal:
+            raise InputError(
+                "next-record --design", f"the system '{system.name}' has internal states "
+                f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
+                "propose records: tustinnet next-record MODEL PROPOSALS",
+            )  # fmt: skip
+        self.space, self.values = knowledge.space, knowledge.values
+        self._equations = system_equations(system, self.space.names)
+        parameters = expand_parameters_by_values(system, self.values)
+        indices = group_indices(system, parameters, [_blank_record(system, groups)])
+        self._row = self._equations.parameter_rows(self.values, indices)[0]
+        self._n, self._n_u = len(system.coordinates), len(system.inputs)
+        self._missing = missing_forces(self._equations)
+        self._actuators = self._actuator_formula(system)
+        vector = self.space.to_vector(self.values)
+        self.prior = Prior(self.space)
+        chain = self._equations.coordinate_derivatives(self.space, vector, indices)[0]
+        self._columns = self._equations.free_columns(self.space)
+        self._scale = chain * self.prior.spread
+        # a standard deviation of the prior in the parameter's own unit
+        self.units = self.space.derivatives(vector) * self.prior.spread
+
+    def _actuator_formula(self, system: LagrangianSystem) -> Formula:
+        """Forces of the inputs at 0, and derivatives by the inputs, by q, v and parameters."""
+        n, equations = self._n, self._equations
+
+        def actuators(point: Array) -> Array:
+            values = equations.values_in_row(point[2 * n :])
+
+            def force(u: Array) -> Array:
+                if system.input_map is None:
+                    return jnp.zeros_like(point[:n])
+                return jnp.asarray(system.input_map(point[:n], point[n : 2 * n], u, values))
+
+            none = jnp.zeros(len(system.inputs), point.dtype)
+            return jnp.concatenate([force(none), jax.jacfwd(force)(none).ravel()])
+
+        where = f"system '{system.name}'"
+        return Formula(actuators, 2 * n + equations.n_columns, range(0), where)
+
+    def gains(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_q n_u"]:
+        """Forces by inputs, (n, n_q, n_u)."""
+        return self._actuators_at(points)[1]
+
+    def _actuators_at(
+        self, points: Float[np.ndarray, "n n_m"]
+    ) -> tuple[Float[np.ndarray, "n n_q"], Float[np.ndarray, "n n_q n_u"]]:
+        rows = np.broadcast_to(self._row, (len(points), len(self._row)))
+        values = evaluate(self._actuators, np.concatenate([points[:, : 2 * self._n], rows], axis=1))
+        return values[:, : self._n], values[:, self._n :].reshape(-1, self._n, self._n_u)
+
+    def actuation(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_f"]:
+        """Inputs that a motion needs, and the actuators' forces with them, (n, n_u + n_q)."""
+        without = evaluate(self._missing, self._with_inputs(points, np.zeros((1, self._n_u))))
+        offset, gains = self._actuators_at(points)
+        u = np.linalg.solve(gains, without[:, :, None])[:, :, 0]
+        return np.concatenate([u, without + offset], axis=1)
+
+    def _with_inputs(
+        self, points: Float[np.ndarray, "n n_m"], u: Float[np.ndarray, "_ n_u"]
+    ) -> Float[np.ndarray, "n n_in"]:
+        n = len(points)
+        rows = np.broadcast_to(self._row, (n, len(self._row)))
+        return np.concatenate([points, np.broadcast_to(u, (n, self._n_u)), rows], axis=1)
+
+    def slopes(
+        self, points: Float[np.ndarray, "n n_m"], u: Float[np.ndarray, "n n_u"]
+    ) -> Float[np.ndarray, "n n_q n_p"]:
+        """Derivatives of forces by the parameters, in standard deviations of their priors."""
+        rows = evaluate(self._missing, self._with_inputs(points, u), derivatives=True)
+        return rows.reshape(len(points), self._n, -1)[:, :, self._columns] * self._scale
+
+
+class _Problem:
+    """The search for a motion: information, and how far limits are exceeded.
+
+    Args:
+        dynamics: the dynamics.
+        shapes: the motions.
+        box: the limits.
+        noise: the missing forces.
+        known: information before the record, in standard deviations of the priors, (n_p, n_p).
+        count: number of independent samples of the record.
+        t: times at which motions are judged [s], (n,).
+    """
+
+    def __init__(
+        self,
+        dynamics: _Dynamics,
+        shapes: _Shapes,
+        box: _Box,
+        noise: _Noise,
+        known: Float[np.ndarray, "n_p n_p"],
+        count: float,
+        t: Float[np.ndarray, " n"],
+    ) -> None:
+        self._dynamics, self._shapes, self._box = dynamics, shapes, box
+        self._noise, self._known, self._each = noise, known, count / len(t)
+        self._t, self._n = t, len(shapes.middle)
+        self._steps = _STEP * shapes.sizes.ravel()
+
+    def information(
+        self, x: Float[np.ndarray, "count n_q"]
+    ) -> tuple[float, Float[np.ndarray, "n_p n_p"]]:
+        """Half the logarithm of the determinant of the information of a motion, and the matrix."""
+        points = self._shapes.points(x, self._t)
+        u, force = np.split(self._dynamics.actuation(points), [-self._n], axis=1)
+        matrix = self._matrix(self._dynamics.slopes(points, u), self._weights(force))
+        return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
+
+    def missing(self, x: Float[np.ndarray, "count n_q"]) -> Float[np.ndarray, " n_q"]:
+        """The force that is missing at each coordinate along a motion, (n_q,) [N m or N]."""
+        points = self._shapes.points(x, self._t)
+        return self._noise.deviation(self._dynamics.actuation(points)[:, -self._n :])
+
+    def _weights(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
+        """Weights of squares of forces at a point, by the forces of the motion."""
+        return self._each / self._noise.deviation(force) ** 2
+
+    def _matrix(
+        self, slopes: Float[np.ndarray, "n n_q n_p"], weights: Float[np.ndarray, " n_q"]
+    ) -> Float[np.ndarray, "n_p n_p"]:
+        rows = (slopes * np.sqrt(weights)[:, None]).reshape(-1, slopes.shape[2])
+        return self._known + rows.T @ rows
+
+    def cost(
+        self, x: Float[np.ndarray, "count n_q"], penalty: float
+    ) -> tuple[float, Float[np.ndarray, " size"]]:
+        """What is minimised and its derivatives: the penalty less the information.
+
+        Derivatives by the points are central differences, for a point costs a microsecond.
+        """
+        points = self._shapes.points(x, self._t)
+        n, n_m = points.shape
+        moved = points[:, None] + np.concatenate([np.diag(self._steps), -np.diag(self._steps)])
+        everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
+        actuation = self._dynamics.actuation(everywhere)
+        u, force = np.split(actuation, [-self._n], axis=1)
+        slopes = self._dynamics.slopes(everywhere, u)
+        weights = self._weights(force[:n])
+        matrix = self._matrix(slopes[:n], weights)
+        _, logarithm = np.linalg.slogdet(matrix)
+        shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
+        beyond = np.maximum(np.abs(shares) - 1, 0.0)
+        cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
+        # derivatives of the information by the derivatives of forces, of the cost by limits
+        weighted = (slopes[:n] * weights[:, None]) @ np.linalg.inv(matrix)
+        by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
+        by_actuation = by_share[:, n_m:].copy()
+        if self._noise.fixed is None:  # more force is more noise
+            told = np.sum(weighted * slopes[:n], axis=(0, 2))
+            by_actuation[:, -self._n :] += (
+                told * force[:n] / np.sum(force[:n] ** 2 + _LEAST_FORCE**2, axis=0)
+            )
+        along = np.einsum(
+            "nqp,nkqp->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
+            optimize=True,
+        )  # fmt: skip
+        changed = actuation[n:].reshape(n, 2 * n_m, -1)
+        limited = np.einsum("nf,nkf->nk", by_actuation, changed)
+        both = limited - along
+        by_points = (both[:, :n_m] - both[:, n_m:]) / (2 * self._steps) + by_share[:, :n_m]
+        return cost, self._shapes.gradient(by_points, self._t).ravel()
+
+
+def _blank_record(system: LagrangianSystem, groups: Mapping[str, str]) -> Any:
+    """A record of some groups, without a motion."""
+    return from_arrays(
+        np.zeros((2, len(system.coordinates))), np.zeros((2, len(system.inputs))), dt=1.0,
+        coordinates=system.coordinates, inputs=system.inputs, name="to be made", groups=groups,
+    )  # fmt: skip
+
+
+def _require_actuated(
+    system: LagrangianSystem,
+    dynamics: _Dynamics,
+    limits: DesignLimits,
+    shapes: _Shapes,
+    rng: np.random.Generator,
+) -> None:
+    """Raises unless inputs drive all coordinates, each by itself, and all of them have limits."""
+    n, n_u = len(system.coordinates), len(system.inputs)
+    place = "next-record --design"
+    if n_u != n:
+        raise InputError(
+            place, f"{n_u} inputs of {n} coordinates of '{system.name}'",
+            "an input for each coordinate",
+            "propose records: tustinnet next-record MODEL PROPOSALS",
+        )  # fmt: skip
+    gains = dynamics.gains(_random_points(shapes, 8, rng))
+    sizes = np.abs(gains).max(axis=0)
+    is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
+    if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():
+        raise InputError(
+            place, f"the inputs of '{system.name}' do not drive every coordinate",
+            "an input for each coordinate",
+            "propose records: tustinnet next-record MODEL PROPOSALS",
+        )  # fmt: skip
+    for i, channel in enumerate(system.inputs):
+        k = int(np.argmax(sizes[:, i]))
+        if limits.inputs[i] is None and limits.motion[k].force is None:
+            raise InputError(
+                f"system '{system.name}'", f"no limits of the input '{channel.name}' at "
+                f"'{system.coordinates[k].name}'", "limits of every input",
+                f"for instance --limits {channel.name}=-10:10",
+            )  # fmt: skip
+
+
+def _random_points(
+    shapes: _Shapes, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n n_m"]:
+    """Random positions, velocities and accelerations within limits, (n, 3 n_q)."""
+    points = rng.uniform(-1, 1, (count, *shapes.sizes.shape)) * shapes.sizes
+    points[:, 0] += shapes.middle
+    return points.reshape(count, -1)
+
+
+def _random_motion(
+    system: LagrangianSystem,
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    box: _Box,
+    t: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "count n_q"]:
+    """A random motion about a random pose, as large as the limits allow.
+
+    Raises:
+        InputError: no pose is within the limits of the actuators.
+    """
+    worst = np.zeros(len(box.half))
+    for _ in range(_DRAWS):
+        x = rng.normal(size=(shapes.count, len(shapes.middle)))
+        x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
+        x[1:] *= 4.0  # larger than any limit allows
+        found = _shrink(x, dynamics, shapes, box, t)
+        if found is not None:
+            return found
+        x[1:] = 0.0
+        points = shapes.points(x, t[:1])
+        shares = box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))[0]
+        worst = np.maximum(worst, np.where(np.isfinite(shares), np.abs(shares), np.inf))
+    k = int(np.argmax(worst))
+    n = len(system.coordinates)
+    what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
+    name = system.inputs[k % n].name if what == "input" else name
+    raise InputError(
+        f"system '{system.name}'", f"no pose within the limits: it needs {worst[k]:.3g} times the "
+        f"{what} limit of '{name}' at rest", "poses that actuators can hold",
+        "check the limits, or give others by --within and --limits",
+    )  # fmt: skip
+
+
+def _shrink(
+    x: Float[np.ndarray, "count n_q"],
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    box: _Box,
+    t: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "count n_q"] | None:
+    """A motion made smaller until it is within the limits at all times; None if its pose is not."""
+
+    def scaled(size: float) -> Float[np.ndarray, "count n_q"]:
+        return np.concatenate([x[:1], size * x[1:]])
+
+    def is_within(size: float) -> bool:
+        points = shapes.points(scaled(size), t)
+        values = np.concatenate([points, dynamics.actuation(points)], axis=1)
+        return bool((np.abs(box.shares(values)) <= 1).all())
+
+    if is_within(1.0):
+        return x
+    if not is_within(0.0):
+        return None
+    low, high = 0.0, 1.0
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_within(middle) else (low, middle)
+    return scaled(low)
+
+
+def _search(
+    problem: _Problem,
+    x: Float[np.ndarray, "count n_q"],
+    deadline: float,
+    on_step: Callable[[int, float], None],
+) -> tuple[Float[np.ndarray, "count n_q"], bool]:
+    """The motion that a search ends at, and whether the time ended before.
+
+    Args:
+        problem: the problem.
+        x: the motion that it starts from.
+        deadline: when it has to end, by the monotonic clock [s].
+        on_step: called after each step with its number and the cost.
+    """
+    import scipy.optimize
+
+    steps, vector = 0, x.ravel()
+
+    def step(intermediate_result: Any) -> None:
+        nonlocal steps
+        steps += 1
+        on_step(steps, float(intermediate_result.fun))
+        if time.monotonic() > deadline:
+            raise StopIteration
+
+    for penalty in _PENALTIES:
+        vector = scipy.optimize.minimize(
+            lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
+            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": _ITERATIONS},
+        ).x  # fmt: skip
+        if time.monotonic() > deadline:
+            return vector.reshape(x.shape), True
+    return vector.reshape(x.shape), False
+
+
+def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
+    """Information before the record, in standard deviations of the priors."""
+    n = len(dynamics.prior.spread)
+    if knowledge.covariance is None:
+        return np.eye(n)
+    covariance = knowledge.covariance / np.outer(dynamics.prior.spread, dynamics.prior.spread)
+    values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    return (axes / np.maximum(values, 1e-14 * values[-1])) @ axes.T
+
+
+def _find_combinations(
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    noise: Float[np.ndarray, " n_q"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "n_b n_p"]:
+    """The base parameters by the parameters, in standard deviations of their priors.
+
+    Each is a parameter, with the factor 1, and what others count beside it. Found by a QR
+    factorisation with pivoting of the derivatives of forces at random points.
+    """
+    import scipy.linalg
+
+    points = _random_points(shapes, _RANDOM_POINTS, rng)
+    u = dynamics.actuation(points)[:, : len(noise)]
+    rows = (dynamics.slopes(points, u) / noise[:, None]).reshape(-1, len(dynamics.units))
+    triangle, order = scipy.linalg.qr(rows, mode="r", pivoting=True)[-2:]
+    sizes = np.abs(np.diag(triangle))
+    rank = int(np.sum(sizes > _NULL * sizes[0]))
+    beside = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+    combinations = np.zeros((rank, rows.shape[1]))
+    combinations[:, order] = np.concatenate([np.eye(rank), beside], axis=1)
+    # named in the order of the parameters
+    return combinations[np.argsort(order[:rank])]
+
+
+def _errors(
+    combinations: Float[np.ndarray, "n_b n_p"], information: Float[np.ndarray, "n_p n_p"]
+) -> Float[np.ndarray, " n_b"]:
+    """Standard errors of base parameters, in standard deviations of the priors."""
+    covariance = np.linalg.inv(information)
+    return np.sqrt(np.einsum("bp,pk,bk->b", combinations, covariance, combinations, optimize=True))
+
+
+def _base_parameters(
+    dynamics: _Dynamics,
+    combinations: Float[np.ndarray, "n_b n_p"],
+    file: Float[np.ndarray, " n_b"],
+    known: Float[np.ndarray, " n_b"] | None,
+    expected: Float[np.ndarray, " n_b"],
+) -> tuple[BaseParameter, ...]:
+    """The base parameters with their errors, the best determined one first."""
+    names, found = dynamics.space.names, []
+    pivots = _pivots(combinations)
+    for b, row in enumerate(combinations):
+        i = pivots[b]
+        unit = dynamics.units[i]
+        terms = {
+            names[j]: float(row[j] * unit / dynamics.units[j])
+            for j in np.flatnonzero(np.abs(row) > _SMALLEST_TERM)
+            if j != i
+        }
+        found.append(BaseParameter(
+            names[i], dynamics.space.free_parameters[i].unit, terms, float(unit * file[b]),
+            None if known is None else float(unit * known[b]), float(unit * expected[b]),
+        ))  # fmt: skip
+    return tuple(sorted(found, key=lambda parameter: parameter.remaining))
+
+
+def _pivots(combinations: Float[np.ndarray, "n_b n_p"]) -> list[int]:
+    """The parameter that each base parameter is named after: it counts in no other one."""
+    is_alone = np.sum(combinations != 0, axis=0) == 1
+    return [int(np.flatnonzero((row == 1) & is_alone)[0]) for row in combinations]

@@ -1,0 +1,127 @@
+"""Tables, sentences and figure of a designed record."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tustinnet.evaluate.record_design import BaseParameter, RecordDesign
+from tustinnet.report.tables import Table
+from tustinnet.wording import counted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SHOWN = 5  # of the best and of the worst determined base parameters
+
+
+def motion_table(design: RecordDesign) -> Table:
+    """Table of the largest values of each coordinate, and of the limits that they keep."""
+    rows = []
+    for j, c in enumerate(design.channels.coordinates):
+        own, q = design.limits.motion[j], design.q[:, j]
+        assert own.position is not None
+        cells = [f"{q.min():.3g}..{q.max():.3g} of {own.position[0]:.3g}..{own.position[1]:.3g}"]
+        for values, limit in (
+            (design.v, own.velocity), (design.a, own.acceleration), (design.force, own.force),
+        ):  # fmt: skip
+            largest = np.abs(values[:, j]).max()
+            cells.append(f"{largest:.3g}" + ("" if limit is None else f" of {limit:.3g}"))
+        rows.append([f"{c.name} [{c.unit}]", *cells])
+    title = "Largest values, and the limits (SI units)"
+    return Table(["coordinate", "position", "velocity", "acceleration", "force"], rows, title=title)
+
+
+def error_table(design: RecordDesign) -> Table:
+    """Table of the expected standard errors of the best and worst determined base parameters."""
+    found = design.base_parameters
+    shown = found if len(found) <= 2 * _SHOWN + 1 else (*found[:_SHOWN], *found[-_SHOWN:])
+    has_records = any(b.known is not None for b in found)
+    rows = [
+        [
+            _label(b), b.unit, f"{b.file:.3g}",
+            *([f"{b.known:.3g}"] if b.known is not None else []),
+            f"{b.expected:.3g}", f"{100 * b.remaining:.2g} %",
+        ]
+        for b in shown
+    ]  # fmt: skip
+    if len(shown) < len(found):
+        rows.insert(_SHOWN, [f"({len(found) - len(shown)} more)", *[""] * (len(rows[0]) - 1)])
+    before = ["records so far"] if has_records else []
+    columns = ["base parameter", "unit", "file", *before, "with this record", "of the file's"]
+    title = "Standard errors of base parameters, the best determined one first"
+    return Table(columns, rows, title=title)
+
+
+def _label(b: BaseParameter) -> str:
+    return b.name if not b.terms else f"{b.name} with {counted(len(b.terms), 'other')}"
+
+
+def sentences(design: RecordDesign) -> list[str]:
+    """Sentences on what the record is worth, where it begins, and what was not looked at."""
+    names = [c.name for c in design.channels.coordinates]
+    start = ", ".join(f"{name} {x:.4g}" for name, x in zip(names, design.q[0], strict=True))
+    periods = round(design.options.seconds * design.motion.frequency)
+    known = design.base_parameters[0].known is not None
+    found = [
+        f"{counted(len(design.base_parameters), 'base parameter')}; by random motions within the "
+        f"same limits the errors would be {design.by_random:.2f} times as large (geometric mean)",
+        f"{design.options.seconds:g} s, {counted(periods, 'period')} of "
+        f"{counted(len(design.motion.sine), 'harmonic')} of {design.motion.frequency:.4g} Hz; "
+        f"it begins and ends at rest at {start}: move there first",
+    ]
+    if known:
+        better = [b.known / b.expected for b in design.base_parameters if b.known is not None]
+        mean = float(np.exp(np.mean(np.log(better))))
+        found.insert(1, f"it makes the errors of the records so far {mean:.2f} times smaller "
+                        "(geometric mean)")  # fmt: skip
+    if design.stopped:
+        found.append("the time ended before the search: --budget gives it more")
+    found.append(
+        "collisions are not looked at: play the motion in a simulation of the cell, then slowly, "
+        "before it is recorded"
+    )
+    return found
+
+
+def design_figure(design: RecordDesign) -> "Figure":
+    """Figure of the motion: position, velocity, acceleration and force of each coordinate.
+
+    Dashed lines are limits, dotted ones what the margin leaves of them.
+    """
+    # the tables of this module are printed before matplotlib is loaded
+    from matplotlib.figure import Figure
+
+    from tustinnet.report.figures import INPUT, MEASURED, figure_style
+
+    n = design.channels.n_q
+    with figure_style():
+        figure = Figure(figsize=(10.5, 1.25 * n + 0.9), layout="constrained")
+        panels = figure.subplots(n, 4, sharex=True, squeeze=False)
+        for j, c in enumerate(design.channels.coordinates):
+            own = design.limits.motion[j]
+            rates = [None if x is None else (-x, x)
+                     for x in (own.velocity, own.acceleration, own.force)]  # fmt: skip
+            force_unit = "N m" if c.kind == "angular" else "N"
+            for axes, values, ends, what in zip(
+                panels[j], (design.q, design.v, design.a, design.force), (own.position, *rates),
+                (f"position [{c.unit}]", f"velocity [{c.unit}/s]", f"acceleration [{c.unit}/s²]",
+                 f"force [{force_unit}]"),
+                strict=True,
+            ):  # fmt: skip
+                colour = INPUT if values is design.force else MEASURED
+                axes.plot(design.t, values[:, j], color=colour)
+                axes.set_title(what if j == 0 or c.kind == "linear" else "", loc="left", fontsize=8)
+                if ends is None:
+                    continue
+                reach, middle = np.abs(values[:, j] - np.mean(ends)).max(), np.mean(ends)
+                half = (ends[1] - ends[0]) / 2
+                if reach < half / 4:  # a limit that far away would flatten the line
+                    continue
+                for size, style in ((half, "--"), ((1 - design.options.margin) * half, ":")):
+                    for side in (-1, 1):
+                        axes.axhline(middle + side * size, color="0.5", linestyle=style, lw=0.8)
+            panels[j, 0].set_ylabel(c.name)
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        figure.align_ylabels()
+        return figure
