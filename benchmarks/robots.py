@@ -1,13 +1,15 @@
 """Robots: equations against Pinocchio and MuJoCo, and identification of simulated arms.
 
     python benchmarks/robots.py [CHAINS]      (default: 50 random chains of up to 7 joints)
-    python benchmarks/robots.py twins OUT [COUNT]     (default: 50 arms of 7 joints)
-    python benchmarks/robots.py halves OUT [COUNT]    two halves of an arm's records
+    python benchmarks/robots.py descriptions FOLDER...   all robot files below folders
+    python benchmarks/robots.py twins OUT [COUNT [FIRST]]     (default: 50 arms of 7 joints)
+    python benchmarks/robots.py halves OUT [COUNT [FIRST]]    two halves of an arm's records
     python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
 
-Needs the extras `bench` and `robots`. Each chain is compared at three states; differences of mass
-matrices, bias forces and energies are relative to the largest number of each quantity, and the
-worst of all chains is printed, with the time to compile 7 joints.
+Needs the extras `bench` and `robots`. Each chain and each robot is compared at three states;
+differences of mass matrices, bias forces and energies are relative to the largest number of each
+quantity, and the worst of all is printed, with the time to compile 7 joints. Joints that follow
+others are moved as they do, and their forces brought to the joints that lead.
 
 A twin is an arm whose masses, centres and inertias are off by up to a third of their priors, with
 armature, friction and offsets: 10 records of 10 s at 200 Hz in the loop of a PD controller,
@@ -19,12 +21,13 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,6 +42,10 @@ from tustinnet.engine.runs import Runs, evaluate, simulate
 from tustinnet.models.chains import INERTIAL, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.store.data_set_folder import write_data_set
+from tustinnet.systems.files import find_system
+from tustinnet.systems.mjcf import read_mjcf
+from tustinnet.systems.robot import Robot
+from tustinnet.systems.urdf import read_urdf
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -47,6 +54,21 @@ from robot_twins import record_in_loop, true_values, with_payload  # pyright: ig
 
 _DECIDED = 0.5  # share of a prior's standard deviation below which records decide
 ARM = ROOT / "examples" / "robots" / "arm7.urdf"
+
+
+@dataclass(frozen=True)
+class Lead:
+    """How the joints of a file move with the coordinates of its system: `ratios q + offsets`.
+
+    Attributes:
+        joints: names of the joints that move.
+        ratios: of each by the coordinates, (n, n_q).
+        offsets: where all coordinates are 0, (n,) [rad or m].
+    """
+
+    joints: list[str]
+    ratios: np.ndarray
+    offsets: np.ndarray
 
 
 def own_terms(system: LagrangianSystem, states: np.ndarray) -> list[dict[str, np.ndarray]]:
@@ -69,47 +91,104 @@ def own_terms(system: LagrangianSystem, states: np.ndarray) -> list[dict[str, np
     ]  # fmt: skip
 
 
-def pinocchio_terms(text: str, names: list[str], states: np.ndarray) -> list[dict[str, Any]]:
-    """The terms by Pinocchio."""
+def pinocchio_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, Any]]:
+    """The terms of a URDF by Pinocchio."""
     pin = import_module("pinocchio")
     model = pin.buildModelFromXML(text)
     data, results = model.createData(), []
-    joints = [model.joints[model.getJointId(name)] for name in names]
+    joints = [model.joints[model.getJointId(name)] for name in lead.joints]
     places = [joint.idx_v for joint in joints]
     for q, v in (np.split(state, 2) for state in states):
         position, velocity = pin.neutral(model), np.zeros(model.nv)
-        velocity[places] = v
-        for joint, x in zip(joints, q, strict=True):
+        velocity[places] = lead.ratios @ v
+        for joint, x in zip(joints, lead.ratios @ q + lead.offsets, strict=True):
             # a continuous joint is a point of a circle
             both = [np.cos(x), np.sin(x)] if joint.nq == 2 else [x]
             position[joint.idx_q : joint.idx_q + joint.nq] = both
         upper = np.triu(pin.crba(model, data, position))
         mass = upper + np.triu(upper, 1).T
         results.append({
-            "mass": mass[np.ix_(places, places)],
-            "bias": pin.nonLinearEffects(model, data, position, velocity)[places],
+            "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
+            "bias": lead.ratios.T @ pin.nonLinearEffects(model, data, position, velocity)[places],
             "kinetic": pin.computeKineticEnergy(model, data, position, velocity),
             "potential": pin.computePotentialEnergy(model, data, position),
         })  # fmt: skip
     return results
 
 
-def mujoco_terms(text: str, names: list[str], states: np.ndarray) -> list[dict[str, Any]]:
-    """Mass matrix and bias forces by MuJoCo."""
+def mujoco_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, Any]]:
+    """The terms of a URDF or MJCF by MuJoCo."""
     mujoco = import_module("mujoco")
     spec = mujoco.MjSpec.from_string(text)
-    for element in [*spec.geoms, *spec.meshes]:
-        spec.delete(element)
+    shapes = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    for geom in spec.geoms:
+        geom.material = ""
+        if geom.type in shapes or geom.meshname:
+            spec.delete(geom)
+    for site in spec.sites:
+        site.material = ""
+    for assets in (spec.meshes, spec.hfields, spec.materials, spec.textures, spec.skins, spec.keys):
+        for asset in assets:
+            spec.delete(asset)
     model = spec.compile()
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data, results = mujoco.MjData(model), []
-    places = [model.joint(name).dofadr[0] for name in names]
+    places = [model.joint(name).dofadr[0] for name in lead.joints]
     for q, v in (np.split(state, 2) for state in states):
-        data.qpos[places], data.qvel[places] = q, v
+        data.qpos[places], data.qvel[places] = lead.ratios @ q + lead.offsets, lead.ratios @ v
         mujoco.mj_forward(model, data)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        results.append({"mass": mass[np.ix_(places, places)], "bias": data.qfrc_bias[places]})
+        potential, kinetic = data.energy
+        results.append({
+            "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
+            "bias": lead.ratios.T @ (data.qfrc_bias - data.qfrc_spring)[places],
+            "kinetic": kinetic,
+            "potential": potential,
+        })  # fmt: skip
     return results
+
+
+def find_lead(robot: Robot, coordinates: Sequence[str]) -> Lead:
+    """The motion of all joints of a robot by those that lead."""
+    joints = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
+    ratios, offsets = np.zeros((len(joints), len(coordinates))), np.zeros(len(joints))
+    for k, name in enumerate(joints):
+        ratio = 1.0
+        while (mimic := joints[name].mimic) is not None:
+            offsets[k] += ratio * mimic.offset
+            ratio, name = ratio * mimic.ratio, mimic.joint
+        ratios[k, coordinates.index(name)] = ratio
+    return Lead(list(joints), ratios, offsets)
+
+
+def differences(path: Path, states: int = 3) -> tuple[LagrangianSystem, dict[str, float]]:
+    """A robot's system, and its largest differences of terms to other tools.
+
+    Tools that cannot read the file are left out.
+    """
+    system, found = tn.load_system(path), find_system(path)
+    assert not isinstance(found, str)
+    is_urdf = path.suffix == ".urdf"
+    names = [c.name for c in system.coordinates]
+    lead = find_lead((read_urdf if is_urdf else read_mjcf)(found.text, path), names)
+    points = 2 * np.random.default_rng(0).normal(size=(states, 2 * len(names)))
+    own, worst = own_terms(system, points), dict[str, float]()
+    tools = {"Pinocchio": pinocchio_terms} if is_urdf else {}
+    for tool, terms in (tools | {"MuJoCo": mujoco_terms}).items():
+        try:
+            others = terms(found.text, lead, points)
+        except (ValueError, RuntimeError, KeyError):
+            continue
+        for mine, other in zip(own, others, strict=True):
+            for what, value in other.items():
+                difference = mine[what] - value
+                if what == "potential":  # up to a constant: of links fixed to the base
+                    difference -= own[0][what] - others[0][what]
+                error = np.abs(difference).max() / max(1.0, np.abs(value).max())
+                key = f"{what} against {tool}"
+                worst[key] = max(worst.get(key, 0.0), float(error))
+    return system, worst
 
 
 def compile_seconds(system: LagrangianSystem) -> tuple[int, float]:
@@ -136,25 +215,44 @@ def main(count: int) -> None:
     with tempfile.TemporaryDirectory() as place:
         for seed in range(count):
             file = Path(place, f"chain{seed}.urdf")
-            file.write_text(text := random_urdf(seed))
-            system = tn.load_system(file)
-            names = [c.name for c in system.coordinates]
-            states = 2 * np.random.default_rng(seed).normal(size=(3, 2 * len(names)))
-            own = own_terms(system, states)
-            for tool, terms in (("Pinocchio", pinocchio_terms), ("MuJoCo", mujoco_terms)):
-                others = terms(text, names, states)
-                for mine, other in zip(own, others, strict=True):
-                    for what, value in other.items():
-                        difference = mine[what] - value
-                        if what == "potential":  # up to a constant: of links fixed to the base
-                            difference -= own[0][what] - others[0][what]
-                        error = np.abs(difference).max() / max(1.0, np.abs(value).max())
-                        key = f"{what} against {tool}"
-                        worst[key] = max(worst.get(key, 0.0), float(error))
+            file.write_text(random_urdf(seed))
+            for key, error in differences(file)[1].items():
+                worst[key] = max(worst.get(key, 0.0), error)
     for key, error in worst.items():
         print(f"{key:32s} {error:.1e}")
     operations, seconds = compile_seconds(tn.load_system(ARM))
     print(f"arm of 7 joints: {operations} operations, compiled in {seconds:.1f} s")
+
+
+def descriptions(folders: Sequence[str]) -> None:
+    """Compares all robots below folders, and counts the sentences by which files are refused."""
+    files = sorted(
+        file
+        for folder in folders
+        for file in [*Path(folder).rglob("*.urdf"), *Path(folder).rglob("*.xml")]
+        if file.suffix == ".urdf" or "<mujoco" in file.read_text(errors="replace")
+    )
+    errors: dict[str, list[float]] = {}
+    refused: dict[str, list[str]] = {}
+    loaded = alone = 0
+    for file in files:
+        try:
+            system, worst = differences(file)
+        except tn.InputError as error:
+            words = re.sub(r"'[^']*'|<[^>]*>", "...", str(error).replace(str(file), "FILE"))
+            refused.setdefault(re.sub(r"[-+.\w/]*\d[-+.\w/]*", "#", words), []).append(str(error))
+            continue
+        loaded, alone = loaded + 1, alone + (not worst)
+        for key, error in worst.items():
+            errors.setdefault(key, []).append(error)
+        largest = f"{max(worst.values()):.1e}" if worst else "read by no other tool"
+        print(f"| {file.name} | {len(system.coordinates)} | {largest} |", flush=True)
+    print(f"{len(files)} files, {loaded} read, {alone} of them by no other tool")
+    for key, found in errors.items():
+        print(f"{key:32s} {len(found)} robots, median {np.median(found):.1e}, "
+              f"worst {max(found):.1e}")  # fmt: skip
+    for sentences in sorted(refused.values(), key=len, reverse=True):
+        print(f"{len(sentences)} times: {sentences[0]}")
 
 
 def fit(folder: Path, data: tn.DataSet) -> tuple[dict[str, Any], float, float]:
@@ -243,12 +341,12 @@ def spreads(names: Sequence[str], system: LagrangianSystem) -> np.ndarray:
     ])  # fmt: skip
 
 
-def twins(out: Path, count: int) -> None:
+def twins(out: Path, count: int, first: int = 0) -> None:
     """Torques that are missing on held-out records, and how often intervals hold the truth."""
     system = tn.load_system(ARM)
     inside = combinations = single = singles = 0
     print("| arm | missing torque, held out [%] | base parameters within 95 % | values | s | GiB |")
-    for seed in range(count):
+    for seed in range(first, first + count):
         truth = true_values(system, seed)
         data = record_in_loop(system, truth, 10, 10.0, seed=seed)
         header, seconds, memory = fit(out / f"twin{seed}", data)
@@ -271,11 +369,11 @@ def twins(out: Path, count: int) -> None:
           f"values {single} of {singles} ({single / singles:.1%})")  # fmt: skip
 
 
-def halves(out: Path, count: int) -> None:
+def halves(out: Path, count: int, first: int = 0) -> None:
     """How often two disjoint halves of an arm's records agree within their stated errors."""
     system = tn.load_system(ARM)
     agreed = compared = 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         records = list(record_in_loop(system, true_values(system, seed), 11, 10.0, seed=seed))
         held = records.pop()
         found = []
@@ -311,11 +409,13 @@ def payload(count: int) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["payload"]:
-        payload(int(sys.argv[2]) if len(sys.argv) > 2 else 10)
-        sys.exit()
-    parts = {"twins": twins, "halves": halves}
-    if sys.argv[1:2] and sys.argv[1] in parts:
-        parts[sys.argv[1]](Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 50)
+    verb, *words = sys.argv[1:] or ["50"]
+    if verb == "descriptions":
+        descriptions(words)
+    elif verb == "payload":
+        payload(*map(int, words or ["10"]))
+    elif verb in ("twins", "halves"):
+        run = twins if verb == "twins" else halves
+        run(Path(words[0]), *map(int, words[1:] or ["50"]))
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 50)
+        main(int(verb))

@@ -399,6 +399,19 @@ AB, BC, CA = (JOINT.format(x + y, x, y, "revolute") for x, y in ("ab", "bc", "ca
         (f"{A}{A}", "two links 'a'"),
         (f"{A}{B}{JOINT.format('j', 'a', 'b', 'fixed')}", "no joint that moves"),
         (f"{A}{B}", "links that no joint carries"),
+        (
+            f"{A}{B}{AB}<transmission name='t'><flexJoint name='ab'/></transmission>",
+            "transmission 't': no joint that it drives",
+        ),
+        (
+            f"{A}{B}{C}{AB}{BC}"
+            + "".join(
+                f"<transmission name='{j}'><joint name='{j}'/><actuator name='m'/></transmission>"
+                for j in ("ab", "bc")
+            ),
+            "transmission 'bc': the actuator 'm' at 'bc', which is at 'ab' already",
+        ),
+        ("<xacro:macro name='m'/>", "macros of xacro"),
     ],
 )
 def test_what_is_no_robot_is_refused_in_one_line(text, message, tmp_path):
@@ -455,12 +468,21 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
         (
             f'<worldbody>{BODY.format("")}</worldbody><equality><connect name="e" '
             'body1="b" body2="world" anchor="0 0 0"/></equality>',
-            "a loop: the equality constraint 'e'",
+            "a loop: the equality constraint 'e' (connect)",
+        ),
+        (
+            f'<worldbody>{BODY.format("")}</worldbody><equality><weld body1="b"/></equality>',
+            "a loop: a <weld>",
+        ),
+        (
+            f'<worldbody>{BODY.format("")}</worldbody><tendon><fixed name="t"><joint joint="j" '
+            'coef="1"/></fixed></tendon><equality><tendon name="e" tendon1="t"/></equality>',
+            "bad.xml: the equality constraint 'e' (tendon); expected a tree",
         ),
         (
             f"<worldbody>{BODY.format('')}</worldbody><equality><connect "
             'body1="b" body2="world" anchor="0 0 0"/></equality>',
-            "a loop: the equality constraint number 1, without a name",
+            "a loop: a <connect>",
         ),
         (
             '<worldbody><body name="b"><joint name="j"/></body></worldbody>',
@@ -481,6 +503,20 @@ def test_what_mujoco_has_and_equations_here_have_not_is_refused(text, message, t
         tn.load_system(file)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_what_is_only_seen_or_read_by_other_programs_is_left_out(tmp_path):
+    site = '<site name="s" material="red"/>'
+    (file := tmp_path / "seen.xml").write_text(
+        f'<mujoco><asset><material name="red"/></asset><worldbody>{BODY.format(site)}</worldbody>'
+        "</mujoco>"
+    )
+    assert [c.name for c in tn.load_system(file).coordinates] == ["j"]
+    limit = "<limit drake:acceleration='2' effort='1' velocity='1'/></joint>"
+    (file := tmp_path / "prefixes.urdf").write_text(
+        f"<robot name='r'>{A}{B}{AB.replace('</joint>', limit)}<drake:group name='g'/></robot>"
+    )
+    assert [c.name for c in tn.load_system(file).coordinates] == ["ab"]
 
 
 def test_files_are_included_once(tmp_path):

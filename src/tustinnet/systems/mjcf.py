@@ -126,8 +126,9 @@ def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
     groups = range(spec.compiler.inertiagrouprange[0], spec.compiler.inertiagrouprange[1] + 1)
     for body in spec.bodies:
         needs_shapes = _moves(body) and (by_shape or not body.explicitinertial)
+        for seen in (*body.geoms, *body.sites):
+            seen.material = ""
         for geom in list(body.geoms):
-            geom.material = ""
             if geom.type not in shapes and not geom.meshname:
                 continue
             has_mass = geom.mass != 0 and geom.density != 0 and geom.group in groups
@@ -196,14 +197,17 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
             raise InputError(where, f"a spring or damper in the tendon '{name}'", "at joints")
     for i in range(model.neq):
         kind = mujoco.mjtEq(model.eq_type[i])
-        if model.eq_active0[i] and kind != mujoco.mjtEq.mjEQ_JOINT:
-            name = model.equality(i).name
-            which = f"'{name}'" if name else f"number {i + 1}, without a name"
-            raise InputError(
-                where, f"a loop: the equality constraint {which}",
-                "a tree, of joints that follow others at most",
-                "write a closed chain down: docs/how-to/add-a-system.md",
-            )  # fmt: skip
+        if not model.eq_active0[i] or kind == mujoco.mjtEq.mjEQ_JOINT:
+            continue
+        is_loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+        name, called = model.equality(i).name, kind.name.removeprefix("mjEQ_").lower()
+        what = f"the equality constraint '{name}' ({called})" if name else f"a <{called}>"
+        raise InputError(
+            where, f"a loop: {what}" if is_loop else what,
+            "a tree, of joints that follow others at most",
+            "write a closed chain down: docs/how-to/add-a-system.md" if is_loop
+            else "write it as one of joints, or leave it out",
+        )  # fmt: skip
 
 
 def _joint_of(

@@ -150,6 +150,9 @@ class Robot:
 def parse_xml(text: str, where: object, expected: str) -> ET.Element:
     """The root element of a text of XML without entities of its own.
 
+    Prefixes of names stay as they are written (`drake:limit`), declared or not: programs that write
+    robot files use them for what only they read.
+
     Args:
         text: the text.
         where: its file, for messages.
@@ -165,11 +168,13 @@ def parse_xml(text: str, where: object, expected: str) -> ET.Element:
             f"{expected} without one", "entities are never read: write what they stand for",
         )  # fmt: skip
 
-    parser = expat.ParserCreate()
+    parser, tree = expat.ParserCreate(), ET.TreeBuilder()
     parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = tree.start, tree.end
+    parser.CharacterDataHandler = tree.data
     try:
         parser.Parse(text, True)
-        return ET.fromstring(text)
+        return tree.close()
     except InputError:
         raise
     except Exception as error:

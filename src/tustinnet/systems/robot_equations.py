@@ -57,6 +57,7 @@ class Drive:
         by_position: force by position.
         by_speed: force by speed.
         bias: force without input.
+        largest_force: largest force at the joint, None if unknown.
     """
 
     joint: str
@@ -68,6 +69,7 @@ class Drive:
     by_position: float
     by_speed: float
     bias: float
+    largest_force: float | None = None
 
 
 @dataclass(frozen=True)

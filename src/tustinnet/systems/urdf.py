@@ -46,7 +46,7 @@ def read_urdf(text: str, where: object) -> Robot:
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "robot":
         raise InputError(where, f"the root element <{root.tag}>", "<robot>", "is it a URDF file?")
-    if any(element.tag.startswith("{http") and "xacro" in element.tag for element in root.iter()):
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(where, "macros of xacro", _EXPECTED, f"run xacro {where} > arm.urdf")
     links: dict[str, RobotLink] = {}
     for element in root.findall("link"):
@@ -182,17 +182,25 @@ def _read_transmissions(
     transmissions = root.findall("transmission")
     if not transmissions:
         return None
-    actuators = []
+    actuators: list[RobotActuator] = []
     for element in transmissions:
         named, actuator = element.find("joint"), element.find("actuator")
         joint = "" if named is None else named.get("name", "")
-        if joint not in joints:
+        place = f"{where}, transmission '{element.get('name', '')}'"
+        if not joint:
             raise InputError(
-                f"{where}, transmission '{element.get('name', '')}'", f"no joint '{joint}'",
-                f"one of {', '.join(joints)}",
+                place, "no joint that it drives", '<joint name="...">',
+                "write one of several joints as one for each, or leave it out",
             )  # fmt: skip
-        name = "" if actuator is None else actuator.get("name", "")
-        actuators.append(RobotActuator(name or joint, joint))
+        if joint not in joints:
+            raise InputError(place, f"no joint '{joint}'", f"one of {', '.join(joints)}")
+        name = ("" if actuator is None else actuator.get("name", "")) or joint
+        if other := [own.joint for own in actuators if own.name == name]:
+            raise InputError(
+                place, f"the actuator '{name}' at '{joint}', which is at '{other[0]}' already",
+                "a joint for each actuator", "leave out all but one of its transmissions",
+            )  # fmt: skip
+        actuators.append(RobotActuator(name, joint))
     return tuple(actuators)
 
 
