@@ -10,8 +10,10 @@ from simulated.faults import FAULTS, Fault, logs_of
 
 import tustinnet as tn
 from tustinnet.check.check import check_record, check_records
+from tustinnet.check.draft_scales import find_scales
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
 from tustinnet.data.catalog import locate
+from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.loading import load_folder
 
 DT, COUNT = 0.01, 2 * np.pi / 4096
@@ -195,3 +197,46 @@ def test_keys_that_the_card_assumes_are_notes_until_they_are_deleted(tmp_path: P
     kept = [line for line in card.splitlines() if not line.startswith("assumed")]
     (tmp_path / "dataset.toml").write_text("\n".join(kept))
     assert not [f for f in check_folder(tmp_path) if f.check == "assumed"]
+
+
+def double_pendulum(folder: Path, factor: float) -> None:
+    """Records of two links, whose angles are written in another unit than rad, and a card."""
+    rng = np.random.default_rng(0)
+    u = 20 * np.repeat(rng.uniform(-1, 1, (3, 30)), 40, axis=1)
+    t = DT * np.arange(u.shape[1])
+    for k in range(3):
+        q, v, rows = np.zeros(2), np.zeros(2), []
+        for torque in u[k]:
+            rows.append([*(factor * q), torque])
+            for _ in range(8):
+                spring = np.array([5.0, -9.0]) * np.sin(q[1] - q[0])
+                gravity = np.array([40.0, 30.0]) * np.sin(q)
+                v = v + DT / 8 * ([torque, 0] - gravity - [0.5, 0.3] * v + spring)
+                q = q + DT / 8 * v
+        table = np.column_stack([t, rows])
+        np.savetxt(folder / f"r{k}.csv", table, "%.8g", ",", header="t,y1,y2,u_V", comments="")
+
+
+def test_angles_that_all_are_in_another_unit_are_found_together(tmp_path: Path) -> None:
+    double_pendulum(tmp_path, 1.0)
+    files = ["r0.csv", "r1.csv", "r2.csv"]
+    draft = draft_card(tmp_path, files, {"unit y1": "deg", "unit y2": "deg"})
+    (tmp_path / "dataset.toml").write_text(draft.text)
+    units = {f.channel: f.remedy for f in check_folder(tmp_path) if f.check == "angle unit"}
+    assert {*units} == {"y1", "y2"}
+    assert all(remedy.endswith('unit = "rad"') for remedy in units.values())
+
+
+def test_a_draft_takes_the_unit_that_the_motion_shows(tmp_path: Path) -> None:
+    double_pendulum(tmp_path, 1.0)
+    files = ["r0.csv", "r1.csv", "r2.csv"]
+    draft = draft_card(tmp_path, files)
+    wrong = [c for c in draft.choice.coordinates if c.unit != "rad"]
+    assert wrong, "the range says degrees"
+    assert all("unit" in c.assumed for c in wrong)
+    scales = find_scales(draft, tmp_path)
+    corrected = draft_card(tmp_path, files, by_motion=scales).choice.coordinates
+    assert [c.unit for c in corrected] == ["rad", "rad"]
+    assert all("in rad as gravity shows" in c.because for c in corrected if c.name in
+               {w.name for w in wrong})  # fmt: skip
+    assert not [c for c in corrected if c.column in scales and "unit" in c.assumed]

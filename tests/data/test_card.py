@@ -96,6 +96,8 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
             {"coordinates": [{**ANGLE, "unit": "counts", "resolution": 1e-3, "scale": 2.0}]},
             "`scale` of counts; scale `resolution`",
         ),
+        ({"coordinates": [{**ANGLE, "sine": "s", "unit": "deg"}]}, "`sine` of a position"),
+        ({"coordinates": [{**CART, "sine": "s"}]}, "`sine` of a position"),
         ({"coordinates": [{**ANGLE, "scale": -1.0}]}, "scale: .*greater than or equal"),
         (
             {"coordinates": [{**ANGLE, "assumed": ["counts_per_revolution"]}]},

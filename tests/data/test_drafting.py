@@ -120,6 +120,40 @@ def test_a_switched_voltage_does_not_wrap() -> None:
     assert examine([voltage]).wrap is None
 
 
+@pytest.mark.parametrize("names", ["obs[1],obs[2],obs[3]", "sin_th,cos_th,thdot", "a,b,c"])
+def test_cosine_and_sine_are_one_angle(names: str, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    order = [1, 0] if names != "obs[1],obs[2],obs[3]" else [0, 1]
+    for k in range(3):
+        angle = (3 + k) * np.sin(1.1 * t) + np.sin(2.3 * t)
+        circle = [np.cos(angle), np.sin(angle)]
+        speed = np.gradient(angle, t)
+        table = np.column_stack([t, *(circle[j] for j in order), speed, np.cos(7 * t)])
+        header = f"t,{names},torque_Nm"
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header=header, comments="")
+    card = draft(tmp_path)
+    first, second, rate = names.split(",")
+    (coordinate,) = card["coordinates"]
+    cosine, sine = (second, first) if order == [1, 0] else (first, second)
+    assert (coordinate["column"], coordinate["sine"]) == (cosine, sine)
+    assert coordinate["velocity"]["column"] == rate
+    for k, record in enumerate(sorted(tn.load(tmp_path), key=lambda e: e.name)):
+        expected = (3 + k) * np.sin(1.1 * t) + np.sin(2.3 * t)
+        np.testing.assert_allclose(record.q[:, 0], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("stem", ["x[{}]", "y{}", "x_{}"])
+def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        columns = [t, np.sin(2 * t + k), np.cos(3 * t) * np.sin(t), np.cos(7 * t)]
+        header = ",".join(["t", stem.format(1), stem.format(2), "torque"])
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack(columns), "%.8g", ",", header=header,
+                   comments="")  # fmt: skip
+    card = draft(tmp_path)
+    assert [c["kind"] for c in card["coordinates"]] == ["angular", "angular"]
+
+
 NAMES = [
     "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
     "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',

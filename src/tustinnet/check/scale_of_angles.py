@@ -38,12 +38,17 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
     plain = unexplained_share(regressors, some, np.ones(channels.n_q))
     if plain < _LEAST:
         return
-    for j, c in enumerate(channels.coordinates):
-        if c.kind != "angular" or not any(v.moving[j] for v in some):
-            continue
+    angles = [j for j, c in enumerate(channels.coordinates)
+              if c.kind == "angular" and any(v.moving[j] for v in some)]  # fmt: skip
+    together = list(_unit_of_all(regressors, some, q, angles, plain)) if len(angles) > 1 else []
+    if together:
+        yield from together
+        return
+    for j in angles:
+        c = channels.coordinates[j]
         tried = _SCALES if channels.n_q <= _FEW_COORDINATES else {k: _SCALES[k] for k in _UNITS}
         shares = {
-            name: _scaled_share(regressors, some, q, j, scale) for name, scale in tried.items()
+            name: _scaled_share(regressors, some, q, [j], scale) for name, scale in tried.items()
         }
         best = min(shares, key=lambda name: shares[name])
         if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
@@ -68,14 +73,41 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
         yield replace(finding, records=())
 
 
+def _unit_of_all(
+    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, angles: list[int],
+    plain: float,
+) -> Iterator[Finding]:  # fmt: skip
+    """All angles in one other unit, where that explains more than another unit of one alone."""
+    shares = {name: _scaled_share(regressors, views, q, angles, _SCALES[name]) for name in _UNITS}
+    best = min(shares, key=lambda name: shares[name])
+    if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
+        return
+    alone = min(_scaled_share(regressors, views, q, [j], _SCALES[best]) for j in angles)
+    if shares[best] > _DROP * alone:
+        return
+    for j in angles:
+        name = views[0].experiment.coordinates[j].name
+        evidence = (
+            f"its range is {np.ptp(q[:, j]):.3g} rad; with all angles {1 / _SCALES[best]:.3g} "
+            f"times smaller the model leaves {shares[best]:.2%} of the accelerations, not "
+            f"{plain:.2%}"
+        )
+        finding = views[0].finding(
+            "angle unit", "severe", f"{name} is not in the declared unit", evidence,
+            coordinate_line(name, f'unit = "{best}"'), name,
+        )  # fmt: skip
+        yield replace(finding, records=())
+
+
 def _scaled_share(
-    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, j: int, scale: float
-) -> float:
-    """What the model leaves of the accelerations where an angle has another scale."""
+    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, which: list[int],
+    scale: float,
+) -> float:  # fmt: skip
+    """What the model leaves of the accelerations where some angles have another scale."""
     scales = np.ones(q.shape[1])
-    scales[j] = scale
+    scales[which] = scale
     held = regressors.held.copy()
-    held[j] = np.ptp(q[:, j]) * scale < _SMALL_RANGE
+    held[which] = np.ptp(q[:, which], axis=0) * scale < _SMALL_RANGE
     scaled = replace(regressors, held=held, creep=regressors.creep * scales)
     first = views[0].experiment
     return unexplained_share(scaled.with_names(first.q[:2], first.u[:2]), views, scales)

@@ -55,7 +55,7 @@ def init(
     outputs = [folder / CARD_NAME, folder / FIGURE]
     require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
     require_writable_folder(folder)
-    draft = make_draft(folder, files, is_asking=not yes)
+    draft = make_draft(folder, files, is_asking=not yes, follow_links=follow_links)
     links = " --follow-links" if follow_links else ""
     with lock_folder(folder):
         # while questions were answered, another may have written one
@@ -75,19 +75,24 @@ def init(
     )
 
 
-def make_draft(folder: Path, files: Sequence[str], *, is_asking: bool) -> "Draft":
+def make_draft(
+    folder: Path, files: Sequence[str], *, is_asking: bool, follow_links: bool
+) -> "Draft":
     """Drafts a card; asks its questions on a terminal, until nothing is open."""
+    from tustinnet.check.draft_scales import find_scales
     from tustinnet.data.drafting.draft import draft_card
 
     console = terminal.messages()
     answers: dict[str, str] = {}
     draft = draft_card(folder, files)
+    if by_motion := find_scales(draft, folder, follow_links=follow_links):
+        draft = draft_card(folder, files, by_motion=by_motion)
     if is_asking and draft.questions and not terminal.can_ask():
         console.print("no terminal to ask at: as with --yes")
     while is_asking and draft.questions and terminal.can_ask():
         for question in draft.questions:
             answers[question.key] = _ask(question)
-        draft = draft_card(folder, files, answers)
+        draft = draft_card(folder, files, answers, by_motion=by_motion)
     draft.require_readable(folder)
     return draft
 
@@ -156,7 +161,7 @@ def draft_into_run(
         console.print(f"no card in {folder}: that of the earlier run, {card}")
         return card
     folder, files = list_logs([folder], follow_links=follow_links)
-    draft = make_draft(folder, files, is_asking=False)
+    draft = make_draft(folder, files, is_asking=False, follow_links=follow_links)
     if card.is_file() and any(is_readable(path) for path in out.iterdir()):
         raise InputError(
             out, "a folder of records with a card of its own", "another folder for the run"

@@ -110,6 +110,8 @@ def _rules(card: Card, name: Callable[[ColumnKey], str]) -> dict[str, Resample]:
     rules: dict[str, Resample] = {}
     for coordinate in card.coordinates:
         rules[name(coordinate.column)] = partial(_resample_position, coordinate)
+        if coordinate.sine is not None:
+            rules[name(coordinate.column)] = rules[name(coordinate.sine)] = _resample_spline
         if coordinate.velocity is not None:
             rules.setdefault(name(coordinate.velocity.column), _resample_linear)
     for entry in card.inputs:

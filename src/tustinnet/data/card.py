@@ -102,6 +102,7 @@ class CoordinateCard(Declaration):
             encoder. Any unit that pint knows.
         scale: units of `unit` in one unit of the column, as of a gear or of a sensor in volts; also
             applies to a velocity column without a unit.
+        sine: column of the sine of an angle whose cosine `column` has; the unit is then rad.
         sign: 1 or -1; also applies to the velocity column.
         offset: reading of the column where the coordinate is 0, in the column's unit.
         resolution: encoder count in rad or m, or in the SI unit of `unit`.
@@ -119,6 +120,7 @@ class CoordinateCard(Declaration):
     column: ColumnKey
     unit: str | None = None
     scale: Annotated[float, Field(ge=1e-12, le=1e12)] = 1.0
+    sine: ColumnKey | None = None
     sign: Literal[1, -1] = 1
     offset: Amount = 0.0
     resolution: Resolution | None = None
@@ -141,6 +143,8 @@ class CoordinateCard(Declaration):
             )
         if self.unit == "counts" and self.count is None:
             raise ValueError("unit 'counts' needs `resolution` or `counts_per_revolution`")
+        if self.sine is not None and (self.kind, self.factor()) != ("angular", 1.0):
+            raise ValueError("`sine` of a position that is no angle in rad; omit unit and scale")
         if self.unit == "counts" and self.scale != 1:
             raise ValueError("`scale` of counts; scale `resolution` or `counts_per_revolution`")
         if self.counts_per_revolution and self.kind == "linear":
@@ -458,7 +462,7 @@ class Card(Declaration):
         """All columns that the card names, by name or number."""
         velocities = [c.velocity.column for c in self.coordinates if c.velocity is not None]
         times = [] if self.time is None else [self.time.column]
-        positions = [c.column for c in self.coordinates]
+        positions = [key for c in self.coordinates for key in (c.column, c.sine) if key is not None]
         return [*positions, *(i.column for i in self.inputs), *velocities, *times]
 
     def channels(self, dt: float) -> Channels:

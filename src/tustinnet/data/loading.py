@@ -393,6 +393,9 @@ def _read_record(
     if entry is not None and entry.seconds is not None:
         reader.rows = _rows_within(entry.seconds, reader, card)
     q = reader.read_matrix([c.column for c in card.coordinates])
+    for j, c in enumerate(card.coordinates):
+        if c.sine is not None:
+            q[:, j] = np.arctan2(reader.read_matrix([c.sine], like=q)[:, 0], q[:, j])
     u = reader.read_matrix([i.column for i in card.inputs], like=q)
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
     u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]

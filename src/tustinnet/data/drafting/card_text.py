@@ -118,6 +118,8 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
         "[[coordinates]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
         f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
     ]  # fmt: skip
+    if c.sine is not None:
+        lines.append(f"sine = {column_key(c.sine)}  # its cosine is in `column`")
     if c.scale != 1:
         lines.append(f"scale = {c.scale!r}  # {c.unit} in one unit of the column")
     if c.counts is not None:

@@ -27,7 +27,7 @@ from tustinnet.data.drafting.logs import (
     read_names,
 )
 from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
-from tustinnet.data.drafting.relations import compare_slopes
+from tustinnet.data.drafting.relations import compare_slopes, find_sines
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
 from tustinnet.errors import InputError
@@ -37,6 +37,7 @@ _MOST_SAMPLES = 200_000  # on which the evidence rests
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST = 6  # samples of a record
 _PERIOD = "period"
+_SURE = 9.0  # score of an angle of which cosine and sine are there
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
@@ -120,6 +121,7 @@ def draft_card(
     files: Sequence[str],
     answers: Mapping[str, str] | None = None,
     *,
+    by_motion: Mapping[str, str] | None = None,
     name: str = "",
     has_splits: bool = True,
 ) -> Draft:
@@ -129,6 +131,7 @@ def draft_card(
         folder: the folder of the card.
         files: the logs, below it.
         answers: answers to questions of an earlier draft, by their keys.
+        by_motion: answers that the motion of the records shows, as `check.draft_scales` finds them.
         name: name of the data set; that of the folder by default.
         has_splits: whether the card names the files; otherwise all logs beside it are records.
 
@@ -159,12 +162,23 @@ def draft_card(
     if not motion:
         raise InputError(folder, "no column besides the times", "columns of positions and inputs")
     times = [p.t for p in shown]
+    sines = find_sines(readings, samples, times)
+    for cosine, sine in sines.items():
+        pairs = zip(samples[cosine], samples.pop(sine), strict=True)
+        samples[cosine] = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
+        numbers[cosine] = examine(samples[cosine])
+    motion = [n for n in motion if n in samples]
     slopes = compare_slopes(samples, times)
     verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes, times)
     for column in motion:
         if (answer := answers.get(f"role {column}")) is not None:
             verdicts[column] = Verdict(_role(answer), ("as you say",))
-    findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers)
+    for cosine, sine in sines.items():
+        reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
+        verdicts[cosine] = Verdict("position", (reason,), score=_SURE)
+    findings = Findings(
+        readings, numbers, samples, times, slopes, verdicts, answers, by_motion or {}, sines
+    )
     choice = choose_channels(findings)
     trimmed = _trim_logs(logs, choice, notes.append)
     usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
@@ -283,6 +297,8 @@ def _columns(
         elif name in clock.others:
             role = "time" if name in clocks else "counter"
             because = clock.others[name]
+        elif name not in verdicts:
+            role, use, because = "position", "coordinate", "the sine of an angle"
         else:
             role, because = verdicts[name].role, verdicts[name].because
             if name in coordinates:

@@ -53,6 +53,7 @@ class CoordinateChoice:
         counts: encoder counts in a turn, None where not known.
         resolution: encoder count [rad or m], None where not known.
         scale: units of `unit` in one unit of the column.
+        sine: column of the sine of an angle whose cosine the column has, None otherwise.
         velocity: its velocity column, if there is one.
         because: the reasons, a sentence each.
         doubts: what to check, a sentence each.
@@ -70,6 +71,7 @@ class CoordinateChoice:
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     scale: float = 1.0
+    sine: str | None = None
 
 
 @dataclass(frozen=True)
@@ -104,12 +106,25 @@ class Choice:
     def motion(self) -> list[str]:
         """The columns of positions and of velocities."""
         velocities = (c.velocity for c in self.coordinates)
-        return [*(c.column for c in self.coordinates), *(v.column for v in velocities if v)]
+        positions = (n for c in self.coordinates for n in (c.column, c.sine) if n is not None)
+        return [*positions, *(v.column for v in velocities if v)]
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that is known of the columns when channels are chosen."""
+    """Everything that is known of the columns when channels are chosen.
+
+    Attributes:
+        readings: the meaning of their names.
+        numbers: properties of their numbers; of a cosine, of its angle.
+        samples: their samples without wraps, record by record; of a cosine, of its angle.
+        times: the times of each record [s].
+        slopes: comparison of changes with integrals.
+        verdicts: their roles.
+        answers: answers to questions.
+        by_motion: answers that the motion of the records shows.
+        sines: the column of the sine of each column that is the cosine of an angle.
+    """
 
     readings: Mapping[str, NameReading]
     numbers: Mapping[str, Numbers]
@@ -118,6 +133,14 @@ class Findings:
     slopes: Slopes
     verdicts: Mapping[str, Verdict]
     answers: Mapping[str, str]
+    by_motion: Mapping[str, str] = field(default_factory=dict)
+    sines: Mapping[str, str] = field(default_factory=dict)
+
+    def answer(self, key: str) -> tuple[str, str] | None:
+        """The answer to a question and where it is from; None where it is open."""
+        if key in self.answers:
+            return self.answers[key], "as you say"
+        return (self.by_motion[key], "as gravity shows") if key in self.by_motion else None
 
     def columns(self, role: str) -> list[str]:
         """The columns of a role, in the order of the file."""

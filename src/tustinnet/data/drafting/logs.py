@@ -30,6 +30,7 @@ _MOST_DAMAGED = 0.1  # of the rows; a file with more is no table
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
 _PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
+_VECTOR = re.compile("d{0,2}[xyz](dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
 
@@ -517,9 +518,22 @@ def _is_episode(columns: Sequence[Values]) -> bool:
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     """The readings of the names of all columns; `column 3` of a file without names says nothing."""
     units, labels = logs[0].units, logs[0].labels
-    return {
+    readings = {
         name: read_name(
             "" if name.startswith(NUMBERED) else labels.get(name, name), units.get(name, "")
         )
         for name in logs[0].values
     }
+    # of a vector of states `x[1]`, `x[2]` or outputs `y1`, `y2`, x and y are no directions
+    stems = Counter(r.words[0] for r in readings.values() if _is_element(r))
+    return {
+        name: replace(r, kind=None) if _is_element(r) and stems[r.words[0]] > 1 else r
+        for name, r in readings.items()
+    }
+
+
+def _is_element(reading: NameReading) -> bool:
+    """Whether a name is that of an element of a vector x, y or z, or of its derivative."""
+    words = reading.words
+    is_numbered = len(words) == 2 and words[1].isdigit() and not reading.unit
+    return is_numbered and _VECTOR.fullmatch(words[0]) is not None

@@ -58,6 +58,13 @@ def describe_coordinate(
     numbers = findings.numbers[column]
     because = list(findings.verdicts[column].reasons)
     doubts: list[str] = []
+    if (sine := findings.sines.get(column)) is not None:
+        factor = findings.slopes.between(column, velocity)[1] if velocity else None
+        return CoordinateChoice(
+            column, name, "angular", "rad", None, None,
+            _velocity(column, velocity, "rad", "angular", factor, findings), tuple(because),
+            (f"the direction: '{column}' as the cosine, '{sine}' as the sine",), sine=sine,
+        )  # fmt: skip
     factor = findings.slopes.between(column, velocity)[1] if velocity else None
     speed = findings.readings[velocity].unit if velocity else ""
     kind = _find_kind(column, velocity, input_kind, findings, because)
@@ -110,10 +117,10 @@ def _find_unit(
 ) -> str | None:  # fmt: skip
     """The unit of a position: as answered, by its name, wraps, velocity, steps; else None."""
     reading, numbers = findings.readings[column], findings.numbers[column]
-    answer = findings.answers.get(f"unit {column}")
+    answer = findings.answer(f"unit {column}")
     if answer is not None:
-        because.append(f"in {answer} as you say")
-        return answer
+        because.append(f"in {answer[0]} {answer[1]}")
+        return answer[0]
     # whole numbers are no radians: a word, as the German one for a wheel
     is_word = reading.unit == "rad" and numbers.whole and not reading.in_brackets
     if reading.unit and not is_word and _is_card_unit(reading.unit):
@@ -294,9 +301,9 @@ def _counts(
     """Counts in a turn, and whether they are assumed: neither answered nor by velocity or copy."""
     turn = findings.numbers[column].wrap
     key = f"counts {column}"
-    if key in findings.answers:
-        because.append(f"{findings.answers[key]} counts in a turn as you say")
-        return int(float(findings.answers[key])), False
+    if (answer := findings.answer(key)) is not None:
+        because.append(f"{answer[0]} counts in a turn {answer[1]}")
+        return int(float(answer[0])), False
     by_wrap = round(turn) if turn and turn not in _OVERFLOWS else None
     known = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
     if known is not None and (by_wrap is None or abs(known / by_wrap - 1) < _SAME_FACTOR):

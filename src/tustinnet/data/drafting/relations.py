@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Values
 
 _WIDTHS = (1, 2, 4, 8, 16, 32, 64)  # samples over which a column is integrated
@@ -140,6 +141,62 @@ def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float | None
     a, b = a - a.mean(), b - b.mean()
     correlation = a @ b / np.sqrt((a @ a) * (b @ b))
     return float((a @ b) / (a @ a)) if 1 - correlation**2 < _COPY else None
+
+
+def find_sines(
+    readings: Mapping[str, NameReading],
+    samples: Mapping[str, Sequence[Values]],
+    times: Sequence[Values],
+) -> dict[str, str]:
+    """The column of the sine of each column that is the cosine of an angle.
+
+    Where no name says which is which, a column that then is the slope of the angle decides, else
+    the cosine comes first.
+
+    Args:
+        readings: the meaning of the names.
+        samples: samples of every column, record by record.
+        times: times of each record [s].
+    """
+    sines: dict[str, str] = {}
+    names = [n for n, s in samples.items() if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE]
+    for k, first in enumerate(names):
+        for second in names[k + 1 :]:
+            if {first, second} & {*sines, *sines.values()}:
+                continue
+            if not are_of_one_angle(samples[first], samples[second]):
+                continue
+            pair = first, second
+            if {"sin", "sine", "sinus"} & {*readings[first].words}:
+                pair = second, first
+            elif not {"cos", "cosine", "cosinus"} & {*readings[first].words}:
+                pairs = zip(samples[first], samples[second], strict=True)
+                angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
+                others = {n: s for n, s in samples.items() if n not in pair}
+                slopes = compare_slopes({first: angle, **others}, times)
+                correlations = [slopes.between(first, n)[0] for n in others]
+                if max(correlations, default=0.0) < -min(correlations, default=0.0) - 0.5:
+                    pair = second, first
+            sines[pair[0]] = pair[1]
+    return sines
+
+
+_CIRCLE = 1.05  # no cosine is larger
+_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
+_OF_ANGLE = 0.3  # range of a cosine or sine, at least
+
+
+def are_of_one_angle(first: Sequence[Values], second: Sequence[Values]) -> bool:
+    """Whether two columns are cosine and sine of one angle: their squares add up to 1.
+
+    Args:
+        first: samples of a column, record by record.
+        second: those of another one.
+    """
+    a, b = np.concatenate(first), np.concatenate(second)
+    radius = a * a + b * b
+    moves = min(float(np.ptp(a)), float(np.ptp(b))) > _OF_ANGLE
+    return moves and bool((np.abs(radius - 1) < _ON_CIRCLE).all())
 
 
 @np.errstate(all="ignore")
