@@ -125,6 +125,30 @@ def test_what_options_add_is_left_out_and_said(tmp_path):
     assert {f"{joint}.gear_stiffness", f"{joint}.gear_damping", f"{joint}.breakaway"} <= {*lacking}
 
 
+def test_a_group_of_records_is_written_by_itself(tmp_path):
+    system = tn.load_robot(ROBOTS / "scara.urdf", per={"spindle": "payload"})
+    _, values = moved(system)
+    groups = {
+        f"{name}[{group}]": value * (2 if name == "spindle.mass" and group == "ball" else 1)
+        for name, value in values.items()
+        if name.startswith("spindle.")
+        for group in ("none", "ball")
+        if system.parameter(name).per
+    }
+    others = {n: x for n, x in values.items() if not system.parameter(n).per}
+    model = system.model({name: jnp.asarray(x) for name, x in (others | groups).items()})
+    with pytest.raises(tn.InputError, match="values by group"):
+        tn.write_robot(model, tmp_path / "scara.urdf")
+    lacking = tn.write_robot(model.for_groups({"payload": "ball"}, "here"), tmp_path / "scara.urdf")
+    assert not [name for name in lacking if "spindle" in name]
+    written = tn.load_system(tmp_path / "scara.urdf").nominal()
+    assert written["spindle.mass"] == pytest.approx(2 * values["spindle.mass"])
+    discrete = tn.discretise(model, 0.005, inputs=system.inputs)
+    tn.export_model(discrete, "urdf", tmp_path / "none", groups={"payload": "none"})
+    exported = tn.load_system(tmp_path / "none" / "robot.urdf").nominal()
+    assert exported["spindle.mass"] == pytest.approx(values["spindle.mass"])
+
+
 def test_what_cannot_be_written_is_one_line(tmp_path):
     model, _ = moved(tn.load_system(ROBOTS / "scara.urdf"))
     with pytest.raises(tn.InputError, match=r"ending '.xml'; expected '.urdf'"):

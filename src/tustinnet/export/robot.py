@@ -57,7 +57,9 @@ class RobotTarget(Target):
         again = replace(file, text=text, path=folder / self._file_name).load().nominal()
         _, lacking = self._written(source)
         values = {
-            name: jnp.asarray(again[name]) for name in equations.values if name not in lacking
+            name: jnp.asarray(again[name])
+            for name in equations.values
+            if name in again and name not in lacking
         }
         program = replace(source, model=with_values(source.model, values)).step
         return lambda x, u: run(program, x=x, u=u)["x"]

@@ -40,12 +40,12 @@ def write_robot(
     if path.suffix != source.path.suffix:
         raise InputError(path, f"ending '{path.suffix}'", f"'{source.path.suffix}' as of the robot")
     require_outputs([path], overwrite=overwrite, read=[source.path])
-    if any("[" in name for name in equations.values):
+    values = {name: float(value) for name, value in equations.values.items()}
+    if not values.keys() >= equations.system.nominal().keys():
         raise InputError(
             "write_robot", "a model with values by group", "values of one group",
             "take those of a record: model.for_record(record)",
         )  # fmt: skip
-    values = {name: float(value) for name, value in equations.values.items()}
     text, lacking = source.with_values(values)
     write_into(path.parent, path.name, text)
     return lacking

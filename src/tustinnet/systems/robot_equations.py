@@ -16,7 +16,9 @@ CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # by the width of the smoothed sign
 
 def curve_names(joint: str) -> list[str]:
     """Names of the parameters of a joint's friction curve: odd in the speed, then even."""
-    return [f"{joint}.curve_{kind}{i + 1}" for kind in ("odd", "even") for i in range(4)]
+    return [
+        f"{joint}.curve_{kind}{i + 1}" for kind in ("odd", "even") for i in range(len(CURVE_SPEEDS))
+    ]
 
 
 def friction_curve(v: Any, weights: Sequence[Any], width: Any) -> Any:

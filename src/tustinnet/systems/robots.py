@@ -186,7 +186,8 @@ class RobotFile(ChannelSource):
         """The file's text with values of parameters in it, and the names of those that it lacks.
 
         Args:
-            values: the parameters of the system by name.
+            values: the parameters of the system by name. Where some have a value for each group of
+                records, the one without a group is written.
 
         Raises:
             InputError: a file whose inertias do not count.
@@ -205,8 +206,11 @@ class RobotFile(ChannelSource):
         held |= {f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None}
         # what options of `load_robot` add is not in the file, whatever its value
         plain = RobotFile(self.text, self.path, self.locked).load().nominal()
+        by_group = {name for name in values if name.partition("[")[0] in held}
         lacking = [
-            name for name, x in values.items() if name not in held and x != plain.get(name, 0.0)
+            name
+            for name, x in values.items()
+            if name not in held | by_group and x != plain.get(name, 0.0)
         ]
         return text, tuple(lacking)
 
