@@ -149,6 +149,12 @@ def upright_effect(model: tn.Model) -> float:
     return float(up[3] - down[3]) / 2
 
 
+def seconds_upright(logs: Sequence[tn.Experiment]) -> float:
+    """How long inputs act within 0.4 rad of upright [s]."""
+    near = [(np.cos(e.q[:, 1]) > np.cos(0.4)) & (e.u[:, 0] != 0) for e in logs]
+    return sum(float(samples.sum()) * e.dt for samples, e in zip(near, logs, strict=True))
+
+
 def rounds(out: Path, only: Sequence[str]) -> None:
     """Success round by round, each with logs of the failures of the one before."""
     for name, (recipe, which) in FAMILIES.items():
@@ -171,6 +177,8 @@ def rounds(out: Path, only: Sequence[str]) -> None:
                 print(f"{row.successes} of {STARTS}{why}", flush=True)
                 if not logs:
                     break
+                seconds = seconds_upright(logs)
+                print(f"    in their logs inputs act near upright for {seconds:.1f} s", flush=True)
                 training = [*logs, *training]
 
 

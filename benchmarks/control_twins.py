@@ -278,17 +278,12 @@ class Pushed:
 
     def __init__(self, plant: tc.ModelPlant, push: float) -> None:
         self.plant, self.push = plant, push
-        self.dt, self.channels = plant.dt, plant.channels
-
-    @property
-    def state(self) -> np.ndarray:
-        """The true state."""
-        return self.plant.state
+        self.dt, self.channels, self.state = plant.dt, plant.channels, plant.state
 
     def reset(self, q: np.ndarray, seed: int) -> None:
         """Puts it to rest at positions."""
         self.plant.reset(q, seed)
-        self.samples = 0
+        self.state, self.samples = self.plant.state, 0
 
     def measure(self) -> np.ndarray:
         """What the encoders read."""
@@ -297,9 +292,9 @@ class Pushed:
     def apply(self, u: np.ndarray) -> None:
         """Goes on by one period."""
         self.plant.apply(u)
-        self.samples += 1
+        self.state, self.samples = self.plant.state, self.samples + 1
         if self.samples == PUSHED:
-            self.plant.state[self.channels.velocity.stop - 1] += self.push
+            self.state[self.channels.velocity.stop - 1] += self.push
 
 
 def falls(out: Path, names: list[str]) -> None:
@@ -320,7 +315,8 @@ def falls(out: Path, names: list[str]) -> None:
                 for controller in (made.controller, alone)
             )
             fallen = [run for run in runs if (np.cos(run.states[PUSHED:, 1]) < 0).any()]
-            times = [o.time_to_reach for run in fallen if (o := run.outcome) and o.is_success]
+            reached = [run.outcome.time_to_reach for run in fallen if run.outcome]
+            times = [t for t in reached if t is not None]
             when = f"; from {np.median(times):.1f} s on, at last {max(times):.1f}" if times else ""
             arm = max([float(np.abs(run.states[PUSHED:, 0]).max()) for run in fallen], default=0)
             print(

@@ -79,6 +79,7 @@ print(f"free run of the test record, {len(record) * record.dt:.0f} s: RMSE {scor
 # * **The margins**: how much the loop's gain, phase and delay may change before it is unstable.
 # * **The motion**, planned so that it stays within what the records have, here 4 V and their speeds, and within 80 % of the
 #   voltage; the rest is for the feedback along it.
+# * **After a fall** the controller damps the motion until the pendulum hangs nearly at rest, and swings it up again.
 # * **The table of robustness.** The controller was played 20 times on each kind of plant that differs from the model. If your
 #   device may be of a kind that fails, record more, or ask for less.
 

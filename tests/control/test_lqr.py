@@ -240,8 +240,10 @@ def test_after_a_fall_it_settles_and_begins_again():
     np.testing.assert_allclose(np.sin(x), np.zeros(4), atol=1e-3)
     assert np.cos(x[1]) > 0
     summed = lqr(model, hanging, np.zeros(1), limits=limits, integral=["theta"])
-    with pytest.raises(tn.InputError, match="settle: a feedback with integrals"):
-        time_varying_lqr(model, plan, final, settle=summed)
+    weak = lqr(model, hanging, np.zeros(1), limits={"voltage": (-5.0, 5.0)})
+    for other in (summed, weak):
+        with pytest.raises(tn.InputError, match="settle: a feedback with integrals, or of another"):
+            time_varying_lqr(model, plan, final, settle=other)
 
 
 def test_gains_along_a_plan_at_rest_are_those_of_the_point():

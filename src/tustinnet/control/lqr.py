@@ -269,16 +269,17 @@ def time_varying_lqr(
 
     Raises:
         InputError: a plan of another model or period, names that the model does not have; a
-            `settle` of another size or delay than `final` without integrals.
+            `settle` with integrals, or of another delay or limits than `final`.
     """
     system = controlled(model, final.delay)
     plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "time_varying_lqr")
     if settle is not None and (
-        settle.integral or settle.delay != final.delay or settle.previous != final.previous
-    ):
+        settle.integral or _limits_of(model, settle) != _limits_of(model, final)
+        or (settle.delay, settle.previous) != (final.delay, final.previous)
+    ):  # fmt: skip
         raise InputError(
-            "time_varying_lqr, settle", "a feedback with integrals, or of another delay",
-            "one without integrals, with the delay of `final`",
+            "time_varying_lqr, settle", "a feedback with integrals, or of another delay or limits",
+            "one without integrals, with the delay and the limits of `final`",
         )  # fmt: skip
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
