@@ -154,6 +154,18 @@ def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
     assert [c["kind"] for c in card["coordinates"]] == ["angular", "angular"]
 
 
+def test_axes_in_which_nothing_moves_are_left_out(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(900)
+    for k in range(2):
+        noise = rng.normal(0, 0.1, (2, 900))
+        table = np.column_stack([t, 30 * np.sin(2 * t + k), *noise, np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.6g", ",",
+                   header="t,yaw_deg,pitch_deg,roll_deg,motor_V", comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [c.column for c in found.choice.coordinates] == ["yaw_deg"]
+    assert "only noise, beside 'yaw_deg'" in found.choice.unused["roll_deg"]
+
+
 NAMES = [
     "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
     "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',

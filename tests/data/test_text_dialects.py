@@ -281,3 +281,40 @@ def test_damaged_rows_are_refused_or_skipped_as_the_card_says(tmp_path: Path) ->
     (tmp_path / "dataset.toml").write_text(draft.text.replace('"skip"', '"mend"'))
     with pytest.raises(InputError, match="damaged_rows"):
         tn.load(tmp_path)
+
+
+def test_names_above_units_may_be_numbers_of_channels(tmp_path: Path) -> None:
+    rows = "".join(f"{0.01 * k:+.4E},{np.sin(k):+.4E},{k % 5:+.4E}\n" for k in range(60))
+    (tmp_path / "scope.csv").write_text("x-axis,1,2\nsecond,Volt,Volt\n" + rows)
+    columns = read_columns(tmp_path / "scope.csv")
+    assert columns.names == ("x-axis", "1", "2")
+    assert columns.units == {"x-axis": "second", "1": "Volt", "2": "Volt"}
+    np.testing.assert_allclose(columns["2"], np.arange(60) % 5)
+
+
+@pytest.mark.parametrize("slower", [1, 3])
+def test_a_long_table_is_columns_by_signal(slower: int, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(90)
+    lines = ["t_ms,signal,value"]
+    for k in range(90):
+        lines.append(f"{1e3 * t[k]:.1f},angle,{np.sin(t[k]):.6f}")
+        if k % slower == 0:
+            lines.append(f"{1e3 * t[k]:.1f},motor,{np.cos(t[k]):.6f}")
+    if slower > 1:  # a log of more signals, of which most are slow
+        lines += [f"{1e3 * x:.1f},{name},{x}" for name in "abc" for x in t[::2]]
+    (tmp_path / "can.csv").write_text("\n".join(lines))
+    columns = read_columns(tmp_path / "can.csv")
+    np.testing.assert_allclose(columns["angle"], np.sin(t), atol=1e-6)
+    np.testing.assert_allclose(columns["motor"], np.cos(t[::slower]), atol=1e-6)
+    if slower == 1:
+        assert columns.names == ("t_ms", "angle", "motor")
+        np.testing.assert_allclose(columns["t_ms"], 1e3 * t)
+    else:
+        assert columns.clocks["motor"] == "motor/t_ms"
+        np.testing.assert_allclose(columns["motor/t_ms"], t[::slower])
+
+
+def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:
+    lines = [f"{k},{'up' if k % 40 < 20 else 'down'},{k * k}" for k in range(200)]
+    (tmp_path / "log.csv").write_text("t,state,x\n" + "\n".join(lines))
+    assert read_columns(tmp_path / "log.csv").names == ("t", "state", "x")

@@ -316,7 +316,12 @@ class Table:
         """
         top = sample = self.find_first_sample(rows)
         while top > 0 and not self.is_remark(rows[top - 1]):
-            if top < sample and any(map(self.is_value, rows[top - 1])):
+            has_values = any(map(self.is_value, rows[top - 1]))
+            # above a row of units also names such as 1 and 2, of channels
+            is_named = top == sample - 1 and _are_units(rows[top]) and not self.is_sample(
+                rows[top - 1], is_whole=True
+            )  # fmt: skip
+            if top < sample and has_values and not is_named:
                 break
             top -= 1
         return 0 if top == sample else top

@@ -25,6 +25,7 @@ from tustinnet.data.text_dialect import (
     is_comment,
     read_header,
 )
+from tustinnet.data.text_long import spread_signals
 from tustinnet.data.text_pairs import Pairs, find_pairs
 from tustinnet.errors import InputError, describe_error
 from tustinnet.wording import counted
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
+_LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
@@ -95,7 +97,8 @@ def read_text(
 
     def read(requested: list[str]) -> list[Column]:
         doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
-        if header is None and doubtful is not None:  # names beside numbers, some of them used
+        # names beside numbers, some of them used; above units they are names
+        if header is None and doubtful is not None and found.rows == 1:
             raise InputError(
                 f"{path} row {first_row}",
                 f"names of columns and the number {doubtful}",
@@ -140,7 +143,23 @@ def read_text(
     units = {} if file.pairs is not None else find_units_above(file.above, names)
     units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if file.pairs is None else file.pairs.clocks
-    return Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
+    columns = Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
+    return _spread_if_long(columns, table, found.rows, dialect)
+
+
+def _spread_if_long(
+    columns: Columns, table: "pl.DataFrame", header_rows: int, dialect: Dialect
+) -> Columns:
+    """The columns of a table, by signal where it is a long table of times, signals and values."""
+    names = columns.names
+    if not header_rows or len(names) != _LONG_TABLE:
+        return columns
+    texts = [n for n, cell in zip(names, _texts(table, header_rows), strict=True)
+             if not (dialect.is_number(cell) or is_date(cell))]  # fmt: skip
+    if len(texts) != 1:
+        return columns
+    cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()
+    return spread_signals(columns, cells.fill_null("").to_list(), texts[0]) or columns
 
 
 @dataclass(frozen=True)

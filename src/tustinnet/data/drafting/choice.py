@@ -76,7 +76,9 @@ def _clear_positions(findings: Findings, choice: Choice) -> list[str]:
 def _most_like_positions(findings: Findings) -> list[str]:
     """The column to take for a position where none looks like one."""
     for role in ("input", "set point", "flag", "other"):
-        if names := findings.columns(role):
+        # a column of times that repeat is no position
+        if names := [n for n in findings.columns(role)
+                     if findings.readings[n].quantities.get("time", 0.0) < _CLEAR]:  # fmt: skip
             smooth = [name for name in names if findings.numbers[name].smooth]
             return [(smooth or names)[0]]
     return []
