@@ -166,6 +166,29 @@ def test_axes_in_which_nothing_moves_are_left_out(tmp_path: Path) -> None:
     assert "only noise, beside 'yaw_deg'" in found.choice.unused["roll_deg"]
 
 
+def test_a_draft_takes_the_period_from_the_lines_above_the_table(tmp_path: Path) -> None:
+    t = 0.004 * np.arange(900)
+    for k in range(2):
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([np.sin(2 * t + k), np.cos(7 * t)]),
+                   "%.6g", ",", header="Sample rate: 250 Hz\nangle_rad,motor_V",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    card = tomllib.loads(found.text)
+    assert (card["dt"], card.get("assumed"), found.questions) == (0.004, None, ())
+
+
+def test_a_velocity_in_raw_units_is_left_out(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(900)
+    for k in range(2):
+        q = np.round(900 * np.sin(2 * t + k))
+        raw = np.round(0.0639 * np.gradient(q, t))
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([t, q, raw, np.cos(7 * t)]), "%.6g", ",",
+                   header="t,present_position,present_velocity,goal_pwm", comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [c.velocity for c in found.choice.coordinates] == [None]
+    assert "in a unit that nothing says" in found.choice.unused["present_velocity"]
+
+
 NAMES = [
     "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
     "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',

@@ -27,6 +27,8 @@ NAMES = [
     ("axis0.controller.input_pos", "position", "", True),
     ("pid.x.output", "control", "", False),
     ("input torque", "control", "", False),
+    ("rpm", "velocity", "rpm", False),
+    ("deg", "position", "deg", False),
 ]
 
 

@@ -11,6 +11,7 @@ import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.file_inspection import inspect_file
 from tustinnet.data.readers import read_columns
+from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
 
 TIME = [0.0, 0.01, 0.02, 0.03]
@@ -318,3 +319,25 @@ def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:
     lines = [f"{k},{'up' if k % 40 < 20 else 'down'},{k * k}" for k in range(200)]
     (tmp_path / "log.csv").write_text("t,state,x\n" + "\n".join(lines))
     assert read_columns(tmp_path / "log.csv").names == ("t", "state", "x")
+
+
+def test_hexadecimal_numbers_are_read_and_may_be_names(tmp_path: Path) -> None:
+    rows = "".join(f"{10 * k},0x{k * 7:03X},{k % 5}\n" for k in range(60))
+    (tmp_path / "serial.csv").write_text("ms,0x101,pwm\n" + rows)
+    columns = read_columns(tmp_path / "serial.csv")
+    np.testing.assert_array_equal(columns["0x101"], 7 * np.arange(60))
+    np.testing.assert_array_equal(columns["pwm"], np.arange(60) % 5)
+
+
+RATES = {
+    "Abtastrate: 1000 Hz": 1e-3, "Sampled at 0.5 kHz": 2e-3, "FREQUENCY\t200": 5e-3,
+    "# sampling interval = 5 ms": 5e-3, "SampleTime[ms];2 ms": 2e-3, "dt = 0.01 s": 0.01,
+    "fs = 250": 4e-3, "Frame rate: 29,97 fps": 1 / 29.97, "Position of motor 3": None,
+    "Operator: Sam, 12.03.2024": None, "t,angle,u": None, "Samples: 3000": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", RATES)
+def test_the_sampling_rate_above_a_table_is_found(line: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(f"Rig 7\n{line}\nangle_deg,u_V\n1,2\n3,4\n")
+    assert find_period(tmp_path / "log.csv") == RATES[line]

@@ -22,14 +22,17 @@ _COMMENTS = ("#", "//", "% ", "%\t")
 _LONGEST_UNIT = 20  # characters
 
 _DIGITS = r"(\d+\.?\d*|\.\d+)"
-NUMBER = re.compile(rf"[-+]?({_DIGITS}([ed][-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
+HEXADECIMAL = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
+NUMBER = re.compile(
+    rf"[-+]?({_DIGITS}([ed][-+]?\d+)?|nan|inf|infinity)|{HEXADECIMAL.pattern}", re.IGNORECASE
+)
 # in any country: thousands are separated by a mark, and the other one begins the decimals
 _GROUPED = (
     r"\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+(,\d+)?"
     r"|\d{1,3}([' \u00a0\u202f]\d{3})+([.,]\d+)?"
 )
 _ANYWHERE = re.compile(
-    rf"[-+\u2212]?(({_GROUPED}|\d+,\d+|,\d+|{_DIGITS})([ed][-+]?\d+)?|nan|inf|infinity)",
+    rf"[-+\u2212]?(({_GROUPED}|\d+,\d+|,\d+|{_DIGITS})([ed][-+]?\d+)?|nan|inf|infinity)|{HEXADECIMAL.pattern}",
     re.IGNORECASE,
 )
 _MARKS = "' \u00a0\u202f"  # other marks between thousands

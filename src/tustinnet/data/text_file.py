@@ -13,6 +13,7 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
+    HEXADECIMAL,
     NUMBER,
     Dialect,
     Header,
@@ -96,7 +97,8 @@ def read_text(
     dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
 
     def read(requested: list[str]) -> list[Column]:
-        doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
+        numbers = (n for n in requested if NUMBER.fullmatch(n) and not HEXADECIMAL.fullmatch(n))
+        doubtful = next(numbers, None)
         # names beside numbers, some of them used; above units they are names
         if header is None and doubtful is not None and found.rows == 1:
             raise InputError(
@@ -430,6 +432,9 @@ def _numbers(
     numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
         numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
+    if numbers.null_count() and HEXADECIMAL.fullmatch((cells[0] or "").strip()):
+        digits = cells.str.strip_chars().str.replace("^0[xX]", "")
+        numbers = digits.str.to_integer(base=16, strict=False).cast(pl.Float64)
     has_dates = len(cells) > 0 and is_date((cells[0] or "").strip())
     if has_dates and numbers.null_count():
         numbers = read_dates(cells)

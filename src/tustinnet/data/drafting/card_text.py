@@ -42,6 +42,8 @@ def write_card(
     why = (
         "assumed; check: how far apart are the samples?"
         if is_period_assumed
+        else "by the sampling rate that the files say"
+        if clock.column is None
         else "the mean time between samples"
     )
     lines = [

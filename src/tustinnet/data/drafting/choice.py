@@ -1,6 +1,7 @@
 """The choice of coordinates, their velocities and inputs among the columns."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,6 +41,7 @@ def choose_channels(findings: Findings) -> Choice:
                 column, names[column], velocity, kind, findings, choice
             )
         choice.coordinates.append(coordinate)
+    _without_unknown_velocities(matched, choice)
     for column in inputs:
         choice.inputs.append(describe_input(column, names[column], findings, choice))
     used = {*positions, *inputs, *matched.values()}
@@ -158,6 +160,22 @@ def _match_velocities(
             )
         return {}
     return matched
+
+
+def _without_unknown_velocities(matched: Mapping[str, str], choice: Choice) -> None:
+    """Leaves out all velocities where the unit of one is unknown: a card has all of them or none.
+
+    Raw values of a drive's register are neither counts per second nor in a usual unit.
+    """
+    unknown = [c.column for c in choice.coordinates if c.column in matched and not c.velocity]
+    if not unknown:
+        return
+    for position, velocity in matched.items():
+        choice.unused[velocity] = (
+            "a velocity in a unit that nothing says" if position in unknown
+            else f"the velocity of '{position}'; that of '{unknown[0]}' has no known unit"
+        )  # fmt: skip
+    choice.coordinates[:] = [replace(c, velocity=None) for c in choice.coordinates]
 
 
 def _kind_by_inputs(inputs: Sequence[str], findings: Findings) -> Kind | None:

@@ -1,11 +1,12 @@
 """The draft of a data card from a folder of logs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels
 from tustinnet.data.drafting.findings import (
@@ -30,6 +31,8 @@ from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
 from tustinnet.data.drafting.relations import compare_slopes, find_sines
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.data.readers import is_text
+from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -149,6 +152,8 @@ def draft_card(
     readings = read_names(logs)
     clock = find_clock(logs, readings)
     questions: list[Question] = []
+    if clock.dt is None:
+        clock = replace(clock, dt=_said_period(folder, logs))
     dt = clock.dt
     if dt is None:
         text = "sampling period [s]; no column of times was found"
@@ -200,6 +205,15 @@ def draft_card(
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
         logs[0].texts, sum(map(len, logs)), bool(usable),
     )  # fmt: skip
+
+
+def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
+    """The sampling period that lines above the tables say, where all files say the same."""
+    files = [folder / log.file for log in logs]
+    periods = {find_period(file) if is_text(file) else None for file in files}
+    (period, *others) = periods
+    is_possible = period is not None and SHORTEST_DT <= period <= LONGEST_DT
+    return period if is_possible and not others else None
 
 
 def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], None]) -> list[Log]:

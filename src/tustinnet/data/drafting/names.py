@@ -78,6 +78,8 @@ _ACCELERATION = {
     **{f"{name}{per}": f"{unit}/s^2" for name, unit in _POSITION.items() for per in _SQUARED},
     "g": "g", "mg": "mg",
 }  # fmt: skip
+_UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
+"""Columns that are called by their unit alone."""
 _INPUT_UNITS: dict[str, tuple[str, Quantity]] = {
     **dict.fromkeys(("v", "volt", "volts"), ("V", "voltage")), "mv": ("mV", "voltage"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), ("A", "current")), "ma": ("mA", "current"),
@@ -297,6 +299,8 @@ def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
     """Words without the unit at their end, the unit, its quantity: `_rad_s`, `_mm`, `_deg1`."""
     number = words[-1:] if words and words[-1].isdigit() else []
     body = words[: len(words) - len(number)]
+    if len(body) == 1 and body[0] in _UNITS_AS_NAMES:
+        return words, *(_look_up(body[0]) or ("", None))
     for length in (4, 3, 2, 1):
         if len(body) < length + (length == 1):
             continue

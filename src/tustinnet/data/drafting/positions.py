@@ -354,7 +354,7 @@ def _velocity(
                 because += f"; in {candidate} by its size"
                 break
     elif speed is None and unit == "counts" and kind == "angular" and abs(factor - 1) > 0.05:
-        because += "; check its unit"
+        return None
     return VelocityChoice(velocity, speed, measured, because)
 
 

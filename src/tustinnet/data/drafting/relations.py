@@ -159,7 +159,11 @@ def find_sines(
         times: times of each record [s].
     """
     sines: dict[str, str] = {}
-    names = [n for n, s in samples.items() if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE]
+    names = [
+        n for n, s in samples.items()
+        if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
+        and readings[n].kind != "linear" and not readings[n].unit
+    ]  # fmt: skip
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
             if {first, second} & {*sines, *sines.values()}:
