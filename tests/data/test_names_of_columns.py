@@ -28,6 +28,12 @@ NAMES = [
     ("pid.x.output", "control", "", False),
     ("input torque", "control", "", False),
     ("rpm", "velocity", "rpm", False),
+    ("Sollposition X [mm]", "position", "mm", True),
+    ("Istposition", "position", "", False),
+    ("seilwinkel", "position", "", False),
+    ("Schleppabstand [mm]", "error", "mm", False),
+    ("wheelspeed", "velocity", "", False),
+    ("uq", "voltage", "", False),
     ("deg", "position", "deg", False),
 ]
 

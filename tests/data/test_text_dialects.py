@@ -341,3 +341,23 @@ RATES = {
 def test_the_sampling_rate_above_a_table_is_found(line: str, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(f"Rig 7\n{line}\nangle_deg,u_V\n1,2\n3,4\n")
     assert find_period(tmp_path / "log.csv") == RATES[line]
+
+
+def test_labelled_numbers_of_a_serial_plotter_are_columns(tmp_path: Path) -> None:
+    rows = "".join(f"pot:{k * 3}\tpwm: {k % 5}\n" for k in range(60))
+    (tmp_path / "serial.txt").write_text("Ready.\n" + rows)
+    columns = read_columns(tmp_path / "serial.txt")
+    assert columns.names == ("pot", "pwm")
+    np.testing.assert_array_equal(columns["pot"], 3 * np.arange(60))
+    rows = rows.replace("pot:9\t", "pot:9")  # a line that broke
+    (tmp_path / "serial.txt").write_text(rows)
+    with pytest.raises(InputError, match="row 4"):
+        read_columns(tmp_path / "serial.txt")["pot"]
+    skipping = read_columns(tmp_path / "serial.txt", skips_damaged=True)
+    assert len(skipping["pot"]) == 59
+
+
+def test_a_line_of_json_above_a_table_is_a_comment(tmp_path: Path) -> None:
+    text = '{"rig": "sled", "operator": "mk", "fs_hz": 100}\nt,x,u\n0,1,2\n1,2,3\n'
+    (tmp_path / "rec.csv").write_text(text)
+    assert read_columns(tmp_path / "rec.csv").names == ("t", "x", "u")

@@ -137,8 +137,8 @@ def _utf16(content: bytes) -> str | None:
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line begins with a mark of comments: #, //, or % and a blank."""
-    return line.startswith(_COMMENTS)
+    """Whether a line begins with a mark of comments: #, //, or % and a blank; or is of JSON."""
+    return line.startswith(_COMMENTS) or (line.startswith("{") and line.rstrip().endswith("}"))
 
 
 def comment_text(line: str) -> str:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
+_LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
 _LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
@@ -43,7 +44,7 @@ _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a t
 _PREAMBLE = 300  # lines above a table, at most
 _LAST = 5  # lines at the end, which are samples
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
-_OTHER_MARKS = (ord("/"), ord("%"))  # with which other comments begin
+_OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _AT_ONCE = 10**5  # lines that are checked at once
 _SAMPLE = 60  # first lines, and lines throughout the file, from which the marks are found
 
@@ -221,6 +222,8 @@ def _find_rows(
         lines, comment = [(row, line) for row, line in lines if row >= first_row], ""
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
+    if header is None and delimiter is None:
+        lines = _without_labels(lines)
     tabs = _prefers_tabs(path)
     dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
     if dialect.delimiter != "\t":  # empty cells between tabs are a row
@@ -328,7 +331,8 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
         dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
     except InputError:
         return None
-    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands:
+    is_labelled = _LABELLED.match(lines[-1][1]) is not None
+    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands or is_labelled:
         return None
     mark = ord(dialect.delimiter)
     cells = line(int(rows[0])).count(dialect.delimiter)
@@ -362,6 +366,26 @@ def _lines(text: str) -> tuple[Lines, str]:
         elif line.strip() or "\t" in line:
             lines.append((row, line))
     return lines, comment
+
+
+def _without_labels(lines: Lines) -> Lines:
+    """Lines of labelled numbers, `pot:512 pwm:30` for a serial plotter, as a header and numbers."""
+
+    def labels(line: str) -> tuple[str, ...] | None:
+        rest = _LABELLED.sub("", line).strip(" ,;\t")
+        return tuple(m[1] for m in _LABELLED.finditer(line)) if not rest else None
+
+    usual = labels(lines[-1][1])
+    step = max(1, len(lines) // _SAMPLE)
+    if not usual or sum(labels(x) == usual for _, x in lines[::step]) < len(lines[::step]) / 2:
+        return lines
+    first = next(k for k, (_, line) in enumerate(lines) if labels(line) == usual)
+    header = lines[first][0], "\t".join(usual)
+    samples = [
+        (row, "\t".join(m[2] for m in _LABELLED.finditer(line)) if labels(line) == usual else line)
+        for row, line in lines[first:]
+    ]
+    return [*lines[:first], header, *samples]
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
