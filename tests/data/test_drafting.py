@@ -189,6 +189,25 @@ def test_a_velocity_in_raw_units_is_left_out(tmp_path: Path) -> None:
     assert "in a unit that nothing says" in found.choice.unused["present_velocity"]
 
 
+@pytest.mark.parametrize("names", ["cos_q,sin_q,qdot", "q,dq", "q_deg,dq_rad_s"])
+def test_velocities_say_the_period_of_files_without_times(names: str, tmp_path: Path) -> None:
+    t = 0.025 * np.arange(900)
+    for k in range(2):
+        q = 2 * np.sin(2 * t + k) + np.sin(t)
+        columns = {"cos_q,sin_q,qdot": [np.cos(q), np.sin(q)], "q,dq": [q],
+                   "q_deg,dq_rad_s": [np.degrees(q)]}[names]  # fmt: skip
+        table = np.column_stack([*columns, np.gradient(q, t), np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.7g", ",", header=f"{names},torque_Nm",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    card = tomllib.loads(found.text)
+    assert (card["dt"], card.get("assumed")) == (0.025, None)
+    assert "period" not in {q.key for q in found.questions}
+    assert "which are slopes of the positions" in found.text
+    answered = draft_card(tmp_path, ["r0.csv", "r1.csv"], {"period": "0.05"})
+    assert tomllib.loads(answered.text)["dt"] == 0.05
+
+
 NAMES = [
     "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
     "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',

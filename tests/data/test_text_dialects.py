@@ -361,3 +361,13 @@ def test_a_line_of_json_above_a_table_is_a_comment(tmp_path: Path) -> None:
     text = '{"rig": "sled", "operator": "mk", "fs_hz": 100}\nt,x,u\n0,1,2\n1,2,3\n'
     (tmp_path / "rec.csv").write_text(text)
     assert read_columns(tmp_path / "rec.csv").names == ("t", "x", "u")
+
+
+def test_rows_with_texts_without_a_header_are_samples(tmp_path: Path) -> None:
+    rows = "".join(f"$ENC,{10 * k},{3 * k},*{k % 256:02X}\n" for k in range(40))
+    (tmp_path / "uart.txt").write_text(rows)
+    columns = read_columns(tmp_path / "uart.txt")
+    assert columns.names[1:3] == ("column 2", "column 3")
+    np.testing.assert_array_equal(columns["column 3"], 3 * np.arange(40))
+    (tmp_path / "named.txt").write_text("kind,ms,count,crc\n" + rows)
+    assert read_columns(tmp_path / "named.txt").names == ("kind", "ms", "count", "crc")

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
+_FEWEST_ALIKE = 3  # rows that show which columns are texts
 _LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
@@ -70,9 +71,7 @@ def read_text(
     table = _cells(path, lines, dialect)
     first = _texts(table, 0)
     # a date alone is no sample: it may stand above the table
-    is_sample = any(map(dialect.is_number, first)) and all(
-        dialect.is_number(cell) or is_date(cell) for cell in first if cell
-    )
+    is_sample = any(map(dialect.is_number, first)) and _is_like_others(first, table, dialect)
     if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
@@ -400,6 +399,13 @@ def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
             joined = "\t".join(name.replace(" ", "_") for name in names)
             return [*lines[:k], (row, joined), *lines[k + 1 :]]
     return lines
+
+
+def _is_like_others(first: Sequence[str], table: "pl.DataFrame", dialect: Dialect) -> bool:
+    """Whether the first row has numbers or dates wherever most of the next rows have some."""
+    rows = [_texts(table, k) for k in range(1, min(_SAMPLE, len(table)))]
+    numeric = find_table(rows, dialect).numeric if len(rows) >= _FEWEST_ALIKE else range(len(first))
+    return all(dialect.is_number(first[j]) or is_date(first[j]) for j in numeric if first[j])
 
 
 def _texts(table: "pl.DataFrame", row: int) -> list[str]:

@@ -28,6 +28,7 @@ from tustinnet.data.drafting.logs import (
     read_names,
 )
 from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
+from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import compare_slopes, find_sines
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
@@ -144,7 +145,7 @@ def draft_card(
     Raises:
         InputError: no file has columns of numbers besides times.
     """
-    answers = answers or {}
+    answers, by_motion = answers or {}, by_motion or {}
     notes: list[str] = []
     logs = join_logs(read_logs(folder, files, notes.append), notes.append)
     logs = keep_usual(logs, notes.append)
@@ -152,13 +153,15 @@ def draft_card(
     readings = read_names(logs)
     clock = find_clock(logs, readings)
     questions: list[Question] = []
-    if clock.dt is None:
-        clock = replace(clock, dt=_said_period(folder, logs))
+    period_reason = "the mean time between samples"
     dt = clock.dt
     if dt is None:
+        dt, period_reason = _find_period(folder, logs, answers, by_motion)
+        clock = replace(clock, dt=dt)
+    is_period_assumed = not period_reason
+    if is_period_assumed:
         text = "sampling period [s]; no column of times was found"
         questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
-        dt = float(answers.get(_PERIOD, _USUAL_PERIOD))
     pieces = find_pieces(logs, clock, readings)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
     shown = _choose_samples(pieces)
@@ -182,9 +185,14 @@ def draft_card(
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
         verdicts[cosine] = Verdict("position", (reason,), score=_SURE)
     findings = Findings(
-        readings, numbers, samples, times, slopes, verdicts, answers, by_motion or {}, sines
+        readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
     choice = choose_channels(findings)
+    if is_period_assumed and (period := period_by_velocities(dt, choice, findings)) is not None:
+        return draft_card(
+            folder, files, answers, by_motion={**by_motion, _PERIOD: repr(period)}, name=name,
+            has_splits=has_splits,
+        )  # fmt: skip
     trimmed = _trim_logs(logs, choice, notes.append)
     usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
     pieces = usable or pieces
@@ -197,7 +205,7 @@ def draft_card(
         name or _name(folder), clock, dt, choice, splits if has_splits else None,
         has_header=logs[0].has_header,
         has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
-        joined=logs[0].joined, is_period_assumed=clock.dt is None and _PERIOD not in answers,
+        joined=logs[0].joined, period_reason=period_reason,
     )  # fmt: skip
     return Draft(
         text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,
@@ -205,6 +213,19 @@ def draft_card(
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
         logs[0].texts, sum(map(len, logs)), bool(usable),
     )  # fmt: skip
+
+
+def _find_period(
+    folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_motion: Mapping[str, str]
+) -> tuple[float, str]:
+    """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
+    if _PERIOD in answers:
+        return float(answers[_PERIOD]), "as you say"
+    if (period := _said_period(folder, logs)) is not None:
+        return period, "by the sampling rate that the files say"
+    if _PERIOD in by_motion:
+        return float(by_motion[_PERIOD]), "by the velocities, which are slopes of the positions"
+    return _USUAL_PERIOD, ""
 
 
 def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:

@@ -42,7 +42,9 @@ _POSITION = {
     **{unit: unit for unit in (*ANGLE, *LENGTH)},
     **dict.fromkeys(("radian", "radians"), "rad"),
     **dict.fromkeys(("degree", "degrees", "grad", "grd", "°", "degre", "degres",
-         "grado", "grados", "gradi", "graus", "度"), "deg"),
+         "grado", "grados", "gradi", "graus", "graden", "grader", "stopni", "stopnie", "stupne",
+         "度"),
+        "deg"),
     **dict.fromkeys(("revs", "turns", "turn", "umdr", "umdrehungen", "revolutions", "tour", "tours",
          "giri", "vueltas"), "rev"),
     **dict.fromkeys(

@@ -23,6 +23,8 @@ _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
 _USUAL_COUNTS = 4096
+_SURE_SLOPE = 0.99  # correlation of a velocity with a slope that says the period
+_PERIODS = (1e-4, 1.0)  # s
 _ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
@@ -395,3 +397,38 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
     return CoordinateChoice(
         column, name, "linear", unit, because=because, doubts=tuple(doubts), assumed=assumed
     )
+
+
+def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float | None:
+    """The sampling period [s] at which velocities are the slopes of their positions.
+
+    Args:
+        dt: the period by which the slopes were computed [s].
+        choice: coordinates with their velocities.
+        findings: what is known of the columns.
+
+    Returns:
+        The period; None where no velocity has a known unit, or two say different periods.
+    """
+    periods: list[float] = []
+    sizes = {**_ANGULAR_SPEEDS, **_LINEAR_SPEEDS}
+    for c in choice.coordinates:
+        if c.velocity is None:
+            continue
+        correlation, factor = findings.slopes.between(c.column, c.velocity.column)
+        speed, unit = (findings.readings[n].unit for n in (c.velocity.column, c.column))
+        if c.column in findings.sines:
+            unit, speed = "rad", speed or "rad/s"
+        if correlation < _SURE_SLOPE or factor <= 0 or bool(unit) != bool(speed):
+            continue
+        if unit:  # else both are in one unit that nothing says
+            if speed not in sizes or unit not in (*ANGLE, *LENGTH):
+                continue
+            factor *= sizes[speed] / (ANGLE | LENGTH)[unit]
+        periods.append(dt / factor)
+    if not periods or max(periods) > (1 + _SAME_FACTOR) * min(periods):
+        return None
+    period = float(np.median(periods))
+    usual = float(f"{period:.2g}")
+    period = usual if abs(period / usual - 1) < _SAME_FACTOR else float(f"{period:.4g}")
+    return period if _PERIODS[0] <= period <= _PERIODS[1] else None
