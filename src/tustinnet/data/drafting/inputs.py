@@ -116,9 +116,9 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     key = f"unit {column}"
     unit = findings.answers.get(key) or reading.unit
     if not unit:
-        weights = {q: reading.quantities.get(q, 0.0) for q in _QUANTITY_UNITS}
-        strongest = max(weights, key=lambda q: weights[q])
-        unit = _QUANTITY_UNITS[strongest] if weights[strongest] >= 3 else ""
+        strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
+        is_said = reading.quantities.get(strongest, 0.0) >= 3
+        unit = _QUANTITY_UNITS[strongest] if is_said else ""
     if not unit and quantity == "duty":
         unit = "%" if 1.5 < numbers.largest <= 100 else "1"
     leads = findings.verdicts[column].leads

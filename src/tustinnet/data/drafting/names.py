@@ -320,8 +320,9 @@ def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
     """Words without the unit at their end, the unit, its quantity: `_rad_s`, `_mm`, `_deg1`."""
     number = words[-1:] if words and words[-1].isdigit() else []
     body = words[: len(words) - len(number)]
-    if len(body) == 1 and body[0] in _UNITS_AS_NAMES:
-        return words, *(_look_up(body[0]) or ("", None))
+    alone = _look_up(body[0]) if len(body) == 1 and body[0] in _UNITS_AS_NAMES else None
+    if alone is not None:
+        return words, *alone
     for length in (4, 3, 2, 1):
         if len(body) < length + (length == 1):
             continue

@@ -90,10 +90,11 @@ def describe_coordinate(
     else:
         resolution, is_assumed = _length_of_count(column, speed, factor, findings, choice, doubts)
         assumed += ["resolution"] * is_assumed
+    in_turn = counts if unit == "counts" else None
     return CoordinateChoice(
         column, name, kind, unit, counts, resolution,
-        _velocity(column, velocity, unit, kind, factor, findings), tuple(because), tuple(doubts),
-        tuple(assumed), scale,
+        _velocity(column, velocity, unit, kind, factor, findings, in_turn), tuple(because),
+        tuple(doubts), tuple(assumed), scale,
     )  # fmt: skip
 
 
@@ -340,9 +341,12 @@ def _length_of_count(
 
 def _velocity(
     column: str, velocity: str | None, unit: str, kind: Kind, factor: float | None,
-    findings: Findings,
+    findings: Findings, counts: int | None = None,
 ) -> VelocityChoice | None:  # fmt: skip
-    """The velocity column of a coordinate with its unit: by its name, else by the factor."""
+    """The velocity column of a coordinate with its unit: by its name, else by the factor.
+
+    None where a position in counts has a velocity that is in no known unit.
+    """
     if velocity is None or factor is None:
         return None
     measured, because = _is_measured(column, velocity, findings)
@@ -355,8 +359,12 @@ def _velocity(
                 speed = candidate
                 because += f"; in {candidate} by its size"
                 break
-    elif speed is None and unit == "counts" and kind == "angular" and abs(factor - 1) > 0.05:
-        return None
+    elif speed is None and counts is not None and abs(factor - 1) > 0.05:
+        in_turn = ((s, 2 * np.pi / size / factor) for s, size in _ANGULAR_SPEEDS.items())
+        speed = next((s for s, n in in_turn if abs(n / counts - 1) < _SAME_FACTOR / 2), None)
+        if speed is None:
+            return None
+        because += f"; in {speed} by its size"
     return VelocityChoice(velocity, speed, measured, because)
 
 
