@@ -136,6 +136,7 @@ def test_cosine_and_sine_are_one_angle(names: str, tmp_path: Path) -> None:
     (coordinate,) = card["coordinates"]
     cosine, sine = (second, first) if order == [1, 0] else (first, second)
     assert (coordinate["column"], coordinate["sine"]) == (cosine, sine)
+    assert coordinate["name"] == cosine.removeprefix("cos_")
     assert coordinate["velocity"]["column"] == rate
     for k, record in enumerate(sorted(tn.load(tmp_path), key=lambda e: e.name)):
         expected = (3 + k) * np.sin(1.1 * t) + np.sin(2.3 * t)

@@ -1,5 +1,6 @@
 """The choice of coordinates, their velocities and inputs among the columns."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from tustinnet.data.drafting.positions import describe_coordinate, describe_spee
 from tustinnet.data.drafting.relations import compare_courses, find_copy
 from tustinnet.data.drafting.roles import FAINT, Verdict
 
+_COSINE = re.compile(r"(?i)(?<![a-z])(cosinus|cosine|cos)[ _(]*|\)$")
 _CLEAR = 3.0  # score of a column that is surely a position
 _ROLES = ("none", "position", "velocity", "input", "set point")
 
@@ -30,6 +32,9 @@ def choose_channels(findings: Findings) -> Choice:
         positions = _most_like_positions(findings)
     inputs = [name for name in choose_inputs(findings, choice) if name not in positions]
     names = name_channels(positions, inputs, findings.readings)
+    for column in findings.sines:  # `cos_theta` and `sin_theta` are `theta`
+        angle = _COSINE.sub("", names.get(column, ""))
+        names[column] = angle if angle and angle not in names.values() else names.get(column, "")
     matched = _match_velocities(positions, velocities, findings, choice)
     for column in positions:
         if only_speeds:

@@ -193,6 +193,7 @@ def draft_card(
             folder, files, answers, by_motion={**by_motion, _PERIOD: repr(period)}, name=name,
             has_splits=has_splits,
         )  # fmt: skip
+    logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
     pieces = usable or pieces
@@ -235,6 +236,15 @@ def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
     (period, *others) = periods
     is_possible = period is not None and SHORTEST_DT <= period <= LONGEST_DT
     return period if is_possible and not others else None
+
+
+def _without_unused_files(log: Log, choice: Choice) -> Log:
+    """A log without other files of its record of which the card uses no column."""
+    used = [*choice.motion, *(i.column for i in choice.inputs)]
+    return replace(log, joined={
+        label: file for label, file in log.joined.items()
+        if any(name.startswith(f"{label}/") for name in used)
+    })  # fmt: skip
 
 
 def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], None]) -> list[Log]:
