@@ -16,6 +16,9 @@ _WITHOUT = [0, 1, 2, 4]  # the regression without the column that explains
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
 
+_CIRCLE = 1.05  # no cosine is larger
+_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
+_OF_ANGLE = 0.3  # range of a cosine or sine, at least
 _SPANS = (1, 2, 4, 8, 16, 32)  # samples over which an acceleration is averaged
 
 Pairs = Float[np.ndarray, "c c"]
@@ -179,15 +182,11 @@ def find_sines(
                 others = {n: s for n, s in samples.items() if n not in pair}
                 slopes = compare_slopes({first: angle, **others}, times)
                 correlations = [slopes.between(first, n)[0] for n in others]
-                if max(correlations, default=0.0) < -min(correlations, default=0.0) - 0.5:
+                is_reversed = -min(correlations, default=0.0) > max(correlations, default=0.0) + 0.5
+                if is_reversed:
                     pair = second, first
             sines[pair[0]] = pair[1]
     return sines
-
-
-_CIRCLE = 1.05  # no cosine is larger
-_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
-_OF_ANGLE = 0.3  # range of a cosine or sine, at least
 
 
 def are_of_one_angle(first: Sequence[Values], second: Sequence[Values]) -> bool:
