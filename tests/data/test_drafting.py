@@ -143,6 +143,17 @@ def test_cosine_and_sine_are_one_angle(names: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(record.q[:, 0], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("names", ["acc_x,acc_z", "x,y", "tip_x_m,tip_y_m"])
+def test_other_quantities_on_a_circle_are_no_angle(names: str, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        angle = (3 + k) * np.sin(1.1 * t)
+        table = np.column_stack([t, np.cos(angle), np.sin(angle), angle, np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header=f"t,{names},phi_rad,torque",
+                   comments="")  # fmt: skip
+    assert "sine" not in draft_card(tmp_path, ["r0.csv", "r1.csv"]).text
+
+
 @pytest.mark.parametrize("stem", ["x[{}]", "y{}", "x_{}"])
 def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
     t = 0.01 * np.arange(800)

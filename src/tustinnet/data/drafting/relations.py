@@ -162,9 +162,11 @@ def find_sines(
         times: times of each record [s].
     """
     sines: dict[str, str] = {}
+    # accelerations of a turning sensor and voltages of a motor's phases are on circles, too
     names = [
         n for n, s in samples.items()
         if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
+        and readings[n].quantity in (None, "position")
         and readings[n].kind != "linear" and not readings[n].unit
     ]  # fmt: skip
     for k, first in enumerate(names):
