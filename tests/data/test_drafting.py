@@ -154,6 +154,18 @@ def test_other_quantities_on_a_circle_are_no_angle(names: str, tmp_path: Path) -
     assert "sine" not in draft_card(tmp_path, ["r0.csv", "r1.csv"]).text
 
 
+def test_of_proportional_inputs_the_one_that_moves_first_stays(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        volts = np.repeat(np.random.default_rng(k).uniform(-3, 3, 16), 50)
+        table = np.column_stack([t, np.sin(2 * t + k), 0.4 * volts, volts])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header="t,phi_rad,i_A,u_V",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [i.column for i in found.choice.inputs] == ["u_V"]
+    assert "proportional to the input 'u_V'" in found.choice.unused["i_A"]
+
+
 @pytest.mark.parametrize("stem", ["x[{}]", "y{}", "x_{}"])
 def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
     t = 0.01 * np.arange(800)

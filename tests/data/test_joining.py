@@ -103,6 +103,7 @@ def test_errors_of_joined_files_name_the_place(case: str, tmp_path: Path) -> Non
 
 PAIRS = {
     "names": ("enc_{}.csv", "volt_{}.csv", 0.0, "volt"),
+    "a command": ("log{}_pos.csv", "log{}_cmd.csv", 0.0, "cmd"),
     "folders": ("run{}/encoder.csv", "run{}/drive.csv", 0.0, "drive"),
     "two clocks": ("{}_position.txt", "{}_motor.txt", 1.7e9, "motor"),
     "dates": ("enc_120{}05.csv", "psu_120{}07.csv", 0.0, "psu"),
