@@ -6,7 +6,6 @@ right; docs/log/2026-11-25-folders-of-logs.md has the counts.
 """
 
 import datetime
-import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -18,6 +17,7 @@ from laboratories import (
     Truth,
     arm,
     cart_and_pole,
+    differences,
     follow,
     joints,
     levels,
@@ -1221,9 +1221,6 @@ SETS = {"first": FIRST, "second": SECOND, "third": THIRD, "fourth": FOURTH}
 
 def main() -> None:
     """Prints for each set how many of its drafts are right, and what the others say."""
-    sys.path.append(str(Path(__file__).parent / "data"))
-    from test_drafting import differences
-
     for name, laboratories in SETS.items():
         right = 0
         for laboratory in laboratories:
