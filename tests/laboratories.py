@@ -7,10 +7,13 @@ says what a person who knows the machine would declare.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import scipy.io
+
+import tustinnet as tn
 
 Signal = np.ndarray  # (records, samples) or (records, samples, channels)
 
@@ -42,6 +45,48 @@ class Truth:
     records: int = 0
     kinds: Sequence[str] = ("",)
     together: Sequence[frozenset[str]] = ()
+
+
+def differences(card: dict[str, Any], truth: Truth, data: tn.DataSet) -> list[str]:
+    """What a card says otherwise than the truth, a sentence each."""
+    declared = {
+        "time": (str(card.get("time", {}).get("column")), card.get("time", {}).get("unit")),
+        "coordinates": {str(c["column"]): (c["kind"], c["unit"]) for c in card["coordinates"]},
+        "inputs": {str(i["column"]): i["unit"] for i in card.get("inputs", [])},
+        "velocities": {
+            str(c["column"]): str(c["velocity"]["column"])
+            for c in card["coordinates"]
+            if "velocity" in c
+        },
+    }
+    expected = {
+        "time": (str(truth.time), truth.time_unit if truth.time else None),
+        "coordinates": dict(truth.coordinates),
+        "inputs": dict(truth.inputs),
+        "velocities": dict(truth.velocities),
+    }
+    found = [
+        f"{key}: {declared[key]}, not {expected[key]}"
+        for key in expected
+        if declared[key] != expected[key]
+    ]
+    counts = {c["column"]: c.get("counts_per_revolution") for c in card["coordinates"]}
+    found += [
+        f"counts of {c}: {counts.get(c)}" for c, n in truth.counts.items() if counts.get(c) != n
+    ]
+    if abs(card["dt"] / truth.dt - 1) > 1e-3:
+        found.append(f"dt: {card['dt']}, not {truth.dt}")
+    enough = len(data) == truth.records if truth.records > 0 else len(data) >= -truth.records
+    if not enough:
+        found.append(f"{len(data)} records, not {truth.records}")
+    for kind in truth.kinds:
+        splits = {e.split for e in data if e.name.startswith(kind)}
+        if not {"train", "validation"} <= splits:
+            found.append(f"splits of '{kind}': {splits}")
+    for names in truth.together:
+        if len({e.split for e in data if e.name in names}) != 1:
+            found.append(f"{sorted(names)} in several splits")
+    return found
 
 
 # --- signals and mechanisms ---

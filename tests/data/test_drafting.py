@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from laboratories import EVERY, Truth
+from laboratories import EVERY, Truth, differences
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
@@ -23,48 +23,6 @@ def draft(folder: Path) -> dict[str, Any]:
     text = draft_card(folder, files).text
     (folder / "dataset.toml").write_text(text, encoding="utf-8")
     return tomllib.loads(text)
-
-
-def differences(card: dict[str, Any], truth: Truth, data: tn.DataSet) -> list[str]:
-    """What a card says otherwise than the truth, a sentence each."""
-    declared = {
-        "time": (str(card.get("time", {}).get("column")), card.get("time", {}).get("unit")),
-        "coordinates": {str(c["column"]): (c["kind"], c["unit"]) for c in card["coordinates"]},
-        "inputs": {str(i["column"]): i["unit"] for i in card.get("inputs", [])},
-        "velocities": {
-            str(c["column"]): str(c["velocity"]["column"])
-            for c in card["coordinates"]
-            if "velocity" in c
-        },
-    }
-    expected = {
-        "time": (str(truth.time), truth.time_unit if truth.time else None),
-        "coordinates": dict(truth.coordinates),
-        "inputs": dict(truth.inputs),
-        "velocities": dict(truth.velocities),
-    }
-    found = [
-        f"{key}: {declared[key]}, not {expected[key]}"
-        for key in expected
-        if declared[key] != expected[key]
-    ]
-    counts = {c["column"]: c.get("counts_per_revolution") for c in card["coordinates"]}
-    found += [
-        f"counts of {c}: {counts.get(c)}" for c, n in truth.counts.items() if counts.get(c) != n
-    ]
-    if abs(card["dt"] / truth.dt - 1) > 1e-3:
-        found.append(f"dt: {card['dt']}, not {truth.dt}")
-    enough = len(data) == truth.records if truth.records > 0 else len(data) >= -truth.records
-    if not enough:
-        found.append(f"{len(data)} records, not {truth.records}")
-    for kind in truth.kinds:
-        splits = {e.split for e in data if e.name.startswith(kind)}
-        if not {"train", "validation"} <= splits:
-            found.append(f"splits of '{kind}': {splits}")
-    for names in truth.together:
-        if len({e.split for e in data if e.name in names}) != 1:
-            found.append(f"{sorted(names)} in several splits")
-    return found
 
 
 @pytest.mark.parametrize("laboratory", EVERY, ids=lambda f: f.__name__)
@@ -136,10 +94,34 @@ def test_cosine_and_sine_are_one_angle(names: str, tmp_path: Path) -> None:
     (coordinate,) = card["coordinates"]
     cosine, sine = (second, first) if order == [1, 0] else (first, second)
     assert (coordinate["column"], coordinate["sine"]) == (cosine, sine)
+    assert coordinate["name"] == cosine.removeprefix("cos_")
     assert coordinate["velocity"]["column"] == rate
     for k, record in enumerate(sorted(tn.load(tmp_path), key=lambda e: e.name)):
         expected = (3 + k) * np.sin(1.1 * t) + np.sin(2.3 * t)
         np.testing.assert_allclose(record.q[:, 0], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("names", ["acc_x,acc_z", "x,y", "tip_x_m,tip_y_m"])
+def test_other_quantities_on_a_circle_are_no_angle(names: str, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        angle = (3 + k) * np.sin(1.1 * t)
+        table = np.column_stack([t, np.cos(angle), np.sin(angle), angle, np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header=f"t,{names},phi_rad,torque",
+                   comments="")  # fmt: skip
+    assert "sine" not in draft_card(tmp_path, ["r0.csv", "r1.csv"]).text
+
+
+def test_of_proportional_inputs_the_one_that_moves_first_stays(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        volts = np.repeat(np.random.default_rng(k).uniform(-3, 3, 16), 50)
+        table = np.column_stack([t, np.sin(2 * t + k), 0.4 * volts, volts])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header="t,phi_rad,i_A,u_V",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [i.column for i in found.choice.inputs] == ["u_V"]
+    assert "proportional to the input 'u_V'" in found.choice.unused["i_A"]
 
 
 @pytest.mark.parametrize("stem", ["x[{}]", "y{}", "x_{}"])
@@ -152,6 +134,60 @@ def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
                    comments="")  # fmt: skip
     card = draft(tmp_path)
     assert [c["kind"] for c in card["coordinates"]] == ["angular", "angular"]
+
+
+def test_axes_in_which_nothing_moves_are_left_out(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(900)
+    for k in range(2):
+        noise = rng.normal(0, 0.1, (2, 900))
+        table = np.column_stack([t, 30 * np.sin(2 * t + k), *noise, np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.6g", ",",
+                   header="t,yaw_deg,pitch_deg,roll_deg,motor_V", comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [c.column for c in found.choice.coordinates] == ["yaw_deg"]
+    assert "only noise, beside 'yaw_deg'" in found.choice.unused["roll_deg"]
+
+
+def test_a_draft_takes_the_period_from_the_lines_above_the_table(tmp_path: Path) -> None:
+    t = 0.004 * np.arange(900)
+    for k in range(2):
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([np.sin(2 * t + k), np.cos(7 * t)]),
+                   "%.6g", ",", header="Sample rate: 250 Hz\nangle_rad,motor_V",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    card = tomllib.loads(found.text)
+    assert (card["dt"], card.get("assumed"), found.questions) == (0.004, None, ())
+
+
+def test_a_velocity_in_raw_units_is_left_out(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(900)
+    for k in range(2):
+        q = np.round(900 * np.sin(2 * t + k))
+        raw = np.round(0.0639 * np.gradient(q, t))
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([t, q, raw, np.cos(7 * t)]), "%.6g", ",",
+                   header="t,present_position,present_velocity,goal_pwm", comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [c.velocity for c in found.choice.coordinates] == [None]
+    assert "in a unit that nothing says" in found.choice.unused["present_velocity"]
+
+
+@pytest.mark.parametrize("names", ["cos_q,sin_q,qdot", "q,dq", "q_deg,dq_rad_s"])
+def test_velocities_say_the_period_of_files_without_times(names: str, tmp_path: Path) -> None:
+    t = 0.025 * np.arange(900)
+    for k in range(2):
+        q = 2 * np.sin(2 * t + k) + np.sin(t)
+        columns = {"cos_q,sin_q,qdot": [np.cos(q), np.sin(q)], "q,dq": [q],
+                   "q_deg,dq_rad_s": [np.degrees(q)]}[names]  # fmt: skip
+        table = np.column_stack([*columns, np.gradient(q, t), np.cos(7 * t)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.7g", ",", header=f"{names},torque_Nm",
+                   comments="")  # fmt: skip
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    card = tomllib.loads(found.text)
+    assert (card["dt"], card.get("assumed")) == (0.025, None)
+    assert "period" not in {q.key for q in found.questions}
+    assert "which are slopes of the positions" in found.text
+    answered = draft_card(tmp_path, ["r0.csv", "r1.csv"], {"period": "0.05"})
+    assert tomllib.loads(answered.text)["dt"] == 0.05
 
 
 NAMES = [

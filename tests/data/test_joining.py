@@ -103,6 +103,7 @@ def test_errors_of_joined_files_name_the_place(case: str, tmp_path: Path) -> Non
 
 PAIRS = {
     "names": ("enc_{}.csv", "volt_{}.csv", 0.0, "volt"),
+    "a command": ("log{}_pos.csv", "log{}_cmd.csv", 0.0, "cmd"),
     "folders": ("run{}/encoder.csv", "run{}/drive.csv", 0.0, "drive"),
     "two clocks": ("{}_position.txt", "{}_motor.txt", 1.7e9, "motor"),
     "dates": ("enc_120{}05.csv", "psu_120{}07.csv", 0.0, "psu"),
@@ -162,3 +163,17 @@ def test_files_with_all_columns_are_records_whatever_their_names(tmp_path: Path)
     assert "join" not in draft.text
     assert len(draft.splits.records) >= 4
     assert any("calibration.csv" in note for note in draft.notes)
+
+
+def test_files_of_which_nothing_is_used_are_not_joined(tmp_path: Path) -> None:
+    for k in range(3):
+        write(tmp_path / f"m{k}_enc.csv", "t,angle_deg", T, ANGLE)
+        write(tmp_path / f"m{k}_volt.csv", "t,u_V", T, np.roll(VOLTS, 50 * k))
+        noise = np.random.default_rng(k).normal(0, 0.1, len(T))
+        current = np.roll(VOLTS, 50 * k) - 0.01 * np.gradient(ANGLE, T) + noise
+        write(tmp_path / f"m{k}_amp.csv", "t,i_A", T, current)
+    files = sorted(p.name for p in tmp_path.iterdir())
+    card = tomllib.loads(draft_card(tmp_path, files).text)
+    assert [i["column"] for i in card["inputs"]] == ["volt/u_V"]
+    assert {*card["join"]} == {"volt"}
+    assert {*card["splits"]["train"][0]["join"]} == {"volt"}

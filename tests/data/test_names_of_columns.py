@@ -27,6 +27,14 @@ NAMES = [
     ("axis0.controller.input_pos", "position", "", True),
     ("pid.x.output", "control", "", False),
     ("input torque", "control", "", False),
+    ("rpm", "velocity", "rpm", False),
+    ("Sollposition X [mm]", "position", "mm", True),
+    ("Istposition", "position", "", False),
+    ("seilwinkel", "position", "", False),
+    ("Schleppabstand [mm]", "error", "mm", False),
+    ("wheelspeed", "velocity", "", False),
+    ("uq", "voltage", "", False),
+    ("deg", "position", "deg", False),
 ]
 
 

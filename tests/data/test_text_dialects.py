@@ -11,6 +11,7 @@ import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.file_inspection import inspect_file
 from tustinnet.data.readers import read_columns
+from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
 
 TIME = [0.0, 0.01, 0.02, 0.03]
@@ -281,3 +282,92 @@ def test_damaged_rows_are_refused_or_skipped_as_the_card_says(tmp_path: Path) ->
     (tmp_path / "dataset.toml").write_text(draft.text.replace('"skip"', '"mend"'))
     with pytest.raises(InputError, match="damaged_rows"):
         tn.load(tmp_path)
+
+
+def test_names_above_units_may_be_numbers_of_channels(tmp_path: Path) -> None:
+    rows = "".join(f"{0.01 * k:+.4E},{np.sin(k):+.4E},{k % 5:+.4E}\n" for k in range(60))
+    (tmp_path / "scope.csv").write_text("x-axis,1,2\nsecond,Volt,Volt\n" + rows)
+    columns = read_columns(tmp_path / "scope.csv")
+    assert columns.names == ("x-axis", "1", "2")
+    assert columns.units == {"x-axis": "second", "1": "Volt", "2": "Volt"}
+    np.testing.assert_allclose(columns["2"], np.arange(60) % 5)
+
+
+@pytest.mark.parametrize("slower", [1, 3])
+def test_a_long_table_is_columns_by_signal(slower: int, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(90)
+    lines = ["t_ms,signal,value"]
+    for k in range(90):
+        lines.append(f"{1e3 * t[k]:.1f},angle,{np.sin(t[k]):.6f}")
+        if k % slower == 0:
+            lines.append(f"{1e3 * t[k]:.1f},motor,{np.cos(t[k]):.6f}")
+    if slower > 1:  # a log of more signals, of which most are slow
+        lines += [f"{1e3 * x:.1f},{name},{x}" for name in "abc" for x in t[::2]]
+    (tmp_path / "can.csv").write_text("\n".join(lines))
+    columns = read_columns(tmp_path / "can.csv")
+    np.testing.assert_allclose(columns["angle"], np.sin(t), atol=1e-6)
+    np.testing.assert_allclose(columns["motor"], np.cos(t[::slower]), atol=1e-6)
+    if slower == 1:
+        assert columns.names == ("t_ms", "angle", "motor")
+        np.testing.assert_allclose(columns["t_ms"], 1e3 * t)
+    else:
+        assert columns.clocks["motor"] == "motor/t_ms"
+        np.testing.assert_allclose(columns["motor/t_ms"], t[::slower])
+
+
+def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:
+    lines = [f"{k},{'up' if k % 40 < 20 else 'down'},{k * k}" for k in range(200)]
+    (tmp_path / "log.csv").write_text("t,state,x\n" + "\n".join(lines))
+    assert read_columns(tmp_path / "log.csv").names == ("t", "state", "x")
+
+
+def test_hexadecimal_numbers_are_read_and_may_be_names(tmp_path: Path) -> None:
+    rows = "".join(f"{10 * k},0x{k * 7:03X},{k % 5}\n" for k in range(60))
+    (tmp_path / "serial.csv").write_text("ms,0x101,pwm\n" + rows)
+    columns = read_columns(tmp_path / "serial.csv")
+    np.testing.assert_array_equal(columns["0x101"], 7 * np.arange(60))
+    np.testing.assert_array_equal(columns["pwm"], np.arange(60) % 5)
+
+
+RATES = {
+    "Abtastrate: 1000 Hz": 1e-3, "Sampled at 0.5 kHz": 2e-3, "FREQUENCY\t200": 5e-3,
+    "# sampling interval = 5 ms": 5e-3, "SampleTime[ms];2 ms": 2e-3, "dt = 0.01 s": 0.01,
+    "fs = 250": 4e-3, "Frame rate: 29,97 fps": 1 / 29.97, "Position of motor 3": None,
+    "Operator: Sam, 12.03.2024": None, "t,angle,u": None, "Samples: 3000": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", RATES)
+def test_the_sampling_rate_above_a_table_is_found(line: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(f"Rig 7\n{line}\nangle_deg,u_V\n1,2\n3,4\n")
+    assert find_period(tmp_path / "log.csv") == RATES[line]
+
+
+def test_labelled_numbers_of_a_serial_plotter_are_columns(tmp_path: Path) -> None:
+    rows = "".join(f"pot:{k * 3}\tpwm: {k % 5}\n" for k in range(60))
+    (tmp_path / "serial.txt").write_text("Ready.\n" + rows)
+    columns = read_columns(tmp_path / "serial.txt")
+    assert columns.names == ("pot", "pwm")
+    np.testing.assert_array_equal(columns["pot"], 3 * np.arange(60))
+    rows = rows.replace("pot:9\t", "pot:9")  # a line that broke
+    (tmp_path / "serial.txt").write_text(rows)
+    with pytest.raises(InputError, match="row 4"):
+        read_columns(tmp_path / "serial.txt")["pot"]
+    skipping = read_columns(tmp_path / "serial.txt", skips_damaged=True)
+    assert len(skipping["pot"]) == 59
+
+
+def test_a_line_of_json_above_a_table_is_a_comment(tmp_path: Path) -> None:
+    text = '{"rig": "sled", "operator": "mk", "fs_hz": 100}\nt,x,u\n0,1,2\n1,2,3\n'
+    (tmp_path / "rec.csv").write_text(text)
+    assert read_columns(tmp_path / "rec.csv").names == ("t", "x", "u")
+
+
+def test_rows_with_texts_without_a_header_are_samples(tmp_path: Path) -> None:
+    rows = "".join(f"$ENC,{10 * k},{3 * k},*{k % 256:02X}\n" for k in range(40))
+    (tmp_path / "uart.txt").write_text(rows)
+    columns = read_columns(tmp_path / "uart.txt")
+    assert columns.names[1:3] == ("column 2", "column 3")
+    np.testing.assert_array_equal(columns["column 3"], 3 * np.arange(40))
+    (tmp_path / "named.txt").write_text("kind,ms,count,crc\n" + rows)
+    assert read_columns(tmp_path / "named.txt").names == ("kind", "ms", "count", "crc")

@@ -62,4 +62,5 @@ def _finding(
 def _range_text(columns: Sequence[np.ndarray], unit: str) -> str:
     """The range of a channel in all records."""
     low, high = min(c.min() for c in columns), max(c.max() for c in columns)
-    return f"nothing in the logs says it; from {low:.4g} to {high:.4g} {unit}"
+    range_text = f"from {low:.4g} to {high:.4g} {unit if unit != '1' else ''}".rstrip()
+    return f"nothing in the logs says it; {range_text}"

@@ -23,27 +23,31 @@ _TIME = (
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,:](?P<decimals>\d{1,9}))?)?"
     r"|(?P<minute_only>\d{1,2}):(?P<second_only>\d{2})[.,](?P<decimals_only>\d{1,9})"
 )
+# durations, as tables of MATLAB (`0.01 sec`) and of pandas (`0 days 00:00:00.010000`) have them
+_SECONDS = {"sec": 1.0, "min": 60.0, "hr": _HOUR, "ms": 1e-3, "msec": 1e-3, "s": 1.0}
+_DURATION = r"(?P<amount>[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?) ?(?P<of>sec|min|hr|ms|msec|s)"
 _PATTERN = (
-    rf"(?:(?P<date>{_DATE})(?:[T_ -]+|$))?(?:{_TIME})?"
+    rf"{_DURATION}|(?:(?P<days>\d{{1,5}}) days? )?(?:(?P<date>{_DATE})(?:[T_ -]+|$))?(?:{_TIME})?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?: ?(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}))?"
 )
 _WHOLE = re.compile(_PATTERN)
-_LEAST = 4  # characters of a time: 1:00
+_LEAST_OF_DURATION = 2  # characters: 1s
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell is a date, a time of day, or both."""
-    if len(cell) < _LEAST or (":" not in cell and cell.isdigit()):
+    """Whether a cell is a date, a time of day, both, or a duration."""
+    if len(cell) < _LEAST_OF_DURATION or (":" not in cell and cell.isdigit()):
         return False
     match = _WHOLE.fullmatch(cell)
     # a zone alone is none: -1500 is a number
-    return match is not None and (match["date"] is not None or ":" in cell)
+    return match is not None and (":" in cell or bool(match["date"] or match["of"]))
 
 
 def read_dates(cells: "pl.Series") -> "pl.Series":
     """Seconds since the midnight before the first of some dates; null where a cell is none.
 
-    Times of day alone go on over midnight, minutes and seconds alone over the full hour.
+    Times of day alone go on over midnight, minutes and seconds alone over the full hour. Durations
+    are seconds as they are.
 
     Args:
         cells: the texts.
@@ -66,12 +70,16 @@ def read_dates(cells: "pl.Series") -> "pl.Series":
     ahead = pl.col("zone").str.replace(":", "").str.extract(r"^[+-]\d{4}$", 0).cast(pl.Int64)
     ahead = (ahead.abs() // 100 * 60 + ahead.abs() % 100) * ahead.sign()
     seconds = 3600 * hour + 60 * (minute - ahead.fill_null(0)) + second
+    amount = pl.col("amount").str.replace(",", ".").cast(pl.Float64)
+    duration = amount * pl.col("of").replace_strict(_SECONDS, default=None, return_dtype=pl.Float64)
+    seconds = seconds + _DAY * number("days") + duration.fill_null(0.0)
     clock = parts.select(seconds.alias("t"))["t"]
-    is_known = parts.select(
-        pl.any_horizontal(pl.col("date", "hour", "minute_only").is_not_null()).alias("known")
-    )["known"]
+    known = pl.col("date", "hour", "minute_only", "amount").is_not_null()
+    is_known = parts.select(pl.any_horizontal(known).alias("known"))["known"]
     t = clock.to_numpy()
-    if parts["date"].null_count() < len(parts):
+    if parts["amount"].null_count() + parts["days"].null_count() < 2 * len(parts):
+        pass
+    elif parts["date"].null_count() < len(parts):
         t = t + _DAY * _days(parts["date"])
     else:
         turn = _HOUR if parts["hour"].null_count() == len(parts) else _DAY

@@ -22,14 +22,17 @@ _COMMENTS = ("#", "//", "% ", "%\t")
 _LONGEST_UNIT = 20  # characters
 
 _DIGITS = r"(\d+\.?\d*|\.\d+)"
-NUMBER = re.compile(rf"[-+]?({_DIGITS}([ed][-+]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
+HEXADECIMAL = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
+NUMBER = re.compile(
+    rf"[-+]?({_DIGITS}([ed][-+]?\d+)?|nan|inf|infinity)|{HEXADECIMAL.pattern}", re.IGNORECASE
+)
 # in any country: thousands are separated by a mark, and the other one begins the decimals
 _GROUPED = (
     r"\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+(,\d+)?"
     r"|\d{1,3}([' \u00a0\u202f]\d{3})+([.,]\d+)?"
 )
 _ANYWHERE = re.compile(
-    rf"[-+\u2212]?(({_GROUPED}|\d+,\d+|,\d+|{_DIGITS})([ed][-+]?\d+)?|nan|inf|infinity)",
+    rf"[-+\u2212]?(({_GROUPED}|\d+,\d+|,\d+|{_DIGITS})([ed][-+]?\d+)?|nan|inf|infinity)|{HEXADECIMAL.pattern}",
     re.IGNORECASE,
 )
 _MARKS = "' \u00a0\u202f"  # other marks between thousands
@@ -134,8 +137,8 @@ def _utf16(content: bytes) -> str | None:
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line begins with a mark of comments: #, //, or % and a blank."""
-    return line.startswith(_COMMENTS)
+    """Whether a line begins with a mark of comments: #, //, or % and a blank; or is of JSON."""
+    return line.startswith(_COMMENTS) or (line.startswith("{") and line.rstrip().endswith("}"))
 
 
 def comment_text(line: str) -> str:
@@ -316,7 +319,12 @@ class Table:
         """
         top = sample = self.find_first_sample(rows)
         while top > 0 and not self.is_remark(rows[top - 1]):
-            if top < sample and any(map(self.is_value, rows[top - 1])):
+            has_values = any(map(self.is_value, rows[top - 1]))
+            # above a row of units also names such as 1 and 2, of channels
+            is_named = top == sample - 1 and _are_units(rows[top]) and not self.is_sample(
+                rows[top - 1], is_whole=True
+            )  # fmt: skip
+            if top < sample and has_values and not is_named:
                 break
             top -= 1
         return 0 if top == sample else top

@@ -13,6 +13,7 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
+    HEXADECIMAL,
     NUMBER,
     Dialect,
     Header,
@@ -25,6 +26,7 @@ from tustinnet.data.text_dialect import (
     is_comment,
     read_header,
 )
+from tustinnet.data.text_long import spread_signals
 from tustinnet.data.text_pairs import Pairs, find_pairs
 from tustinnet.errors import InputError, describe_error
 from tustinnet.wording import counted
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
     import polars as pl
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
+_LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
+_FEWEST_ALIKE = 3  # rows that show which columns are texts
+_LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
@@ -40,7 +45,7 @@ _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a t
 _PREAMBLE = 300  # lines above a table, at most
 _LAST = 5  # lines at the end, which are samples
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
-_OTHER_MARKS = (ord("/"), ord("%"))  # with which other comments begin
+_OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _AT_ONCE = 10**5  # lines that are checked at once
 _SAMPLE = 60  # first lines, and lines throughout the file, from which the marks are found
 
@@ -66,9 +71,7 @@ def read_text(
     table = _cells(path, lines, dialect)
     first = _texts(table, 0)
     # a date alone is no sample: it may stand above the table
-    is_sample = any(map(dialect.is_number, first)) and all(
-        dialect.is_number(cell) or is_date(cell) for cell in first if cell
-    )
+    is_sample = any(map(dialect.is_number, first)) and _is_like_others(first, table, dialect)
     if header and is_sample:
         raise InputError(
             f"{path} row {lines[0][0]}",
@@ -94,8 +97,10 @@ def read_text(
     dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
 
     def read(requested: list[str]) -> list[Column]:
-        doubtful = next((name for name in requested if NUMBER.fullmatch(name)), None)
-        if header is None and doubtful is not None:  # names beside numbers, some of them used
+        numbers = (n for n in requested if NUMBER.fullmatch(n) and not HEXADECIMAL.fullmatch(n))
+        doubtful = next(numbers, None)
+        # names beside numbers, some of them used; above units they are names
+        if header is None and doubtful is not None and found.rows == 1:
             raise InputError(
                 f"{path} row {first_row}",
                 f"names of columns and the number {doubtful}",
@@ -140,7 +145,23 @@ def read_text(
     units = {} if file.pairs is not None else find_units_above(file.above, names)
     units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if file.pairs is None else file.pairs.clocks
-    return Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
+    columns = Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
+    return _spread_if_long(columns, table, found.rows, dialect)
+
+
+def _spread_if_long(
+    columns: Columns, table: "pl.DataFrame", header_rows: int, dialect: Dialect
+) -> Columns:
+    """The columns of a table, by signal where it is a long table of times, signals and values."""
+    names = columns.names
+    if not header_rows or len(names) != _LONG_TABLE:
+        return columns
+    texts = [n for n, cell in zip(names, _texts(table, header_rows), strict=True)
+             if not (dialect.is_number(cell) or is_date(cell))]  # fmt: skip
+    if len(texts) != 1:
+        return columns
+    cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()
+    return spread_signals(columns, cells.fill_null("").to_list(), texts[0]) or columns
 
 
 @dataclass(frozen=True)
@@ -200,6 +221,8 @@ def _find_rows(
         lines, comment = [(row, line) for row, line in lines if row >= first_row], ""
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
+    if header is None and delimiter is None:
+        lines = _without_labels(lines)
     tabs = _prefers_tabs(path)
     dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
     if dialect.delimiter != "\t":  # empty cells between tabs are a row
@@ -307,7 +330,8 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
         dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
     except InputError:
         return None
-    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands:
+    is_labelled = _LABELLED.match(lines[-1][1]) is not None
+    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands or is_labelled:
         return None
     mark = ord(dialect.delimiter)
     cells = line(int(rows[0])).count(dialect.delimiter)
@@ -343,6 +367,26 @@ def _lines(text: str) -> tuple[Lines, str]:
     return lines, comment
 
 
+def _without_labels(lines: Lines) -> Lines:
+    """Lines of labelled numbers, `pot:512 pwm:30` for a serial plotter, as a header and numbers."""
+
+    def labels(line: str) -> tuple[str, ...] | None:
+        rest = _LABELLED.sub("", line).strip(" ,;\t")
+        return tuple(m[1] for m in _LABELLED.finditer(line)) if not rest else None
+
+    usual = labels(lines[-1][1])
+    step = max(1, len(lines) // _SAMPLE)
+    if not usual or sum(labels(x) == usual for _, x in lines[::step]) < len(lines[::step]) / 2:
+        return lines
+    first = next(k for k, (_, line) in enumerate(lines) if labels(line) == usual)
+    header = lines[first][0], "\t".join(usual)
+    samples = [
+        (row, "\t".join(m[2] for m in _LABELLED.finditer(line)) if labels(line) == usual else line)
+        for row, line in lines[first:]
+    ]
+    return [*lines[:first], header, *samples]
+
+
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
     """Lines whose header of names such as `angle (deg)`, far apart, has as many as the table."""
     width = len(dialect.split(lines[-1][1]))
@@ -355,6 +399,13 @@ def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
             joined = "\t".join(name.replace(" ", "_") for name in names)
             return [*lines[:k], (row, joined), *lines[k + 1 :]]
     return lines
+
+
+def _is_like_others(first: Sequence[str], table: "pl.DataFrame", dialect: Dialect) -> bool:
+    """Whether the first row has numbers or dates wherever most of the next rows have some."""
+    rows = [_texts(table, k) for k in range(1, min(_SAMPLE, len(table)))]
+    numeric = find_table(rows, dialect).numeric if len(rows) >= _FEWEST_ALIKE else range(len(first))
+    return all(dialect.is_number(first[j]) or is_date(first[j]) for j in numeric if first[j])
 
 
 def _texts(table: "pl.DataFrame", row: int) -> list[str]:
@@ -411,6 +462,9 @@ def _numbers(
     numbers = cells.cast(pl.Float64, strict=False) if is_plain else pl.Series([None])
     if numbers.null_count():
         numbers = _plain(cells.str.strip_chars(), dialect).cast(pl.Float64, strict=False)
+    if numbers.null_count() and HEXADECIMAL.fullmatch((cells[0] or "").strip()):
+        digits = cells.str.strip_chars().str.replace("^0[xX]", "")
+        numbers = digits.str.to_integer(base=16, strict=False).cast(pl.Float64)
     has_dates = len(cells) > 0 and is_date((cells[0] or "").strip())
     if has_dates and numbers.null_count():
         numbers = read_dates(cells)

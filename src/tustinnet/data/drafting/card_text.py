@@ -23,7 +23,7 @@ def write_card(
     has_damaged_rows: bool,
     texts: Mapping[str, str],
     joined: Mapping[str, JoinedFile],
-    is_period_assumed: bool,
+    period_reason: str,
 ) -> str:
     """The text of a data card.
 
@@ -37,19 +37,15 @@ def write_card(
         has_damaged_rows: whether files have rows that are no samples.
         texts: columns that hold no numbers, and what they hold.
         joined: other files of each record, by their labels.
-        is_period_assumed: whether nothing in the files says the period.
+        period_reason: why this is the period; empty where nothing in the files says it.
     """
-    why = (
-        "assumed; check: how far apart are the samples?"
-        if is_period_assumed
-        else "the mean time between samples"
-    )
+    why = period_reason or "assumed; check: how far apart are the samples?"
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",
         "# every key: docs/reference/data.md",
         f"name = {quote(name)}",
         f"dt = {dt!r}  # s, {why}",
-        *_assumed(("dt",) if is_period_assumed else ()),
+        *_assumed(() if period_reason else ("dt",)),
     ]
     if has_header is not None or has_damaged_rows:
         lines += ["", "[format]"]

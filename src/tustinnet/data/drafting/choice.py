@@ -1,6 +1,8 @@
 """The choice of coordinates, their velocities and inputs among the columns."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from tustinnet.data.drafting.positions import describe_coordinate, describe_spee
 from tustinnet.data.drafting.relations import compare_courses, find_copy
 from tustinnet.data.drafting.roles import FAINT, Verdict
 
+_COSINE = re.compile(r"(?i)(?<![a-z])(cosinus|cosine|cos)[ _(]*|\)$")
 _CLEAR = 3.0  # score of a column that is surely a position
 _ROLES = ("none", "position", "velocity", "input", "set point")
 
@@ -29,6 +32,9 @@ def choose_channels(findings: Findings) -> Choice:
         positions = _most_like_positions(findings)
     inputs = [name for name in choose_inputs(findings, choice) if name not in positions]
     names = name_channels(positions, inputs, findings.readings)
+    for column in findings.sines:  # `cos_theta` and `sin_theta` are `theta`
+        angle = _COSINE.sub("", names.get(column, ""))
+        names[column] = angle if angle and angle not in names.values() else names.get(column, "")
     matched = _match_velocities(positions, velocities, findings, choice)
     for column in positions:
         if only_speeds:
@@ -40,6 +46,7 @@ def choose_channels(findings: Findings) -> Choice:
                 column, names[column], velocity, kind, findings, choice
             )
         choice.coordinates.append(coordinate)
+    _without_unknown_velocities(matched, choice)
     for column in inputs:
         choice.inputs.append(describe_input(column, names[column], findings, choice))
     used = {*positions, *inputs, *matched.values()}
@@ -76,7 +83,9 @@ def _clear_positions(findings: Findings, choice: Choice) -> list[str]:
 def _most_like_positions(findings: Findings) -> list[str]:
     """The column to take for a position where none looks like one."""
     for role in ("input", "set point", "flag", "other"):
-        if names := findings.columns(role):
+        # a column of times that repeat is no position
+        if names := [n for n in findings.columns(role)
+                     if findings.readings[n].quantities.get("time", 0.0) < _CLEAR]:  # fmt: skip
             smooth = [name for name in names if findings.numbers[name].smooth]
             return [(smooth or names)[0]]
     return []
@@ -156,6 +165,22 @@ def _match_velocities(
             )
         return {}
     return matched
+
+
+def _without_unknown_velocities(matched: Mapping[str, str], choice: Choice) -> None:
+    """Leaves out all velocities where the unit of one is unknown: a card has all of them or none.
+
+    Raw values of a drive's register are neither counts per second nor in a usual unit.
+    """
+    unknown = [c.column for c in choice.coordinates if c.column in matched and not c.velocity]
+    if not unknown:
+        return
+    for position, velocity in matched.items():
+        choice.unused[velocity] = (
+            "a velocity in a unit that nothing says" if position in unknown
+            else f"the velocity of '{position}'; that of '{unknown[0]}' has no known unit"
+        )  # fmt: skip
+    choice.coordinates[:] = [replace(c, velocity=None) for c in choice.coordinates]
 
 
 def _kind_by_inputs(inputs: Sequence[str], findings: Findings) -> Kind | None:

@@ -1,11 +1,12 @@
 """The draft of a data card from a folder of logs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels
 from tustinnet.data.drafting.findings import (
@@ -27,9 +28,12 @@ from tustinnet.data.drafting.logs import (
     read_names,
 )
 from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
+from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import compare_slopes, find_sines
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.data.readers import is_text
+from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -141,7 +145,7 @@ def draft_card(
     Raises:
         InputError: no file has columns of numbers besides times.
     """
-    answers = answers or {}
+    answers, by_motion = answers or {}, by_motion or {}
     notes: list[str] = []
     logs = join_logs(read_logs(folder, files, notes.append), notes.append)
     logs = keep_usual(logs, notes.append)
@@ -149,11 +153,15 @@ def draft_card(
     readings = read_names(logs)
     clock = find_clock(logs, readings)
     questions: list[Question] = []
+    period_reason = "the mean time between samples"
     dt = clock.dt
     if dt is None:
+        dt, period_reason = _find_period(folder, logs, answers, by_motion)
+        clock = replace(clock, dt=dt)
+    is_period_assumed = not period_reason
+    if is_period_assumed:
         text = "sampling period [s]; no column of times was found"
         questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
-        dt = float(answers.get(_PERIOD, _USUAL_PERIOD))
     pieces = find_pieces(logs, clock, readings)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
     shown = _choose_samples(pieces)
@@ -177,9 +185,15 @@ def draft_card(
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
         verdicts[cosine] = Verdict("position", (reason,), score=_SURE)
     findings = Findings(
-        readings, numbers, samples, times, slopes, verdicts, answers, by_motion or {}, sines
+        readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
     choice = choose_channels(findings)
+    if is_period_assumed and (period := period_by_velocities(dt, choice, findings)) is not None:
+        return draft_card(
+            folder, files, answers, by_motion={**by_motion, _PERIOD: repr(period)}, name=name,
+            has_splits=has_splits,
+        )  # fmt: skip
+    logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
     pieces = usable or pieces
@@ -192,7 +206,7 @@ def draft_card(
         name or _name(folder), clock, dt, choice, splits if has_splits else None,
         has_header=logs[0].has_header,
         has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
-        joined=logs[0].joined, is_period_assumed=clock.dt is None and _PERIOD not in answers,
+        joined=logs[0].joined, period_reason=period_reason,
     )  # fmt: skip
     return Draft(
         text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,
@@ -200,6 +214,37 @@ def draft_card(
         tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
         logs[0].texts, sum(map(len, logs)), bool(usable),
     )  # fmt: skip
+
+
+def _find_period(
+    folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_motion: Mapping[str, str]
+) -> tuple[float, str]:
+    """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
+    if _PERIOD in answers:
+        return float(answers[_PERIOD]), "as you say"
+    if (period := _said_period(folder, logs)) is not None:
+        return period, "by the sampling rate that the files say"
+    if _PERIOD in by_motion:
+        return float(by_motion[_PERIOD]), "by the velocities, which are slopes of the positions"
+    return _USUAL_PERIOD, ""
+
+
+def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
+    """The sampling period that lines above the tables say, where all files say the same."""
+    files = [folder / log.file for log in logs]
+    periods = {find_period(file) if is_text(file) else None for file in files}
+    (period, *others) = periods
+    is_possible = period is not None and SHORTEST_DT <= period <= LONGEST_DT
+    return period if is_possible and not others else None
+
+
+def _without_unused_files(log: Log, choice: Choice) -> Log:
+    """A log without other files of its record of which the card uses no column."""
+    used = [*choice.motion, *(i.column for i in choice.inputs)]
+    return replace(log, joined={
+        label: file for label, file in log.joined.items()
+        if any(name.startswith(f"{label}/") for name in used)
+    })  # fmt: skip
 
 
 def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], None]) -> list[Log]:

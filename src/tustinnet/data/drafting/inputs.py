@@ -14,6 +14,7 @@ _QUANTITY_UNITS: dict[Quantity, str] = {
 _RANKS: dict[Quantity, int] = {
     "voltage": 0, "duty": 0, "control": 0, "torque": 1, "force": 1, "current": 2, "pressure": 3,
 }  # fmt: skip
+_LAST = (9, 9)  # rank of an input of which nothing says what it is
 _DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 
 
@@ -31,12 +32,14 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
         positions = [n for n in by_follower.values() if _leads_position(n, findings)]
         return positions or list(by_follower.values())
     kept = []
-    for name in candidates:
+    # of columns that are proportional the one that moves first stays
+    for name in sorted(candidates, key=lambda name: _rank(name, findings) or _LAST):
         copy = next((o for o in kept if _is_copy(o, name, findings)), None)
         if copy is not None:
             choice.unused[name] = f"proportional to the input '{copy}'"
             continue
         kept.append(name)
+    kept = [name for name in candidates if name in kept]
     ranked = {name: _rank(name, findings) for name in kept}
     best = _best_rank(ranked, findings)
     inputs: list[str] = []
@@ -116,9 +119,9 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     key = f"unit {column}"
     unit = findings.answers.get(key) or reading.unit
     if not unit:
-        weights = {q: reading.quantities.get(q, 0.0) for q in _QUANTITY_UNITS}
-        strongest = max(weights, key=lambda q: weights[q])
-        unit = _QUANTITY_UNITS[strongest] if weights[strongest] >= 3 else ""
+        strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
+        is_said = reading.quantities.get(strongest, 0.0) >= 3
+        unit = _QUANTITY_UNITS[strongest] if is_said else ""
     if not unit and quantity == "duty":
         unit = "%" if 1.5 < numbers.largest <= 100 else "1"
     leads = findings.verdicts[column].leads

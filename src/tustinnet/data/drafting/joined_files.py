@@ -119,10 +119,12 @@ def _quantities(logs: Sequence[Log], label: str) -> dict[str, float]:
     for name in logs[0].values:
         text = "" if name.startswith(NUMBERED) else logs[0].labels.get(name, name)
         reading = read_name(f"{label} {text}".strip(), logs[0].units.get(name, ""))
-        if reading.qualifier == "command" or "time" in read_name(text).quantities:
+        if "time" in read_name(text).quantities:
             continue
         for quantity, weight in reading.quantities.items():
-            weights[quantity] = max(weights.get(quantity, 0.0), weight)
+            # a commanded position is none
+            if reading.qualifier != "command" or quantity in INPUTS:
+                weights[quantity] = max(weights.get(quantity, 0.0), weight)
     return weights
 
 

@@ -42,7 +42,9 @@ _POSITION = {
     **{unit: unit for unit in (*ANGLE, *LENGTH)},
     **dict.fromkeys(("radian", "radians"), "rad"),
     **dict.fromkeys(("degree", "degrees", "grad", "grd", "°", "degre", "degres",
-         "grado", "grados", "gradi", "graus", "度"), "deg"),
+         "grado", "grados", "gradi", "graus", "graden", "grader", "stopni", "stopnie", "stupne",
+         "度"),
+        "deg"),
     **dict.fromkeys(("revs", "turns", "turn", "umdr", "umdrehungen", "revolutions", "tour", "tours",
          "giri", "vueltas"), "rev"),
     **dict.fromkeys(
@@ -78,6 +80,8 @@ _ACCELERATION = {
     **{f"{name}{per}": f"{unit}/s^2" for name, unit in _POSITION.items() for per in _SQUARED},
     "g": "g", "mg": "mg",
 }  # fmt: skip
+_UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
+"""Columns that are called by their unit alone."""
 _INPUT_UNITS: dict[str, tuple[str, Quantity]] = {
     **dict.fromkeys(("v", "volt", "volts"), ("V", "voltage")), "mv": ("mV", "voltage"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), ("A", "current")), "ma": ("mA", "current"),
@@ -111,6 +115,13 @@ _PURE = POSITION_WORDS.union(
 )  # fmt: skip
 """Words that say which quantity, but not of what."""
 _FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
+_KNOWN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
+_LAST_PARTS = sorted(
+    (w for q in ("position", "velocity", "acceleration", *INPUTS, "error") for w in STRONG[q]
+     if len(w) >= 5 and w.isascii()), key=len, reverse=True,
+)  # fmt: skip
+"""Words that are the last part of compounds, the longest first."""
+_SHORTEST_PART = 3  # letters; a shorter first part must be a word
 _CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
 
 
@@ -289,14 +300,29 @@ def _split_words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     spaced = re.sub(r"(?<=[^\W\d_])(?=\d)", "_", spaced)  # `q1`, but `s2` of `rad_s2` below
     words = [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
+    words = [part for word in words for part in _split_compound(word)]
     # Chinese and Japanese put no blanks between words
     return [part for word in words for part in _CHINESE.split(word) if part]
+
+
+def _split_compound(word: str) -> list[str]:
+    """The parts of a word of German and its neighbours: `istposition`, `seilwinkel`."""
+    if word in _KNOWN:
+        return [word]
+    end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w) + 1), None)
+    if end is None:
+        return [word]
+    rest = word.removesuffix(end)
+    return [rest, end] if len(rest) > _SHORTEST_PART or rest in _KNOWN else [word]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
     """Words without the unit at their end, the unit, its quantity: `_rad_s`, `_mm`, `_deg1`."""
     number = words[-1:] if words and words[-1].isdigit() else []
     body = words[: len(words) - len(number)]
+    alone = _look_up(body[0]) if len(body) == 1 and body[0] in _UNITS_AS_NAMES else None
+    if alone is not None:
+        return words, *alone
     for length in (4, 3, 2, 1):
         if len(body) < length + (length == 1):
             continue

@@ -23,6 +23,8 @@ _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
 _USUAL_COUNTS = 4096
+_SURE_SLOPE = 0.99  # correlation of a velocity with a slope that says the period
+_PERIODS = (1e-4, 1.0)  # s
 _ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
@@ -88,10 +90,11 @@ def describe_coordinate(
     else:
         resolution, is_assumed = _length_of_count(column, speed, factor, findings, choice, doubts)
         assumed += ["resolution"] * is_assumed
+    in_turn = counts if unit == "counts" else None
     return CoordinateChoice(
         column, name, kind, unit, counts, resolution,
-        _velocity(column, velocity, unit, kind, factor, findings), tuple(because), tuple(doubts),
-        tuple(assumed), scale,
+        _velocity(column, velocity, unit, kind, factor, findings, in_turn), tuple(because),
+        tuple(doubts), tuple(assumed), scale,
     )  # fmt: skip
 
 
@@ -338,9 +341,12 @@ def _length_of_count(
 
 def _velocity(
     column: str, velocity: str | None, unit: str, kind: Kind, factor: float | None,
-    findings: Findings,
+    findings: Findings, counts: int | None = None,
 ) -> VelocityChoice | None:  # fmt: skip
-    """The velocity column of a coordinate with its unit: by its name, else by the factor."""
+    """The velocity column of a coordinate with its unit: by its name, else by the factor.
+
+    None where a position in counts has a velocity that is in no known unit.
+    """
     if velocity is None or factor is None:
         return None
     measured, because = _is_measured(column, velocity, findings)
@@ -353,8 +359,12 @@ def _velocity(
                 speed = candidate
                 because += f"; in {candidate} by its size"
                 break
-    elif speed is None and unit == "counts" and kind == "angular" and abs(factor - 1) > 0.05:
-        because += "; check its unit"
+    elif speed is None and counts is not None and abs(factor - 1) > 0.05:
+        in_turn = ((s, 2 * np.pi / size / factor) for s, size in _ANGULAR_SPEEDS.items())
+        speed = next((s for s, n in in_turn if abs(n / counts - 1) < _SAME_FACTOR / 2), None)
+        if speed is None:
+            return None
+        because += f"; in {speed} by its size"
     return VelocityChoice(velocity, speed, measured, because)
 
 
@@ -395,3 +405,38 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
     return CoordinateChoice(
         column, name, "linear", unit, because=because, doubts=tuple(doubts), assumed=assumed
     )
+
+
+def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float | None:
+    """The sampling period [s] at which velocities are the slopes of their positions.
+
+    Args:
+        dt: the period by which the slopes were computed [s].
+        choice: coordinates with their velocities.
+        findings: what is known of the columns.
+
+    Returns:
+        The period; None where no velocity has a known unit, or two say different periods.
+    """
+    periods: list[float] = []
+    sizes = {**_ANGULAR_SPEEDS, **_LINEAR_SPEEDS}
+    for c in choice.coordinates:
+        if c.velocity is None:
+            continue
+        correlation, factor = findings.slopes.between(c.column, c.velocity.column)
+        speed, unit = (findings.readings[n].unit for n in (c.velocity.column, c.column))
+        if c.column in findings.sines:
+            unit, speed = "rad", speed or "rad/s"
+        if correlation < _SURE_SLOPE or factor <= 0 or bool(unit) != bool(speed):
+            continue
+        if unit:  # else both are in one unit that nothing says
+            if speed not in sizes or unit not in (*ANGLE, *LENGTH):
+                continue
+            factor *= sizes[speed] / (ANGLE | LENGTH)[unit]
+        periods.append(dt / factor)
+    if not periods or max(periods) > (1 + _SAME_FACTOR) * min(periods):
+        return None
+    period = float(np.median(periods))
+    usual = float(f"{period:.2g}")
+    period = usual if abs(period / usual - 1) < _SAME_FACTOR else float(f"{period:.4g}")
+    return period if _PERIODS[0] <= period <= _PERIODS[1] else None

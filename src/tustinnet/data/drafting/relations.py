@@ -16,6 +16,10 @@ _WITHOUT = [0, 1, 2, 4]  # the regression without the column that explains
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
 
+_SAYS = 3.0  # weight of a word that says a quantity
+_CIRCLE = 1.05  # no cosine is larger
+_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
+_OF_ANGLE = 0.3  # range of a cosine or sine, at least
 _SPANS = (1, 2, 4, 8, 16, 32)  # samples over which an acceleration is averaged
 
 Pairs = Float[np.ndarray, "c c"]
@@ -159,7 +163,13 @@ def find_sines(
         times: times of each record [s].
     """
     sines: dict[str, str] = {}
-    names = [n for n, s in samples.items() if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE]
+    # accelerations of a turning sensor and voltages of a motor's phases are on circles, too
+    names = [
+        n for n, s in samples.items()
+        if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
+        and not any(q != "position" and w >= _SAYS for q, w in readings[n].quantities.items())
+        and readings[n].kind != "linear" and not readings[n].unit
+    ]  # fmt: skip
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
             if {first, second} & {*sines, *sines.values()}:
@@ -175,15 +185,11 @@ def find_sines(
                 others = {n: s for n, s in samples.items() if n not in pair}
                 slopes = compare_slopes({first: angle, **others}, times)
                 correlations = [slopes.between(first, n)[0] for n in others]
-                if max(correlations, default=0.0) < -min(correlations, default=0.0) - 0.5:
+                is_reversed = -min(correlations, default=0.0) > max(correlations, default=0.0) + 0.5
+                if is_reversed:
                     pair = second, first
             sines[pair[0]] = pair[1]
     return sines
-
-
-_CIRCLE = 1.05  # no cosine is larger
-_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
-_OF_ANGLE = 0.3  # range of a cosine or sine, at least
 
 
 def are_of_one_angle(first: Sequence[Values], second: Sequence[Values]) -> bool:

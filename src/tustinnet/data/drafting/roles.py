@@ -23,6 +23,8 @@ _NAMED_DERIVATIVE = 0.75  # of a column whose name says velocity
 _FOLLOWED = 0.9  # correlation of a position with its set point
 FAINT = 1.9  # score of a position that may be something else
 _DRIVEN, _DRIVING = 0.5, 0.15  # shares of accelerations that an input explains, and those of it
+_WHITE = 1.2  # roughness of white noise is the root of 2
+_AXES = {"x", "y", "z", "yaw", "pitch", "roll", "rx", "ry", "rz", "azimuth", "elevation"}
 _CLEAR = 1.0  # a role whose score is by less above the next one is doubtful
 _ROLES: dict[Quantity, Role] = {
     **dict.fromkeys(INPUTS, "input"), "position": "position", "velocity": "velocity",
@@ -108,11 +110,39 @@ def judge_columns(
             verdict.role, verdict.reasons, verdict.rival, verdict.score,
             slope_of if is_rate else None, leads if verdict.role == "set point" else None,
         )  # fmt: skip
+    _leave_out_noise(readings, numbers, verdicts)
     _take_drivers_for_inputs(numbers, verdicts, samples, times)
     for name in samples:
         if (pair := _find_difference(name, readings[name], verdicts, samples)) is not None:
             verdicts[name] = Verdict("error", (f"'{pair[0]}' minus '{pair[1]}'",))
     return verdicts
+
+
+def _leave_out_noise(
+    readings: Mapping[str, NameReading],
+    numbers: Mapping[str, Numbers],
+    verdicts: dict[str, Verdict],
+) -> None:
+    """Takes columns of white noise beside positions of the same thing for no quantity of a motion.
+
+    These are directions in which nothing moves: a marker's height, pitch and roll of a turntable.
+    """
+    moving = [n for n, v in verdicts.items() if v.role == "position" and numbers[n].smooth]
+    for name, verdict in list(verdicts.items()):
+        weights = readings[name].quantities
+        says = max(weights, key=lambda q: weights[q], default=None)
+        is_noise = numbers[name].roughness > _WHITE and not numbers[name].levels
+        if not is_noise or says != "position" or verdict.role not in ("position", "input"):
+            continue
+        beside = next((n for n in moving if _are_siblings(readings[n], readings[name])), None)
+        if beside is not None:
+            verdicts[name] = Verdict("other", (f"only noise, beside '{beside}'",))
+
+
+def _are_siblings(first: NameReading, second: NameReading) -> bool:
+    """Whether two names are of one thing but for an axis or a number."""
+    a, b = ({*r.words} - _AXES for r in (first, second))
+    return {w for w in a if not w.isdigit()} == {w for w in b if not w.isdigit()}
 
 
 def _take_drivers_for_inputs(

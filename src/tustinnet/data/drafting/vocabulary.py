@@ -31,7 +31,7 @@ _STRONG: dict[Quantity, str] = {
     "速度 角速度 转速 回転数",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl "
     "aceleracion aceleracao accelerazione versnelling 加速度",
-    "voltage": "voltage spannung volt volts motorspannung ankerspannung "
+    "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd "
     "tension voltaje tensao tensione spanning spaenning napiecie napeti 电压 電圧",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
@@ -43,7 +43,7 @@ _STRONG: dict[Quantity, str] = {
     "current": "current currents strom motorstrom iq ankerstrom "
     "courant corriente corrente stroom stroem prad proud 电流 電流",
     "pressure": "pressure druck pression presion pressao pressione 压力 圧力",
-    "error": "error err fehler regelabweichung schleppfehler deviation regelfehler "
+    "error": "error err fehler regelabweichung schleppfehler schleppabstand deviation regelfehler "
     "erreur errore erro uchyb 误差 誤差 偏差",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed "
@@ -88,7 +88,7 @@ _OTHERS = {
     "回転数 转矩 扭矩 トルク 力矩",
     "length": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
     "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben "
-    "stroke linear force kraft "
+    "sled stage gantry lift ram plunger stroke linear force kraft "
     "deplacement chariot desplazamiento carro deslocamento spostamento altura altezza fuerza forza "
     "forca kracht wozek 位移 変位 推力",
     "container": "states state joint joints observation msg data value values log logs signals",

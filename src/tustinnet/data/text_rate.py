@@ -1,0 +1,47 @@
+"""The sampling rate in the lines above the table of a text file, for files without times."""
+
+import re
+from pathlib import Path
+
+from tustinnet.data.text_dialect import decode
+from tustinnet.data.units import TIME
+from tustinnet.errors import InputError
+
+_LINES = 60  # at the beginning of a file
+_NUMBER = r"(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
+_BETWEEN = r"[^\d\n]{0,25}?"
+_WORDS = r"sampl\w*|abtast\w*|scan|frame|data|acquisition|logging|messrate|echantillonnage"
+_RATE = re.compile(
+    rf"(?i)(?:(?:{_WORDS}|freq\w*|rate|fs)\b{_BETWEEN}{_NUMBER}\s*(k?)(?:hz|sps|fps|1/s|s/s)"
+    rf"|\b(?:frequency|fps|fs|sampl\w*[ _]?rate|frame[ _]?rate)\W{{1,4}}{_NUMBER}\s*$)"
+)
+_INTERVAL = re.compile(
+    rf"(?i)(?:(?:{_WORDS})[ _]?(?:time|interval|period|zeit|intervall)|abtastzeit|\bts|\bdt"
+    rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)\b"
+)
+
+
+def find_period(path: Path) -> float | None:
+    """The sampling period [s] that the first lines of a text file say, None where they say none.
+
+    Such lines are `Abtastrate: 1000 Hz`, `FREQUENCY 200`, `# sampling interval = 5 ms`.
+
+    Args:
+        path: the file.
+    """
+    try:
+        lines = decode(path, None)[0].splitlines()[:_LINES]
+    except InputError:
+        return None
+    for line in lines:
+        plain = line.replace("\t", " ").replace(";", " ").strip()
+        if (match := _INTERVAL.search(plain)) is not None:
+            unit = match[2].lower().replace("\u00b5", "u")
+            period = float(match[1].replace(",", ".")) * TIME[unit]
+        elif (match := _RATE.search(plain)) is not None:
+            rate = float((match[1] or match[3]).replace(",", "."))
+            period = 1 / (rate * (1000 if match[2] else 1)) if rate else 0.0
+        else:
+            continue
+        return period or None
+    return None
