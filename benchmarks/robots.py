@@ -4,6 +4,7 @@
     python benchmarks/robots.py twins OUT [COUNT]     (default: 50 arms of 7 joints)
     python benchmarks/robots.py halves OUT [COUNT]    two halves of an arm's records
     python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
+    python benchmarks/robots.py design [COUNT]        a designed record against random ones
 
 Needs the extras `bench` and `robots`. Each chain is compared at three states; differences of mass
 matrices, bias forces and energies are relative to the largest number of each quantity, and the
@@ -36,6 +37,14 @@ import numpy as np
 import tustinnet as tn
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import Runs, evaluate, simulate
+from tustinnet.evaluate.record_design import (
+    DesignOptions,
+    design_record,
+    gather_limits,
+    prior_knowledge,
+)
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.inverse_dynamics import filter_record, missing_forces
 from tustinnet.models.chains import INERTIAL, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.store.data_set_folder import write_data_set
@@ -310,7 +319,77 @@ def payload(count: int) -> None:
         print(f"{seed}: {sentence}; {time.perf_counter() - begun:.0f} s", flush=True)
 
 
+def torque_errors(
+    system: LagrangianSystem, values: dict[str, float], truth: dict[str, float], points: np.ndarray
+) -> float:
+    """Torques that values miss at positions, velocities and accelerations [%], mean over joints."""
+    equations, n = system_equations(system), len(system.coordinates)
+    formula = missing_forces(equations)
+    none = np.zeros((len(points), len(system.inputs)))
+
+    def torques(of: dict[str, float]) -> np.ndarray:
+        rows = equations.parameter_rows(of, np.zeros((len(points), 0), int))
+        return evaluate(formula, np.concatenate([points[:, : 3 * n], none, rows], axis=1))
+
+    true = torques(truth)
+    error = np.sqrt(np.mean((torques(values) - true) ** 2, axis=0))
+    return float(np.mean(100 * error / np.sqrt(np.mean(true**2, axis=0))))
+
+
+def stated_errors(system: LagrangianSystem, result: tn.Identification, count: int) -> np.ndarray:
+    """Stated errors of the best determined combinations, in those of the priors, sorted."""
+    names = [e.name for e in result.estimates]
+    own = np.array([e.error or 0.0 for e in result.estimates]) / spreads(names, system)
+    covariance = np.nan_to_num(result.correlation) * np.outer(own, own)
+    sizes = np.linalg.eigvalsh(covariance)
+    return np.sqrt(sizes[sizes > 0][:count])
+
+
+def design(count: int) -> None:
+    """A record of 10 s along a designed motion, random ones within limits, and sums of sines."""
+    system = tn.load_system(ARM)
+    knowledge = prior_knowledge(system, {})
+    limits = gather_limits(system, {}, {}, system.channels)
+    ends = np.array([own.position for own in limits.motion])
+    speed = np.array([own.velocity for own in limits.motion])
+    rng, options = np.random.default_rng(0), DesignOptions(budget=None)
+    reach = np.concatenate([ends[:, 1], speed, 2 * np.pi * options.highest * speed])
+    states = rng.uniform(-1, 1, (1000, len(reach))) * reach
+    print("| arm | record | expected errors | stated errors | torque missing at random states [%] "
+          "| along other motions [%] | s |")  # fmt: skip
+    for seed in range(count):
+        truth = true_values(system, seed)
+        others = [
+            replace(e, split="validation", name=f"other{k}")
+            for k, e in enumerate(record_in_loop(system, truth, 4, 5.0, seed=500 + seed))
+        ]
+        along = np.concatenate([filter_record(e, 5.0).points for e in others])
+        stated: dict[str, np.ndarray] = {}
+        for name in ("designed", "random", "sines"):
+            begun, motions, expected = time.perf_counter(), [], ""
+            if name != "sines":
+                changes = {} if name == "designed" else {"iterations": 0, "starts": 1}
+                found = design_record(
+                    system, knowledge, limits, replace(options, seed=seed, **changes)
+                )
+                motions, expected = [(found.q, found.v)], f"{found.by_random:.2f}"
+            seconds = time.perf_counter() - begun
+            record = record_in_loop(system, truth, 2, 10.0, seed=seed, motions=motions)[0]
+            result = tn.identify(
+                tn.DataSet("arm", (record, others[0])), system, "inverse-dynamics"
+            )
+            stated[name] = stated_errors(system, result, 69)
+            n = min(map(len, stated.values()))
+            ratio = np.exp(np.mean(np.log(stated[name][:n] / stated["designed"][:n])))
+            missing = [torque_errors(system, result.values, truth, x) for x in (states, along)]
+            print(f"| {seed} | {name} | {expected} | {ratio:.2f} | {missing[0]:.3f} | "
+                  f"{missing[1]:.3f} | {seconds:.0f} |", flush=True)  # fmt: skip
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["design"]:
+        design(int(sys.argv[2]) if len(sys.argv) > 2 else 3)
+        sys.exit()
     if sys.argv[1:2] == ["payload"]:
         payload(int(sys.argv[2]) if len(sys.argv) > 2 else 10)
         sys.exit()

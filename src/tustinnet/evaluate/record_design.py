@@ -15,7 +15,7 @@ References:
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -47,18 +47,18 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
+from tustinnet.wording import counted
 
 _POINTS = 16  # of a period of the highest harmonic at which a motion is judged
 _STEP = 1e-5  # of the limits of a motion, by which derivatives are differences
-_PENALTIES = (1e2, 1e4, 1e6)  # of squares of what is beyond the limits, one stage each
-_ITERATIONS = 150  # of each stage, at most
+_PENALTIES = (1e2, 1e4)  # of squares of what is beyond the limits, one stage each
 _DRAWS = 200  # random motions until one is within the limits
 _BISECTIONS = 30  # until the size of a motion is found
 _RANDOM_POINTS = 300  # by which base parameters are found
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
 _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
 _USUAL_NOISE = 0.02  # of the force of a motion
-_LEAST_FORCE = 1e-9  # N m or N, so that no noise is 0
+_MOST = 10**6  # samples
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
 
@@ -73,10 +73,11 @@ class DesignOptions:
         dt: sampling period [s].
         margin: share of each limit that is kept free, for a controller that does not follow
             exactly.
-        noise: what is not known of a force, by the root mean square of it; None for what the fit
-            has left, or 2 %.
+        noise: what stays unexplained of a force, by its root mean square along random motions
+            within the limits; None for what the fit has left, or 2 %.
         starts: number of random motions that the search starts from.
         seed: seed of these.
+        iterations: steps of each of the two stages of the search, at most.
         budget: time that the search may take [s], None for no limit.
     """
 
@@ -88,6 +89,7 @@ class DesignOptions:
     noise: float | None = None
     starts: int = 4
     seed: int = 0
+    iterations: int = 150
     budget: float | None = 60.0
 
     def __post_init__(self) -> None:
@@ -109,6 +111,11 @@ class DesignOptions:
             raise InputError(
                 "--frequency", f"{periods:.4g} periods in {self.seconds:g} s", "a whole number",
                 f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
+            )  # fmt: skip
+        if self.seconds / self.dt > _MOST:
+            raise InputError(
+                "--rate", f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
+                f"at most {_MOST:.0e}", "fewer seconds, or a lower rate",
             )  # fmt: skip
         if self.highest > 0.1 / self.dt:
             raise InputError(
@@ -307,7 +314,7 @@ def fitted_knowledge(
 
 def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None:
     """Raises unless the groups are those by which parameters of a system differ."""
-    needed = {str(p.per): p.name for p in system.grouped}
+    needed = {str(p.per): p.name for p in reversed(system.grouped)}
     for per, name in needed.items():
         if per not in groups:
             raise InputError(
@@ -412,12 +419,11 @@ def design_record(
     starts = [
         _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
     ]
-    cutoff = cutoff_for(options.highest, options.dt)
-    count = compared_samples(options.seconds, cutoff)
-    fixed = knowledge.noise if options.noise is None else None
-    noise = _Noise(fixed, options.noise or _USUAL_NOISE)
+    noise = _choose_noise(knowledge, options, dynamics, shapes, starts, judged)
+    count = compared_samples(options.seconds, cutoff_for(options.highest, options.dt))
     known = _information(knowledge, dynamics)
-    problem = _Problem(dynamics, shapes, box, noise, known, count, judged)
+    weights = count / len(judged) / noise**2
+    problem = _Problem(dynamics, shapes, box, known, weights, options.iterations, judged)
     first = problem.information(starts[0])[0]
     results, stopped = [], False
     for k, x in enumerate(starts):
@@ -436,8 +442,7 @@ def design_record(
         stopped = stopped or is_late
     information = [problem.information(x)[0] for x in results]
     best = results[int(np.argmax(information))]
-    missing = problem.missing(best)
-    combinations = _find_combinations(dynamics, shapes, missing, rng)
+    combinations = _find_combinations(dynamics, shapes, noise, rng)
     file = _errors(combinations, np.eye(len(known)))
     before = None if knowledge.covariance is None else _errors(combinations, known)
     expected = _errors(combinations, problem.information(best)[1])
@@ -450,7 +455,7 @@ def design_record(
     u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
     channels = replace(system.channels, dt=options.dt)
     return RecordDesign(
-        channels, options, limits, motion, t, q, v, a, u, force, missing,
+        channels, options, limits, motion, t, q, v, a, u, force, noise,
         _base_parameters(dynamics, combinations, file, before, expected),
         float(np.median(ratios)), stopped,
     )  # fmt: skip
@@ -533,25 +538,6 @@ class _Box:
     def shares(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         """Points and actuation by the limits: within -1 and 1 where they are kept."""
         return (values - self.middle) / self.half
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Missing forces that are expected.
-
-    Attributes:
-        fixed: standard deviation at each coordinate, (n_q,) [N m or N]; None for a share.
-        share: share of the root mean square of the actuators' force.
-    """
-
-    fixed: Float[np.ndarray, " n_q"] | None
-    share: float
-
-    def deviation(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
-        """The standard deviation along a motion that needs some forces, (n_q,) [N m or N]."""
-        if self.fixed is not None:
-            return self.fixed
-        return self.share * np.sqrt(np.mean(force**2, axis=0) + _LEAST_FORCE**2)
 
 
 class _Dynamics:
@@ -649,9 +635,9 @@ class _Problem:
         dynamics: the dynamics.
         shapes: the motions.
         box: the limits.
-        noise: the missing forces.
         known: information before the record, in standard deviations of the priors, (n_p, n_p).
-        count: number of independent samples of the record.
+        weights: weight of a squared force of each coordinate at a point, (n_q,).
+        iterations: steps of each stage of the search, at most.
         t: times at which motions are judged [s], (n,).
     """
 
@@ -660,38 +646,27 @@ class _Problem:
         dynamics: _Dynamics,
         shapes: _Shapes,
         box: _Box,
-        noise: _Noise,
         known: Float[np.ndarray, "n_p n_p"],
-        count: float,
+        weights: Float[np.ndarray, " n_q"],
+        iterations: int,
         t: Float[np.ndarray, " n"],
     ) -> None:
-        self._dynamics, self._shapes, self._box = dynamics, shapes, box
-        self._noise, self._known, self._each = noise, known, count / len(t)
-        self._t, self._n = t, len(shapes.middle)
+        self._dynamics, self._shapes, self._box, self._known = dynamics, shapes, box, known
+        self._weights, self._t, self._n = weights, t, len(weights)
         self._steps = _STEP * shapes.sizes.ravel()
+        self.iterations = iterations
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
     ) -> tuple[float, Float[np.ndarray, "n_p n_p"]]:
         """Half the logarithm of the determinant of the information of a motion, and the matrix."""
         points = self._shapes.points(x, self._t)
-        u, force = np.split(self._dynamics.actuation(points), [-self._n], axis=1)
-        matrix = self._matrix(self._dynamics.slopes(points, u), self._weights(force))
+        u = self._dynamics.actuation(points)[:, : self._n]
+        matrix = self._matrix(self._dynamics.slopes(points, u))
         return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
 
-    def missing(self, x: Float[np.ndarray, "count n_q"]) -> Float[np.ndarray, " n_q"]:
-        """The force that is missing at each coordinate along a motion, (n_q,) [N m or N]."""
-        points = self._shapes.points(x, self._t)
-        return self._noise.deviation(self._dynamics.actuation(points)[:, -self._n :])
-
-    def _weights(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
-        """Weights of squares of forces at a point, by the forces of the motion."""
-        return self._each / self._noise.deviation(force) ** 2
-
-    def _matrix(
-        self, slopes: Float[np.ndarray, "n n_q n_p"], weights: Float[np.ndarray, " n_q"]
-    ) -> Float[np.ndarray, "n_p n_p"]:
-        rows = (slopes * np.sqrt(weights)[:, None]).reshape(-1, slopes.shape[2])
+    def _matrix(self, slopes: Float[np.ndarray, "n n_q n_p"]) -> Float[np.ndarray, "n_p n_p"]:
+        rows = (slopes * np.sqrt(self._weights)[:, None]).reshape(-1, slopes.shape[2])
         return self._known + rows.T @ rows
 
     def cost(
@@ -706,29 +681,21 @@ class _Problem:
         moved = points[:, None] + np.concatenate([np.diag(self._steps), -np.diag(self._steps)])
         everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
         actuation = self._dynamics.actuation(everywhere)
-        u, force = np.split(actuation, [-self._n], axis=1)
-        slopes = self._dynamics.slopes(everywhere, u)
-        weights = self._weights(force[:n])
-        matrix = self._matrix(slopes[:n], weights)
+        slopes = self._dynamics.slopes(everywhere, actuation[:, : self._n])
+        matrix = self._matrix(slopes[:n])
         _, logarithm = np.linalg.slogdet(matrix)
         shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
         beyond = np.maximum(np.abs(shares) - 1, 0.0)
         cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
         # derivatives of the information by the derivatives of forces, of the cost by limits
-        weighted = (slopes[:n] * weights[:, None]) @ np.linalg.inv(matrix)
+        weighted = (slopes[:n] * self._weights[:, None]) @ np.linalg.inv(matrix)
         by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
-        by_actuation = by_share[:, n_m:].copy()
-        if self._noise.fixed is None:  # more force is more noise
-            told = np.sum(weighted * slopes[:n], axis=(0, 2))
-            by_actuation[:, -self._n :] += (
-                told * force[:n] / np.sum(force[:n] ** 2 + _LEAST_FORCE**2, axis=0)
-            )
         along = np.einsum(
             "nqp,nkqp->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
             optimize=True,
         )  # fmt: skip
         changed = actuation[n:].reshape(n, 2 * n_m, -1)
-        limited = np.einsum("nf,nkf->nk", by_actuation, changed)
+        limited = np.einsum("nf,nkf->nk", by_share[:, n_m:], changed)
         both = limited - along
         by_points = (both[:, :n_m] - both[:, n_m:]) / (2 * self._steps) + by_share[:, :n_m]
         return cost, self._shapes.gradient(by_points, self._t).ravel()
@@ -754,7 +721,7 @@ def _require_actuated(
     place = "next-record --design"
     if n_u != n:
         raise InputError(
-            place, f"{n_u} inputs of {n} coordinates of '{system.name}'",
+            place, f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
             "an input for each coordinate",
             "propose records: tustinnet next-record MODEL PROPOSALS",
         )  # fmt: skip
@@ -878,11 +845,27 @@ def _search(
     for penalty in _PENALTIES:
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
-            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": _ITERATIONS},
+            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": problem.iterations},
         ).x  # fmt: skip
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True
     return vector.reshape(x.shape), False
+
+
+def _choose_noise(
+    knowledge: Knowledge,
+    options: DesignOptions,
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    motions: Sequence[Float[np.ndarray, "count n_q"]],
+    t: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n_q"]:
+    """The missing force of each coordinate: what a fit has left, or a share of that of motions."""
+    if options.noise is None and knowledge.noise is not None:
+        return knowledge.noise
+    force = [dynamics.actuation(shapes.points(x, t))[:, -len(shapes.middle) :] for x in motions]
+    size = np.sqrt(np.mean(np.concatenate(force) ** 2, axis=0))
+    return (options.noise or _USUAL_NOISE) * np.maximum(size, 1e-6 * size.max() + 1e-12)
 
 
 def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
