@@ -77,7 +77,8 @@ class DesignOptions:
             within the limits; None for what the fit has left, or 2 %.
         starts: number of random motions that the search starts from.
         seed: seed of these.
-        iterations: steps of each of the two stages of the search, at most.
+        iterations: steps of each of the two stages of the search, at most; 0 for the best of the
+            random motions.
         budget: time that the search may take [s], None for no limit.
     """
 
@@ -126,8 +127,10 @@ class DesignOptions:
 
     @property
     def base_frequency(self) -> float:
-        """Frequency of the first harmonic [Hz]."""
-        return 1 / self.seconds if self.frequency is None else self.frequency
+        """Frequency of the first harmonic [Hz]; by default that of a whole number of samples."""
+        if self.frequency is not None:
+            return self.frequency
+        return 1 / (round(self.seconds / self.dt) * self.dt)
 
     @property
     def highest(self) -> float:
@@ -842,7 +845,7 @@ def _search(
         if time.monotonic() > deadline:
             raise StopIteration
 
-    for penalty in _PENALTIES:
+    for penalty in _PENALTIES if problem.iterations else ():
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
             method="L-BFGS-B", jac=True, callback=step, options={"maxiter": problem.iterations},
