@@ -112,6 +112,7 @@ def test_the_derivatives_of_the_search_are_those_of_its_cost():
     ("changes", "problem"),
     [
         ({"input_map": lambda q, v, u, p: 0.0 * u}, "do not drive every coordinate"),
+        ({"input_map": lambda q, v, u, p: u + u**3}, "does not act linearly"),
         ({"inputs": ()}, "0 inputs of 1 coordinate"),
         ({"memory": tn.Memory(("z",), lambda q, v, z, p: -z, lambda q, v, z, p: z)},
          "internal states"),

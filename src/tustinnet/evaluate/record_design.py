@@ -551,6 +551,13 @@ class _Dynamics:
         knowledge: values and free parameters.
         groups: the groups of the record.
 
+    Attributes:
+        space: the free parameters.
+        prior: their priors.
+        selection: from derivatives by the parameters of the equations to those by the free ones, in
+            standard deviations of their priors, (n_e, n_p).
+        units: a standard deviation of each prior, in the parameter's own unit, (n_p,).
+
     Raises:
         InputError: internal states.
     """
@@ -564,20 +571,20 @@ class _Dynamics:
                 f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
                 "propose records: tustinnet next-record MODEL PROPOSALS",
             )  # fmt: skip
-        self.space, self.values = knowledge.space, knowledge.values
+        self.space, values = knowledge.space, knowledge.values
         self._equations = system_equations(system, self.space.names)
-        parameters = expand_parameters_by_values(system, self.values)
+        parameters = expand_parameters_by_values(system, values)
         indices = group_indices(system, parameters, [_blank_record(system, groups)])
-        self._row = self._equations.parameter_rows(self.values, indices)[0]
+        self._row = self._equations.parameter_rows(values, indices)[0]
         self._n, self._n_u = len(system.coordinates), len(system.inputs)
         self._missing = missing_forces(self._equations)
         self._actuators = self._actuator_formula(system)
-        vector = self.space.to_vector(self.values)
+        vector = self.space.to_vector(values)
         self.prior = Prior(self.space)
         chain = self._equations.coordinate_derivatives(self.space, vector, indices)[0]
-        self._columns = self._equations.free_columns(self.space)
-        self._scale = chain * self.prior.spread
-        # a standard deviation of the prior in the parameter's own unit
+        scale = chain * self.prior.spread
+        self.selection = np.zeros((self._equations.n_p, len(scale)))
+        self.selection[self._equations.free_columns(self.space), range(len(scale))] = scale
         self.units = self.space.derivatives(vector) * self.prior.spread
 
     def _actuator_formula(self, system: LagrangianSystem) -> Formula:
@@ -623,12 +630,17 @@ class _Dynamics:
         rows = np.broadcast_to(self._row, (n, len(self._row)))
         return np.concatenate([points, np.broadcast_to(u, (n, self._n_u)), rows], axis=1)
 
+    def remainder(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_q"]:
+        """Forces that are missing with these inputs: 0 where the inputs act linearly."""
+        u = self.actuation(points)[:, : self._n_u]
+        return evaluate(self._missing, self._with_inputs(points, u))
+
     def slopes(
         self, points: Float[np.ndarray, "n n_m"], u: Float[np.ndarray, "n n_u"]
-    ) -> Float[np.ndarray, "n n_q n_p"]:
-        """Derivatives of forces by the parameters, in standard deviations of their priors."""
+    ) -> Float[np.ndarray, "n n_q n_e"]:
+        """Derivatives of forces by the parameters of the equations, see `selection`."""
         rows = evaluate(self._missing, self._with_inputs(points, u), derivatives=True)
-        return rows.reshape(len(points), self._n, -1)[:, :, self._columns] * self._scale
+        return rows.reshape(len(points), self._n, -1)
 
 
 class _Problem:
@@ -665,7 +677,7 @@ class _Problem:
         """Half the logarithm of the determinant of the information of a motion, and the matrix."""
         points = self._shapes.points(x, self._t)
         u = self._dynamics.actuation(points)[:, : self._n]
-        matrix = self._matrix(self._dynamics.slopes(points, u))
+        matrix = self._matrix(self._dynamics.slopes(points, u) @ self._dynamics.selection)
         return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
 
     def _matrix(self, slopes: Float[np.ndarray, "n n_q n_p"]) -> Float[np.ndarray, "n_p n_p"]:
@@ -685,16 +697,18 @@ class _Problem:
         everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
         actuation = self._dynamics.actuation(everywhere)
         slopes = self._dynamics.slopes(everywhere, actuation[:, : self._n])
-        matrix = self._matrix(slopes[:n])
+        selection = self._dynamics.selection
+        own = slopes[:n] @ selection
+        matrix = self._matrix(own)
         _, logarithm = np.linalg.slogdet(matrix)
         shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
         beyond = np.maximum(np.abs(shares) - 1, 0.0)
         cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
         # derivatives of the information by the derivatives of forces, of the cost by limits
-        weighted = (slopes[:n] * self._weights[:, None]) @ np.linalg.inv(matrix)
+        weighted = (own * self._weights[:, None]) @ np.linalg.inv(matrix) @ selection.T
         by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
         along = np.einsum(
-            "nqp,nkqp->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
+            "nqe,nkqe->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
             optimize=True,
         )  # fmt: skip
         changed = actuation[n:].reshape(n, 2 * n_m, -1)
@@ -735,6 +749,14 @@ def _require_actuated(
         raise InputError(
             place, f"the inputs of '{system.name}' do not drive every coordinate",
             "an input for each coordinate",
+            "propose records: tustinnet next-record MODEL PROPOSALS",
+        )  # fmt: skip
+    points = _random_points(shapes, 8, rng)
+    forces = dynamics.actuation(points)[:, n:]
+    if np.abs(dynamics.remainder(points)).max() > _NULL * np.abs(forces).max():
+        raise InputError(
+            place, f"an input of '{system.name}' that does not act linearly",
+            "forces that are linear in the inputs",
             "propose records: tustinnet next-record MODEL PROPOSALS",
         )  # fmt: skip
     for i, channel in enumerate(system.inputs):
@@ -896,7 +918,8 @@ def _find_combinations(
 
     points = _random_points(shapes, _RANDOM_POINTS, rng)
     u = dynamics.actuation(points)[:, : len(noise)]
-    rows = (dynamics.slopes(points, u) / noise[:, None]).reshape(-1, len(dynamics.units))
+    slopes = dynamics.slopes(points, u) @ dynamics.selection
+    rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))
     triangle, order = scipy.linalg.qr(rows, mode="r", pivoting=True)[-2:]
     sizes = np.abs(np.diag(triangle))
     rank = int(np.sum(sizes > _NULL * sizes[0]))
