@@ -791,7 +791,7 @@ def _random_motion(
     Raises:
         InputError: no pose is within the limits of the actuators.
     """
-    worst = np.zeros(len(box.half))
+    nearest = np.full(len(box.half), np.inf)  # of poses: by how much limits are exceeded
     for _ in range(_DRAWS):
         x = rng.normal(size=(shapes.count, len(shapes.middle)))
         x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
@@ -802,14 +802,15 @@ def _random_motion(
         x[1:] = 0.0
         points = shapes.points(x, t[:1])
         shares = box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))[0]
-        worst = np.maximum(worst, np.where(np.isfinite(shares), np.abs(shares), np.inf))
-    k = int(np.argmax(worst))
+        if np.abs(shares).max() < nearest.max():
+            nearest = np.abs(shares)
+    k = int(np.argmax(nearest))
     n = len(system.coordinates)
     what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
     name = system.inputs[k % n].name if what == "input" else name
     raise InputError(
-        f"system '{system.name}'", f"no pose within the limits: it needs {worst[k]:.3g} times the "
-        f"{what} limit of '{name}' at rest", "poses that actuators can hold",
+        f"system '{system.name}'", f"no pose within the limits: it needs {nearest[k]:.3g} times "
+        f"the {what} limit of '{name}' at rest", "poses that actuators can hold",
         "check the limits, or give others by --within and --limits",
     )  # fmt: skip
 
