@@ -1,8 +1,6 @@
 """`next-record`: which of some proposed records would tell the most, and a design of one."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,23 +120,13 @@ ROLL = (
 QUICK = ("--harmonics", 3, "--seconds", 4, "--starts", 1, "--budget", "2s")
 
 
-@pytest.fixture(scope="module")
-def designed(tmp_path_factory) -> tuple[Path, str, str]:
-    """The folder of a motion that was designed for a robot's file alone, and what was printed."""
-    out = tmp_path_factory.mktemp("designed") / "motion"
-    words = ["next-record", "--design", "--system", ARM, "--out", out, "--rate", "100", *ROLL,
-             *QUICK, "--margin", "0.2", "--noise", "0.05", "--seed", "3",
-             "--within", "elbow_ddot=-8:8"]  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-m", "tustinnet", *map(str, words)], capture_output=True, text=True,
-        check=False,
+def test_a_motion_is_designed_for_the_file_of_a_robot(tmp_path, capsys):
+    out = tmp_path / "motion"
+    code, printed, progress = tustinnet(
+        capsys, "next-record", "--design", "--system", ARM, "--out", out, "--rate", 100, *ROLL,
+        *QUICK, "--margin", 0.2, "--noise", 0.05, "--seed", 3, "--within", "elbow_ddot=-8:8",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return out, done.stdout, done.stderr
-
-
-def test_a_motion_is_designed_for_the_file_of_a_robot(designed):
-    out, printed, progress = designed
+    assert code == 0, progress
     assert {path.name for path in out.iterdir()} == {"motion.csv", "motion.png", "design.json"}
     table = pl.read_csv(out / "motion.csv")
     joints, n = ["shoulder", "elbow", "lift", "roll"], 4 * 100 + 1
@@ -235,6 +223,7 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
     ],
 )  # fmt: skip
 def test_a_ranking_refuses_the_options_of_a_design(option, place, capsys):
+    """Given to next-record with proposals."""
     refuse(capsys, f"{option[0]}: not applicable to a ranking", place.model, place.proposals,
            "--system", place.system, *option)  # fmt: skip
 

@@ -28,7 +28,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import from_arrays
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.groups import (
@@ -58,6 +58,7 @@ _RANDOM_POINTS = 300  # by which base parameters are found
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
 _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
 _USUAL_NOISE = 0.02  # of the force of a motion
+_LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
 _MOST = 10**6  # samples
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
@@ -308,10 +309,15 @@ def fitted_knowledge(
     if identification is None:
         parameters = expand_parameters_by_values(model.system, values)
         return Knowledge(make_search_space(model.system, values, {}, parameters), values)
-    errors = {e["coordinate"]: float(e["train"]) for e in identification.get("force_errors", ())}
-    # a covariance by inverse dynamics has its priors in it, so all directions have errors
-    space, covariance, _ = parameter_covariance(model, identification, 0.0 if errors else SHRINKAGE)
-    noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
+    with convert_errors("next-record", "errors that do not fit", "those of an identified system"):
+        errors = {
+            e["coordinate"]: max(float(e["train"]), _LEAST_NOISE * float(e["size"]), _LEAST_NOISE)
+            for e in identification.get("force_errors", ())
+        }
+        # a covariance by inverse dynamics has its priors in it, so all directions have errors
+        shrinkage = 0.0 if errors else SHRINKAGE
+        space, covariance, _ = parameter_covariance(model, identification, shrinkage)
+        noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
     return Knowledge(space, values, covariance, noise)
 
 

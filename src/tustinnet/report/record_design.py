@@ -129,7 +129,6 @@ def design_figure(design: RecordDesign) -> "Figure":
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         figure.align_ylabels()
-        figure.suptitle(
-            "dashed: limits, where the motion comes near; dotted: what the margin leaves", fontsize=8
-        )
+        title = "dashed: limits, where the motion comes near; dotted: what the margin leaves"
+        figure.suptitle(title, fontsize=8)
         return figure
