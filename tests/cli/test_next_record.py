@@ -192,6 +192,8 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
     refuse(capsys, "one direction alone", *robot, "--within", "roll_dot=1:2")
     refuse(capsys, "it needs", *robot, *ROLL, "--limits", "lift_force=-1:1")
     refuse(capsys, "--seconds: -1", *robot, *ROLL, "--seconds", -1)
+    refuse(capsys, "--frequency: nan", *robot, *ROLL, "--frequency", "nan")
+    refuse(capsys, "0.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.05)
     refuse(capsys, "2.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.25)
     refuse(capsys, "a tenth of the sampling rate", *robot, *ROLL, "--rate", 5)
     refuse(capsys, "--rate: 0", *robot, *ROLL, "--rate", 0)

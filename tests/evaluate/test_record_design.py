@@ -108,6 +108,18 @@ def test_the_derivatives_of_the_search_are_those_of_its_cost():
         assert gradient @ along.ravel() == pytest.approx((after - before) / (2 * h), rel=1e-4)
 
 
+def test_a_length_between_two_samples_ends_at_rest_at_a_sample():
+    system, options = slider(), replace(OPTIONS, seconds=1.0034, iterations=1)
+    limits = gather_limits(system, {}, {}, system.channels)
+    design = design_record(system, prior_knowledge(system, {}), limits, options)
+    assert design.t[-1] == pytest.approx(1.0)
+    assert design.motion.frequency == pytest.approx(1.0)
+    assert np.abs(design.v[[0, -1]]).max() < 1e-9
+    repeated = replace(OPTIONS, frequency=0.5, iterations=1)
+    design = design_record(system, prior_knowledge(system, {}), limits, repeated)
+    assert design.q[:200] == pytest.approx(design.q[200:400], abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [

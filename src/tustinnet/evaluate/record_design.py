@@ -103,13 +103,15 @@ class DesignOptions:
             ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
             ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
             ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
+            ("--frequency", self.frequency or 0.0,
+             self.frequency is None or 0 < self.frequency <= 1e4, "above 0, and at most 10000 Hz"),
             ("--noise", self.noise or 0.0, self.noise is None or 0 < self.noise <= 10,
              "a share of the force, above 0"),
         ):  # fmt: skip
             if not is_valid:
                 raise InputError(option, f"{value:g}", expected)
-        periods = self.seconds * self.base_frequency
-        if not periods >= 1 - 1e-9 or abs(periods - round(periods)) > 1e-6 * periods:
+        periods = 1.0 if self.frequency is None else self.seconds * self.frequency
+        if periods < 1 - 1e-6 or abs(periods - round(periods)) > 1e-6 * periods:
             raise InputError(
                 "--frequency", f"{periods:.4g} periods in {self.seconds:g} s", "a whole number",
                 f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
