@@ -60,6 +60,8 @@ _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the prio
 _USUAL_NOISE = 0.02  # of the force of a motion
 _LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
 _MOST = 10**6  # samples
+_PLACE = "next-record --design"  # of messages
+_RANK = "propose records: tustinnet next-record MODEL PROPOSALS"
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
 
@@ -329,13 +331,29 @@ def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None
     for per, name in needed.items():
         if per not in groups:
             raise InputError(
-                "next-record --design", f"no group '{per}', which '{name}' is per",
+                _PLACE, f"no group '{per}', which '{name}' is per",
                 "the group of the record to be made", f"--group {per}=NAME",
             )  # fmt: skip
     if unknown := [name for name in groups if name not in needed]:
         raise InputError(
             "--group", f"'{unknown[0]}', which nothing in the system is per",
             f"one of {', '.join(needed)}" if needed else "no --group",
+        )  # fmt: skip
+
+
+def require_inputs(system: LagrangianSystem) -> None:
+    """Raises unless forces follow from a motion, and a system has an input for each coordinate."""
+    if system.internal:
+        raise InputError(
+            _PLACE, f"the system '{system.name}' has internal states "
+            f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
+            _RANK,
+        )  # fmt: skip
+    n, n_u = len(system.coordinates), len(system.inputs)
+    if n_u != n:
+        raise InputError(
+            _PLACE, f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
+            "an input for each coordinate", _RANK,
         )  # fmt: skip
 
 
@@ -417,7 +435,8 @@ def design_record(
         InputError: a system with internal states or without an input for each coordinate, an
             actuator without limits, or limits that no motion keeps.
     """
-    require_float64("next-record --design")
+    require_float64(_PLACE)
+    require_inputs(system)
     start_time = time.monotonic()
     dynamics = _Dynamics(system, knowledge, groups or {})
     shapes = _Shapes(limits, options)
@@ -565,20 +584,11 @@ class _Dynamics:
         selection: from derivatives by the parameters of the equations to those by the free ones, in
             standard deviations of their priors, (n_e, n_p).
         units: a standard deviation of each prior, in the parameter's own unit, (n_p,).
-
-    Raises:
-        InputError: internal states.
     """
 
     def __init__(
         self, system: LagrangianSystem, knowledge: Knowledge, groups: Mapping[str, str]
     ) -> None:
-        if system.internal:
-            raise InputError(
-                "next-record --design", f"the system '{system.name}' has internal states "
-                f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
-                "propose records: tustinnet next-record MODEL PROPOSALS",
-            )  # fmt: skip
         self.space, values = knowledge.space, knowledge.values
         self._equations = system_equations(system, self.space.names)
         parameters = expand_parameters_by_values(system, values)
@@ -742,30 +752,21 @@ def _require_actuated(
     rng: np.random.Generator,
 ) -> None:
     """Raises unless inputs drive all coordinates, each by itself, and all of them have limits."""
-    n, n_u = len(system.coordinates), len(system.inputs)
-    place = "next-record --design"
-    if n_u != n:
-        raise InputError(
-            place, f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
-            "an input for each coordinate",
-            "propose records: tustinnet next-record MODEL PROPOSALS",
-        )  # fmt: skip
+    n = len(system.coordinates)
     gains = dynamics.gains(_random_points(shapes, 8, rng))
     sizes = np.abs(gains).max(axis=0)
     is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
     if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():
         raise InputError(
-            place, f"the inputs of '{system.name}' do not drive every coordinate",
-            "an input for each coordinate",
-            "propose records: tustinnet next-record MODEL PROPOSALS",
+            _PLACE, f"the inputs of '{system.name}' do not drive every coordinate",
+            "an input for each coordinate", _RANK,
         )  # fmt: skip
     points = _random_points(shapes, 8, rng)
     forces = dynamics.actuation(points)[:, n:]
     if np.abs(dynamics.remainder(points)).max() > _NULL * np.abs(forces).max():
         raise InputError(
-            place, f"an input of '{system.name}' that does not act linearly",
-            "forces that are linear in the inputs",
-            "propose records: tustinnet next-record MODEL PROPOSALS",
+            _PLACE, f"an input of '{system.name}' that does not act linearly",
+            "forces that are linear in the inputs", _RANK,
         )  # fmt: skip
     for i, channel in enumerate(system.inputs):
         k = int(np.argmax(sizes[:, i]))
