@@ -346,7 +346,11 @@ def stated_errors(system: LagrangianSystem, result: tn.Identification, count: in
 
 
 def design(count: int) -> None:
-    """A record of 10 s along a designed motion, random ones within limits, and sums of sines."""
+    """A record of 10 s along a designed motion, a random one within limits, and sums of sines.
+
+    The torques' noise is either that of one sensor, 2 % of the torques of random motions, or 2 % of
+    the torques of each record.
+    """
     system = tn.load_system(ARM)
     knowledge = prior_knowledge(system, {})
     limits = gather_limits(system, {}, {}, system.channels)
@@ -355,35 +359,41 @@ def design(count: int) -> None:
     rng, options = np.random.default_rng(0), DesignOptions(budget=None)
     reach = np.concatenate([ends[:, 1], speed, 2 * np.pi * options.highest * speed])
     states = rng.uniform(-1, 1, (1000, len(reach))) * reach
-    print("| arm | record | expected errors | stated errors | torque missing at random states [%] "
-          "| along other motions [%] | s |")  # fmt: skip
+    print("| arm | noise | record | velocity of the limit | stated errors | torque missing at "
+          "random states [%] | along other motions [%] |")  # fmt: skip
     for seed in range(count):
         truth = true_values(system, seed)
-        others = [
-            replace(e, split="validation", name=f"other{k}")
-            for k, e in enumerate(record_in_loop(system, truth, 4, 5.0, seed=500 + seed))
-        ]
-        along = np.concatenate([filter_record(e, 5.0).points for e in others])
-        stated: dict[str, np.ndarray] = {}
-        for name in ("designed", "random", "sines"):
-            begun, motions, expected = time.perf_counter(), [], ""
-            if name != "sines":
-                changes = {} if name == "designed" else {"iterations": 0, "starts": 1}
-                found = design_record(
-                    system, knowledge, limits, replace(options, seed=seed, **changes)
+        begun = time.perf_counter()
+        found = design_record(system, knowledge, limits, replace(options, seed=seed))
+        print(f"designed in {time.perf_counter() - begun:.0f} s, errors by random motions "
+              f"{found.by_random:.2f} times as large", flush=True)  # fmt: skip
+        start = replace(options, seed=seed, iterations=0, starts=1)
+        other = design_record(system, knowledge, limits, start)
+        for law, noise in (("one sensor", found.noise), ("by record", 0.02)):
+            others = [
+                replace(e, split="validation", name=f"other{k}")
+                for k, e in enumerate(
+                    record_in_loop(system, truth, 4, 5.0, noise=noise, seed=500 + seed)
                 )
-                motions, expected = [(found.q, found.v)], f"{found.by_random:.2f}"
-            seconds = time.perf_counter() - begun
-            record = record_in_loop(system, truth, 2, 10.0, seed=seed, motions=motions)[0]
-            result = tn.identify(
-                tn.DataSet("arm", (record, others[0])), system, "inverse-dynamics"
-            )
-            stated[name] = stated_errors(system, result, 69)
-            n = min(map(len, stated.values()))
-            ratio = np.exp(np.mean(np.log(stated[name][:n] / stated["designed"][:n])))
-            missing = [torque_errors(system, result.values, truth, x) for x in (states, along)]
-            print(f"| {seed} | {name} | {expected} | {ratio:.2f} | {missing[0]:.3f} | "
-                  f"{missing[1]:.3f} | {seconds:.0f} |", flush=True)  # fmt: skip
+            ]
+            along = np.concatenate([filter_record(e, 5.0).points for e in others])
+            stated: dict[str, np.ndarray] = {}
+            for name, motions in (
+                ("designed", [(found.q, found.v)]), ("random", [(other.q, other.v)]), ("sines", []),
+            ):  # fmt: skip
+                record = record_in_loop(
+                    system, truth, 2, 10.0, noise=noise, seed=seed, motions=motions
+                )[0]
+                result = tn.identify(
+                    tn.DataSet("arm", (record, others[0])), system, "inverse-dynamics"
+                )
+                stated[name] = stated_errors(system, result, 69)
+                n = min(map(len, stated.values()))
+                ratio = np.exp(np.mean(np.log(stated[name][:n] / stated["designed"][:n])))
+                missing = [torque_errors(system, result.values, truth, x) for x in (states, along)]
+                fastest = float(np.max(np.abs(record.velocities()) / speed))
+                print(f"| {seed} | {law} | {name} | {fastest:.2f} | {ratio:.2f} | {missing[0]:.3f} "
+                      f"| {missing[1]:.3f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":
