@@ -391,11 +391,11 @@ def gather_limits(
     limits = []
     for k, c in enumerate(coordinates):
         own = system.limits[k] if system.limits else MotionLimits()
-        rates = [
+        velocity, acceleration = (
             min(-within[c.name + end][0], within[c.name + end][1]) if c.name + end in within else x
             for end, x in (("_dot", own.velocity), ("_ddot", own.acceleration))
-        ]
-        own = MotionLimits(within.get(c.name, own.position), *rates, own.force)
+        )
+        own = MotionLimits(within.get(c.name, own.position), velocity, acceleration, own.force)
         for what, value, name, size in (
             ("position", own.position, c.name, "-1:1"),
             ("velocity", own.velocity, f"{c.name}_dot", "-1.5:1.5"),
@@ -508,10 +508,12 @@ class _Shapes:
     def __init__(self, limits: DesignLimits, options: DesignOptions) -> None:
         ends = np.array([own.position for own in limits.motion])
         velocity = np.array([own.velocity for own in limits.motion])
-        speed = 2 * np.pi * options.highest
-        acceleration = [own.acceleration or speed * own.velocity for own in limits.motion]  # pyright: ignore[reportOptionalOperand]
+        # None becomes NaN
+        acceleration = np.array([own.acceleration for own in limits.motion], float)
+        usual = 2 * np.pi * options.highest * velocity
+        acceleration = np.where(np.isnan(acceleration), usual, acceleration)
         self.middle = ends.mean(axis=1)
-        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, np.array(acceleration)])
+        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, acceleration])
         self._options = options
         self._shapes = motions_from_rest(options.harmonics, options.base_frequency)
         self.count = 1 + len(self._shapes)
@@ -930,7 +932,8 @@ def _find_combinations(
     u = dynamics.actuation(points)[:, : len(noise)]
     slopes = dynamics.slopes(points, u) @ dynamics.selection
     rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))
-    triangle, order = scipy.linalg.qr(rows, mode="r", pivoting=True)[-2:]
+    factors: Any = scipy.linalg.qr(rows, mode="r", pivoting=True)
+    triangle, order = factors
     sizes = np.abs(np.diag(triangle))
     rank = int(np.sum(sizes > _NULL * sizes[0]))
     beside = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
