@@ -180,6 +180,22 @@ def test_a_design_adds_to_the_records_of_a_fit(place, tmp_path, capsys):
     assert "it makes the errors of the records so far" in printed
 
 
+def test_a_design_is_for_the_group_that_is_named(tmp_path, capsys):
+    system, out = tmp_path / "arm.py", tmp_path / "motion"
+    system.write_text(
+        f"import tustinnet as tn\nSYSTEM = tn.load_robot({str(ARM)!r}, locked={{'roll': 0.0}}, "
+        "per={'spindle': 'payload'})\n"
+    )
+    words = ["next-record", "--design", "--system", system, "--out", out, *QUICK]
+    code, _, err = tustinnet(capsys, *words)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "--group payload=NAME" in err
+    code, printed, err = tustinnet(capsys, *words, "--group", "payload=2kg", "--json")
+    assert code == 0, err
+    found = json.loads(printed)["base_parameters"]
+    assert any(b["name"].startswith("spindle.") and b["name"].endswith("[2kg]") for b in found)
+
+
 def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
     design = ("--design", "--out", tmp_path / "motion")
     robot = (*design, "--system", ARM)

@@ -73,13 +73,13 @@ def test_a_design_tells_more_than_random_motions_and_keeps_the_limits_of_actuato
     within = {"roll": (-3.0, 3.0), "roll_dot": (-6.0, 6.0), "shoulder_ddot": (-9.0, 9.0)}
     inputs = {"roll_torque": (-0.03, 0.03), "shoulder_torque": (-3.0, 4.0)}
     limits = gather_limits(system, within, inputs, system.channels)
-    told = []
+    steps = []
     design = design_record(
-        system, prior_knowledge(system, {}), limits, OPTIONS, on_progress=told.append
+        system, prior_knowledge(system, {}), limits, OPTIONS, on_progress=steps.append
     )
     assert design.by_random > 1.3
-    assert {p.start for p in told} == {1, 2}
-    assert told[-1].gain > 0
+    assert {p.start for p in steps} == {1, 2}
+    assert steps[-1].gain > 0
     assert not design.stopped
     shoulder, roll = design.u[:, 0], design.u[:, 3]
     assert np.abs(roll).max() <= 0.9 * 0.03 * (1 + 1e-9)
