@@ -5,6 +5,7 @@
     python benchmarks/robots.py twins OUT [COUNT [FIRST]]     (default: 50 arms of 7 joints)
     python benchmarks/robots.py halves OUT [COUNT [FIRST]]    two halves of an arm's records
     python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
+    python benchmarks/robots.py design [COUNT]        a designed record against random ones
 
 Needs the extras `bench` and `robots`. Each chain and each robot is compared at three states;
 differences of mass matrices, bias forces and energies are relative to the largest number of each
@@ -39,6 +40,14 @@ import numpy as np
 import tustinnet as tn
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import Runs, evaluate, simulate
+from tustinnet.evaluate.record_design import (
+    DesignOptions,
+    design_record,
+    gather_limits,
+    prior_knowledge,
+)
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.inverse_dynamics import filter_record, missing_forces
 from tustinnet.models.chains import INERTIAL, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.store.data_set_folder import write_data_set
@@ -408,10 +417,89 @@ def payload(count: int) -> None:
         print(f"{seed}: {sentence}; {time.perf_counter() - begun:.0f} s", flush=True)
 
 
+def torque_errors(
+    system: LagrangianSystem, values: dict[str, float], truth: dict[str, float], points: np.ndarray
+) -> float:
+    """Torques that values miss at positions, velocities and accelerations [%], mean over joints."""
+    equations, n = system_equations(system), len(system.coordinates)
+    formula = missing_forces(equations)
+    none = np.zeros((len(points), len(system.inputs)))
+
+    def torques(of: dict[str, float]) -> np.ndarray:
+        rows = equations.parameter_rows(of, np.zeros((len(points), 0), int))
+        return evaluate(formula, np.concatenate([points[:, : 3 * n], none, rows], axis=1))
+
+    true = torques(truth)
+    error = np.sqrt(np.mean((torques(values) - true) ** 2, axis=0))
+    return float(np.mean(100 * error / np.sqrt(np.mean(true**2, axis=0))))
+
+
+def stated_errors(system: LagrangianSystem, result: tn.Identification, count: int) -> np.ndarray:
+    """Stated errors of the best determined combinations, in those of the priors, sorted."""
+    names = [e.name for e in result.estimates]
+    own = np.array([e.error or 0.0 for e in result.estimates]) / spreads(names, system)
+    covariance = np.nan_to_num(result.correlation) * np.outer(own, own)
+    sizes = np.linalg.eigvalsh(covariance)
+    return np.sqrt(sizes[sizes > 0][:count])
+
+
+def design(count: int) -> None:
+    """A record of 10 s along a designed motion, a random one within limits, and sums of sines.
+
+    The torques' noise is either that of one sensor, 2 % of the torques of random motions, or 2 % of
+    the torques of each record.
+    """
+    system = tn.load_system(ARM)
+    knowledge = prior_knowledge(system, {})
+    limits = gather_limits(system, {}, {}, system.channels)
+    ends = np.array([own.position for own in limits.motion])
+    speed = np.array([own.velocity for own in limits.motion])
+    rng, options = np.random.default_rng(0), DesignOptions(budget=None)
+    reach = np.concatenate([ends[:, 1], speed, 2 * np.pi * options.highest * speed])
+    states = rng.uniform(-1, 1, (1000, len(reach))) * reach
+    print("| arm | noise | record | velocity of the limit | stated errors | torque missing at "
+          "random states [%] | along other motions [%] |")  # fmt: skip
+    for seed in range(count):
+        truth = true_values(system, seed)
+        begun = time.perf_counter()
+        found = design_record(system, knowledge, limits, replace(options, seed=seed))
+        print(f"designed in {time.perf_counter() - begun:.0f} s, errors by random motions "
+              f"{found.by_random:.2f} times as large", flush=True)  # fmt: skip
+        start = replace(options, seed=seed, iterations=0, starts=1)
+        other = design_record(system, knowledge, limits, start)
+        for law, noise in (("one sensor", found.noise), ("by record", 0.02)):
+            others = [
+                replace(e, split="validation", name=f"other{k}")
+                for k, e in enumerate(
+                    record_in_loop(system, truth, 4, 5.0, noise=noise, seed=500 + seed)
+                )
+            ]
+            along = np.concatenate([filter_record(e, 5.0).points for e in others])
+            stated: dict[str, np.ndarray] = {}
+            for name, motions in (
+                ("designed", [(found.q, found.v)]), ("random", [(other.q, other.v)]), ("sines", []),
+            ):  # fmt: skip
+                record = record_in_loop(
+                    system, truth, 2, 10.0, noise=noise, seed=seed, motions=motions
+                )[0]
+                result = tn.identify(
+                    tn.DataSet("arm", (record, others[0])), system, "inverse-dynamics"
+                )
+                stated[name] = stated_errors(system, result, 69)
+                n = min(map(len, stated.values()))
+                ratio = np.exp(np.mean(np.log(stated[name][:n] / stated["designed"][:n])))
+                missing = [torque_errors(system, result.values, truth, x) for x in (states, along)]
+                fastest = float(np.max(np.abs(record.velocities()) / speed))
+                print(f"| {seed} | {law} | {name} | {fastest:.2f} | {ratio:.2f} | {missing[0]:.3f} "
+                      f"| {missing[1]:.3f} |", flush=True)  # fmt: skip
+
+
 if __name__ == "__main__":
     verb, *words = sys.argv[1:] or ["50"]
     if verb == "descriptions":
         descriptions(words)
+    elif verb == "design":
+        design(*map(int, words or ["3"]))
     elif verb == "payload":
         payload(*map(int, words or ["10"]))
     elif verb in ("twins", "halves"):

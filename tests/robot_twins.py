@@ -70,7 +70,7 @@ def record_in_loop(
     count: int,
     seconds: float = 5.0,
     dt: float = 0.005,
-    noise: float = 0.02,
+    noise: float | np.ndarray = 0.02,
     seed: int = 0,
     amplitude: float = 0.6,
     motions: Sequence[tuple[np.ndarray, np.ndarray]] = (),
@@ -83,7 +83,8 @@ def record_in_loop(
         count: number of records; the last is for validation.
         seconds: length of each [s].
         dt: sampling period [s].
-        noise: standard deviation of the torques' noise, relative to their root mean square.
+        noise: standard deviation of the torques' noise, relative to that of the torques of the
+            record; or that of each input, (n_u,) [N m or N].
         seed: seed of set points and noise.
         amplitude: size of the set points [rad or m].
         motions: positions and velocities that the first records follow instead, (n, n_q) each.
@@ -117,7 +118,8 @@ def record_in_loop(
             force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
             torques[i] = force[driven]
             x = step(x, torques[i])
-        measured = torques + noise * torques.std(axis=0) * rng.normal(size=torques.shape)
+        level = noise if isinstance(noise, np.ndarray) else noise * torques.std(axis=0)
+        measured = torques + level * rng.normal(size=torques.shape)
         records.append(tn.from_arrays(
             np.round(states[:, :n] / COUNT) * COUNT, measured, dt=dt,
             coordinates=[tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates],

@@ -1,8 +1,6 @@
 """`next-record`: which of some proposed records would tell the most, and a design of one."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,23 +120,13 @@ ROLL = (
 QUICK = ("--harmonics", 3, "--seconds", 4, "--starts", 1, "--budget", "2s")
 
 
-@pytest.fixture(scope="module")
-def designed(tmp_path_factory) -> tuple[Path, str, str]:
-    """The folder of a motion that was designed for a robot's file alone, and what was printed."""
-    out = tmp_path_factory.mktemp("designed") / "motion"
-    words = ["next-record", "--design", "--system", ARM, "--out", out, "--rate", "100", *ROLL,
-             *QUICK, "--margin", "0.2", "--noise", "0.05", "--seed", "3",
-             "--within", "elbow_ddot=-8:8"]  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-m", "tustinnet", *map(str, words)], capture_output=True, text=True,
-        check=False,
+def test_a_motion_is_designed_for_the_file_of_a_robot(tmp_path, capsys):
+    out = tmp_path / "motion"
+    code, printed, progress = tustinnet(
+        capsys, "next-record", "--design", "--system", ARM, "--out", out, "--rate", 100, *ROLL,
+        *QUICK, "--margin", 0.2, "--noise", 0.05, "--seed", 3, "--within", "elbow_ddot=-8:8",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return out, done.stdout, done.stderr
-
-
-def test_a_motion_is_designed_for_the_file_of_a_robot(designed):
-    out, printed, progress = designed
+    assert code == 0, progress
     assert {path.name for path in out.iterdir()} == {"motion.csv", "motion.png", "design.json"}
     table = pl.read_csv(out / "motion.csv")
     joints, n = ["shoulder", "elbow", "lift", "roll"], 4 * 100 + 1
@@ -192,6 +180,22 @@ def test_a_design_adds_to_the_records_of_a_fit(place, tmp_path, capsys):
     assert "it makes the errors of the records so far" in printed
 
 
+def test_a_design_is_for_the_group_that_is_named(tmp_path, capsys):
+    system, out = tmp_path / "arm.py", tmp_path / "motion"
+    system.write_text(
+        f"import tustinnet as tn\nSYSTEM = tn.load_robot({str(ARM)!r}, locked={{'roll': 0.0}}, "
+        "per={'spindle': 'payload'})\n"
+    )
+    words = ["next-record", "--design", "--system", system, "--out", out, *QUICK]
+    code, _, err = tustinnet(capsys, *words)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "--group payload=NAME" in err
+    code, printed, err = tustinnet(capsys, *words, "--group", "payload=2kg", "--json")
+    assert code == 0, err
+    found = json.loads(printed)["base_parameters"]
+    assert any(b["name"].startswith("spindle.") and b["name"].endswith("[2kg]") for b in found)
+
+
 def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
     design = ("--design", "--out", tmp_path / "motion")
     robot = (*design, "--system", ARM)
@@ -204,6 +208,8 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
     refuse(capsys, "one direction alone", *robot, "--within", "roll_dot=1:2")
     refuse(capsys, "it needs", *robot, *ROLL, "--limits", "lift_force=-1:1")
     refuse(capsys, "--seconds: -1", *robot, *ROLL, "--seconds", -1)
+    refuse(capsys, "--frequency: nan", *robot, *ROLL, "--frequency", "nan")
+    refuse(capsys, "0.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.05)
     refuse(capsys, "2.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.25)
     refuse(capsys, "a tenth of the sampling rate", *robot, *ROLL, "--rate", 5)
     refuse(capsys, "--rate: 0", *robot, *ROLL, "--rate", 0)
@@ -213,9 +219,8 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
     refuse(capsys, "--budget: 'soon'", *robot, *ROLL, "--budget", "soon")
     refuse(capsys, "which nothing in the system is per", *robot, *ROLL, "--group", "payload=1kg")
     pendulum = ARM.parent / "double_pendulum.urdf"
-    free = [word for name in ("upper_joint", "lower_joint")
-            for word in ("--within", f"{name}=-1:1", "--within", f"{name}_dot=-1:1")]  # fmt: skip
-    refuse(capsys, "1 inputs of 2 coordinates", *design, "--system", pendulum, *free)
+    refuse(capsys, "1 input of 2 coordinates", *design, "--system", pendulum)
+    refuse(capsys, "made for the records", *design, "--system", "mechanism")
     refuse(capsys, "neither a model nor a system", *design)
     refuse(capsys, "no folder for the motion; expected --out DIR", "--design", "--system", ARM)
     network = run_folder / "model.safetensors"
@@ -235,6 +240,7 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
     ],
 )  # fmt: skip
 def test_a_ranking_refuses_the_options_of_a_design(option, place, capsys):
+    """Given to next-record with proposals."""
     refuse(capsys, f"{option[0]}: not applicable to a ranking", place.model, place.proposals,
            "--system", place.system, *option)  # fmt: skip
 

@@ -16,6 +16,7 @@ from tustinnet.errors import InputError
 from tustinnet.models.chains import DIAGONAL, inertial_parameters
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.systems.qube_servo2 import SYSTEM as QUBE
 
 mujoco = import_module("mujoco")  # no types are known
@@ -554,3 +555,40 @@ def test_joints_and_columns_have_to_agree():
     # a joint without an input is not driven
     passive = system.for_channels(system.coordinates, [tn.Input("tau_turn", "N m")], "record 'one'")
     assert [i.name for i in passive.inputs] == ["tau_turn"]
+
+
+def test_limits_of_joints_are_those_of_a_urdf():
+    limits = dict(zip(("lift", "turn", "left"), tn.load_system(ROBOTS / "gripper.urdf").limits,
+                      strict=True))  # fmt: skip
+    assert limits["lift"] == MotionLimits((0.0, 0.5), 0.5, force=200.0)
+    assert limits["left"] == MotionLimits((0.0, 0.04), 0.1, force=40.0)
+    scara = tn.load_system(ROBOTS / "scara.urdf")
+    assert scara.limits[3] == MotionLimits(), "a continuous joint has none"
+    reordered = scara.for_channels(scara.coordinates[::-1], scara.inputs[::-1], "records")
+    assert reordered.limits == scara.limits[::-1]
+
+
+def test_a_joint_that_follows_limits_the_one_that_it_follows(tmp_path):
+    text = (ROBOTS / "gripper.urdf").read_text()
+    text = text.replace('multiplier="1" offset="0"', 'multiplier="-2" offset="0.04"')
+    (tmp_path / "gripper.urdf").write_text(text)
+    left = tn.load_system(tmp_path / "gripper.urdf").limits[2]
+    assert left.position == pytest.approx((0.0, 0.02))
+    assert left.velocity == pytest.approx(0.05)
+
+
+def test_limits_of_joints_are_those_of_a_file_of_mujoco(tmp_path):
+    text = (ROBOTS / "cart_pole.xml").read_text()
+    changes = {
+        'type="slide" axis': 'type="slide" range="-0.4 0.6" axis',
+        '<joint name="pole"': '<joint name="pole" actuatorfrcrange="-3 2"',
+        'joint="slide"/>': 'joint="slide" gear="5" ctrlrange="-2 2" forcerange="-3 1.5"/>'
+        '<motor name="torque" joint="pole" forcerange="-4 4"/>',
+    }
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "robot.xml").write_text(text)
+    slide, pole = tn.load_system(tmp_path / "robot.xml").limits
+    assert slide == MotionLimits((-0.4, 0.6), force=7.5), "the smallest of both directions"
+    assert pole == MotionLimits(force=2.0)

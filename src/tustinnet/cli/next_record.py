@@ -219,6 +219,7 @@ def _design(
         fitted_knowledge,
         gather_limits,
         prior_knowledge,
+        require_inputs,
     )
     from tustinnet.store.files import lock_folder, require_outputs
     from tustinnet.store.header import read_header
@@ -235,6 +236,7 @@ def _design(
             raise InputError("--design", "neither a model nor a system", "one of them",
                              "for instance --system arm.urdf")  # fmt: skip
         equations = load_system(find_system(system))
+        require_inputs(equations)
         knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
     else:
         fitted, header = request.load_model(model, system), read_header(model)
@@ -245,6 +247,7 @@ def _design(
                 "fit one: tustinnet fit LOGS --recipe inverse-dynamics --system arm.urdf",
             )  # fmt: skip
         equations, channels, dt = mechanics.system, fitted.channels, fitted.dt
+        require_inputs(equations)
         knowledge = fitted_knowledge(mechanics, header.get("identification"), groups)
     if rate is not None and not 0 < rate <= _HIGHEST_RATE:
         raise InputError("--rate", f"{rate:g}", f"a rate above 0 and at most {_HIGHEST_RATE:g} Hz")

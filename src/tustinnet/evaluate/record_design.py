@@ -15,7 +15,7 @@ References:
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import from_arrays
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.groups import (
@@ -47,18 +47,21 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
+from tustinnet.wording import counted
 
 _POINTS = 16  # of a period of the highest harmonic at which a motion is judged
 _STEP = 1e-5  # of the limits of a motion, by which derivatives are differences
-_PENALTIES = (1e2, 1e4, 1e6)  # of squares of what is beyond the limits, one stage each
-_ITERATIONS = 150  # of each stage, at most
+_PENALTIES = (1e2, 1e4)  # of squares of what is beyond the limits, one stage each
 _DRAWS = 200  # random motions until one is within the limits
 _BISECTIONS = 30  # until the size of a motion is found
 _RANDOM_POINTS = 300  # by which base parameters are found
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
 _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
 _USUAL_NOISE = 0.02  # of the force of a motion
-_LEAST_FORCE = 1e-9  # N m or N, so that no noise is 0
+_LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
+_MOST = 10**6  # samples
+_PLACE = "next-record --design"  # of messages
+_RANK = "propose records: tustinnet next-record MODEL PROPOSALS"
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
 
@@ -73,10 +76,12 @@ class DesignOptions:
         dt: sampling period [s].
         margin: share of each limit that is kept free, for a controller that does not follow
             exactly.
-        noise: what is not known of a force, by the root mean square of it; None for what the fit
-            has left, or 2 %.
+        noise: what stays unexplained of a force, by its root mean square along random motions
+            within the limits; None for what the fit has left, or 2 %.
         starts: number of random motions that the search starts from.
         seed: seed of these.
+        iterations: steps of each of the two stages of the search, at most; 0 for the best of the
+            random motions.
         budget: time that the search may take [s], None for no limit.
     """
 
@@ -88,6 +93,7 @@ class DesignOptions:
     noise: float | None = None
     starts: int = 4
     seed: int = 0
+    iterations: int = 150
     budget: float | None = 60.0
 
     def __post_init__(self) -> None:
@@ -99,16 +105,23 @@ class DesignOptions:
             ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
             ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
             ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
+            ("--frequency", self.frequency or 0.0,
+             self.frequency is None or 0 < self.frequency <= 1e4, "above 0, and at most 10000 Hz"),
             ("--noise", self.noise or 0.0, self.noise is None or 0 < self.noise <= 10,
              "a share of the force, above 0"),
         ):  # fmt: skip
             if not is_valid:
                 raise InputError(option, f"{value:g}", expected)
-        periods = self.seconds * self.base_frequency
-        if not periods >= 1 - 1e-9 or abs(periods - round(periods)) > 1e-6 * periods:
+        periods = 1.0 if self.frequency is None else self.seconds * self.frequency
+        if periods < 1 - 1e-6 or abs(periods - round(periods)) > 1e-6 * periods:
             raise InputError(
                 "--frequency", f"{periods:.4g} periods in {self.seconds:g} s", "a whole number",
                 f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
+            )  # fmt: skip
+        if self.seconds / self.dt > _MOST:
+            raise InputError(
+                "--rate", f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
+                f"at most {_MOST:.0e}", "fewer seconds, or a lower rate",
             )  # fmt: skip
         if self.highest > 0.1 / self.dt:
             raise InputError(
@@ -119,8 +132,10 @@ class DesignOptions:
 
     @property
     def base_frequency(self) -> float:
-        """Frequency of the first harmonic [Hz]."""
-        return 1 / self.seconds if self.frequency is None else self.frequency
+        """Frequency of the first harmonic [Hz]; by default that of a whole number of samples."""
+        if self.frequency is not None:
+            return self.frequency
+        return 1 / (round(self.seconds / self.dt) * self.dt)
 
     @property
     def highest(self) -> float:
@@ -298,26 +313,47 @@ def fitted_knowledge(
     if identification is None:
         parameters = expand_parameters_by_values(model.system, values)
         return Knowledge(make_search_space(model.system, values, {}, parameters), values)
-    errors = {e["coordinate"]: float(e["train"]) for e in identification.get("force_errors", ())}
-    # a covariance by inverse dynamics has its priors in it, so all directions have errors
-    space, covariance, _ = parameter_covariance(model, identification, 0.0 if errors else SHRINKAGE)
-    noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
+    with convert_errors("next-record", "errors that do not fit", "those of an identified system"):
+        errors = {
+            e["coordinate"]: max(float(e["train"]), _LEAST_NOISE * float(e["size"]), _LEAST_NOISE)
+            for e in identification.get("force_errors", ())
+        }
+        # a covariance by inverse dynamics has its priors in it, so all directions have errors
+        shrinkage = 0.0 if errors else SHRINKAGE
+        space, covariance, _ = parameter_covariance(model, identification, shrinkage)
+        noise = np.array([errors[c.name] for c in model.system.coordinates]) if errors else None
     return Knowledge(space, values, covariance, noise)
 
 
 def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None:
     """Raises unless the groups are those by which parameters of a system differ."""
-    needed = {str(p.per): p.name for p in system.grouped}
+    needed = {str(p.per): p.name for p in reversed(system.grouped)}
     for per, name in needed.items():
         if per not in groups:
             raise InputError(
-                "next-record --design", f"no group '{per}', which '{name}' is per",
+                _PLACE, f"no group '{per}', which '{name}' is per",
                 "the group of the record to be made", f"--group {per}=NAME",
             )  # fmt: skip
     if unknown := [name for name in groups if name not in needed]:
         raise InputError(
             "--group", f"'{unknown[0]}', which nothing in the system is per",
             f"one of {', '.join(needed)}" if needed else "no --group",
+        )  # fmt: skip
+
+
+def require_inputs(system: LagrangianSystem) -> None:
+    """Raises unless forces follow from a motion, and a system has an input for each coordinate."""
+    if system.internal:
+        raise InputError(
+            _PLACE, f"the system '{system.name}' has internal states "
+            f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
+            _RANK,
+        )  # fmt: skip
+    n, n_u = len(system.coordinates), len(system.inputs)
+    if n_u != n:
+        raise InputError(
+            _PLACE, f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
+            "an input for each coordinate", _RANK,
         )  # fmt: skip
 
 
@@ -355,11 +391,11 @@ def gather_limits(
     limits = []
     for k, c in enumerate(coordinates):
         own = system.limits[k] if system.limits else MotionLimits()
-        rates = [
+        velocity, acceleration = (
             min(-within[c.name + end][0], within[c.name + end][1]) if c.name + end in within else x
             for end, x in (("_dot", own.velocity), ("_ddot", own.acceleration))
-        ]
-        own = MotionLimits(within.get(c.name, own.position), *rates, own.force)
+        )
+        own = MotionLimits(within.get(c.name, own.position), velocity, acceleration, own.force)
         for what, value, name, size in (
             ("position", own.position, c.name, "-1:1"),
             ("velocity", own.velocity, f"{c.name}_dot", "-1.5:1.5"),
@@ -399,7 +435,8 @@ def design_record(
         InputError: a system with internal states or without an input for each coordinate, an
             actuator without limits, or limits that no motion keeps.
     """
-    require_float64("next-record --design")
+    require_float64(_PLACE)
+    require_inputs(system)
     start_time = time.monotonic()
     dynamics = _Dynamics(system, knowledge, groups or {})
     shapes = _Shapes(limits, options)
@@ -412,12 +449,11 @@ def design_record(
     starts = [
         _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
     ]
-    cutoff = cutoff_for(options.highest, options.dt)
-    count = compared_samples(options.seconds, cutoff)
-    fixed = knowledge.noise if options.noise is None else None
-    noise = _Noise(fixed, options.noise or _USUAL_NOISE)
+    noise = _choose_noise(knowledge, options, dynamics, shapes, starts, judged)
+    count = compared_samples(options.seconds, cutoff_for(options.highest, options.dt))
     known = _information(knowledge, dynamics)
-    problem = _Problem(dynamics, shapes, box, noise, known, count, judged)
+    weights = count / len(judged) / noise**2
+    problem = _Problem(dynamics, shapes, box, known, weights, options.iterations, judged)
     first = problem.information(starts[0])[0]
     results, stopped = [], False
     for k, x in enumerate(starts):
@@ -436,8 +472,7 @@ def design_record(
         stopped = stopped or is_late
     information = [problem.information(x)[0] for x in results]
     best = results[int(np.argmax(information))]
-    missing = problem.missing(best)
-    combinations = _find_combinations(dynamics, shapes, missing, rng)
+    combinations = _find_combinations(dynamics, shapes, noise, rng)
     file = _errors(combinations, np.eye(len(known)))
     before = None if knowledge.covariance is None else _errors(combinations, known)
     expected = _errors(combinations, problem.information(best)[1])
@@ -450,7 +485,7 @@ def design_record(
     u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
     channels = replace(system.channels, dt=options.dt)
     return RecordDesign(
-        channels, options, limits, motion, t, q, v, a, u, force, missing,
+        channels, options, limits, motion, t, q, v, a, u, force, noise,
         _base_parameters(dynamics, combinations, file, before, expected),
         float(np.median(ratios)), stopped,
     )  # fmt: skip
@@ -473,10 +508,12 @@ class _Shapes:
     def __init__(self, limits: DesignLimits, options: DesignOptions) -> None:
         ends = np.array([own.position for own in limits.motion])
         velocity = np.array([own.velocity for own in limits.motion])
-        speed = 2 * np.pi * options.highest
-        acceleration = [own.acceleration or speed * own.velocity for own in limits.motion]  # pyright: ignore[reportOptionalOperand]
+        # None becomes NaN
+        acceleration = np.array([own.acceleration for own in limits.motion], float)
+        usual = 2 * np.pi * options.highest * velocity
+        acceleration = np.where(np.isnan(acceleration), usual, acceleration)
         self.middle = ends.mean(axis=1)
-        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, np.array(acceleration)])
+        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, acceleration])
         self._options = options
         self._shapes = motions_from_rest(options.harmonics, options.base_frequency)
         self.count = 1 + len(self._shapes)
@@ -535,25 +572,6 @@ class _Box:
         return (values - self.middle) / self.half
 
 
-@dataclass(frozen=True)
-class _Noise:
-    """Missing forces that are expected.
-
-    Attributes:
-        fixed: standard deviation at each coordinate, (n_q,) [N m or N]; None for a share.
-        share: share of the root mean square of the actuators' force.
-    """
-
-    fixed: Float[np.ndarray, " n_q"] | None
-    share: float
-
-    def deviation(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
-        """The standard deviation along a motion that needs some forces, (n_q,) [N m or N]."""
-        if self.fixed is not None:
-            return self.fixed
-        return self.share * np.sqrt(np.mean(force**2, axis=0) + _LEAST_FORCE**2)
-
-
 class _Dynamics:
     """Forces along motions, and their derivatives by the parameters.
 
@@ -562,33 +580,31 @@ class _Dynamics:
         knowledge: values and free parameters.
         groups: the groups of the record.
 
-    Raises:
-        InputError: internal states.
+    Attributes:
+        space: the free parameters.
+        prior: their priors.
+        selection: from derivatives by the parameters of the equations to those by the free ones, in
+            standard deviations of their priors, (n_e, n_p).
+        units: a standard deviation of each prior, in the parameter's own unit, (n_p,).
     """
 
     def __init__(
         self, system: LagrangianSystem, knowledge: Knowledge, groups: Mapping[str, str]
     ) -> None:
-        if system.internal:
-            raise InputError(
-                "next-record --design", f"the system '{system.name}' has internal states "
-                f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
-                "propose records: tustinnet next-record MODEL PROPOSALS",
-            )  # fmt: skip
-        self.space, self.values = knowledge.space, knowledge.values
+        self.space, values = knowledge.space, knowledge.values
         self._equations = system_equations(system, self.space.names)
-        parameters = expand_parameters_by_values(system, self.values)
+        parameters = expand_parameters_by_values(system, values)
         indices = group_indices(system, parameters, [_blank_record(system, groups)])
-        self._row = self._equations.parameter_rows(self.values, indices)[0]
+        self._row = self._equations.parameter_rows(values, indices)[0]
         self._n, self._n_u = len(system.coordinates), len(system.inputs)
         self._missing = missing_forces(self._equations)
         self._actuators = self._actuator_formula(system)
-        vector = self.space.to_vector(self.values)
+        vector = self.space.to_vector(values)
         self.prior = Prior(self.space)
         chain = self._equations.coordinate_derivatives(self.space, vector, indices)[0]
-        self._columns = self._equations.free_columns(self.space)
-        self._scale = chain * self.prior.spread
-        # a standard deviation of the prior in the parameter's own unit
+        scale = chain * self.prior.spread
+        self.selection = np.zeros((self._equations.n_p, len(scale)))
+        self.selection[self._equations.free_columns(self.space), range(len(scale))] = scale
         self.units = self.space.derivatives(vector) * self.prior.spread
 
     def _actuator_formula(self, system: LagrangianSystem) -> Formula:
@@ -634,12 +650,17 @@ class _Dynamics:
         rows = np.broadcast_to(self._row, (n, len(self._row)))
         return np.concatenate([points, np.broadcast_to(u, (n, self._n_u)), rows], axis=1)
 
+    def remainder(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_q"]:
+        """Forces that are missing with these inputs: 0 where the inputs act linearly."""
+        u = self.actuation(points)[:, : self._n_u]
+        return evaluate(self._missing, self._with_inputs(points, u))
+
     def slopes(
         self, points: Float[np.ndarray, "n n_m"], u: Float[np.ndarray, "n n_u"]
-    ) -> Float[np.ndarray, "n n_q n_p"]:
-        """Derivatives of forces by the parameters, in standard deviations of their priors."""
+    ) -> Float[np.ndarray, "n n_q n_e"]:
+        """Derivatives of forces by the parameters of the equations, see `selection`."""
         rows = evaluate(self._missing, self._with_inputs(points, u), derivatives=True)
-        return rows.reshape(len(points), self._n, -1)[:, :, self._columns] * self._scale
+        return rows.reshape(len(points), self._n, -1)
 
 
 class _Problem:
@@ -649,9 +670,9 @@ class _Problem:
         dynamics: the dynamics.
         shapes: the motions.
         box: the limits.
-        noise: the missing forces.
         known: information before the record, in standard deviations of the priors, (n_p, n_p).
-        count: number of independent samples of the record.
+        weights: weight of a squared force of each coordinate at a point, (n_q,).
+        iterations: steps of each stage of the search, at most.
         t: times at which motions are judged [s], (n,).
     """
 
@@ -660,38 +681,27 @@ class _Problem:
         dynamics: _Dynamics,
         shapes: _Shapes,
         box: _Box,
-        noise: _Noise,
         known: Float[np.ndarray, "n_p n_p"],
-        count: float,
+        weights: Float[np.ndarray, " n_q"],
+        iterations: int,
         t: Float[np.ndarray, " n"],
     ) -> None:
-        self._dynamics, self._shapes, self._box = dynamics, shapes, box
-        self._noise, self._known, self._each = noise, known, count / len(t)
-        self._t, self._n = t, len(shapes.middle)
+        self._dynamics, self._shapes, self._box, self._known = dynamics, shapes, box, known
+        self._weights, self._t, self._n = weights, t, len(weights)
         self._steps = _STEP * shapes.sizes.ravel()
+        self.iterations = iterations
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
     ) -> tuple[float, Float[np.ndarray, "n_p n_p"]]:
         """Half the logarithm of the determinant of the information of a motion, and the matrix."""
         points = self._shapes.points(x, self._t)
-        u, force = np.split(self._dynamics.actuation(points), [-self._n], axis=1)
-        matrix = self._matrix(self._dynamics.slopes(points, u), self._weights(force))
+        u = self._dynamics.actuation(points)[:, : self._n]
+        matrix = self._matrix(self._dynamics.slopes(points, u) @ self._dynamics.selection)
         return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
 
-    def missing(self, x: Float[np.ndarray, "count n_q"]) -> Float[np.ndarray, " n_q"]:
-        """The force that is missing at each coordinate along a motion, (n_q,) [N m or N]."""
-        points = self._shapes.points(x, self._t)
-        return self._noise.deviation(self._dynamics.actuation(points)[:, -self._n :])
-
-    def _weights(self, force: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, " n_q"]:
-        """Weights of squares of forces at a point, by the forces of the motion."""
-        return self._each / self._noise.deviation(force) ** 2
-
-    def _matrix(
-        self, slopes: Float[np.ndarray, "n n_q n_p"], weights: Float[np.ndarray, " n_q"]
-    ) -> Float[np.ndarray, "n_p n_p"]:
-        rows = (slopes * np.sqrt(weights)[:, None]).reshape(-1, slopes.shape[2])
+    def _matrix(self, slopes: Float[np.ndarray, "n n_q n_p"]) -> Float[np.ndarray, "n_p n_p"]:
+        rows = (slopes * np.sqrt(self._weights)[:, None]).reshape(-1, slopes.shape[2])
         return self._known + rows.T @ rows
 
     def cost(
@@ -706,29 +716,23 @@ class _Problem:
         moved = points[:, None] + np.concatenate([np.diag(self._steps), -np.diag(self._steps)])
         everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
         actuation = self._dynamics.actuation(everywhere)
-        u, force = np.split(actuation, [-self._n], axis=1)
-        slopes = self._dynamics.slopes(everywhere, u)
-        weights = self._weights(force[:n])
-        matrix = self._matrix(slopes[:n], weights)
+        slopes = self._dynamics.slopes(everywhere, actuation[:, : self._n])
+        selection = self._dynamics.selection
+        own = slopes[:n] @ selection
+        matrix = self._matrix(own)
         _, logarithm = np.linalg.slogdet(matrix)
         shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
         beyond = np.maximum(np.abs(shares) - 1, 0.0)
         cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
         # derivatives of the information by the derivatives of forces, of the cost by limits
-        weighted = (slopes[:n] * weights[:, None]) @ np.linalg.inv(matrix)
+        weighted = (own * self._weights[:, None]) @ np.linalg.inv(matrix) @ selection.T
         by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
-        by_actuation = by_share[:, n_m:].copy()
-        if self._noise.fixed is None:  # more force is more noise
-            told = np.sum(weighted * slopes[:n], axis=(0, 2))
-            by_actuation[:, -self._n :] += (
-                told * force[:n] / np.sum(force[:n] ** 2 + _LEAST_FORCE**2, axis=0)
-            )
         along = np.einsum(
-            "nqp,nkqp->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
+            "nqe,nkqe->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
             optimize=True,
         )  # fmt: skip
         changed = actuation[n:].reshape(n, 2 * n_m, -1)
-        limited = np.einsum("nf,nkf->nk", by_actuation, changed)
+        limited = np.einsum("nf,nkf->nk", by_share[:, n_m:], changed)
         both = limited - along
         by_points = (both[:, :n_m] - both[:, n_m:]) / (2 * self._steps) + by_share[:, :n_m]
         return cost, self._shapes.gradient(by_points, self._t).ravel()
@@ -750,22 +754,21 @@ def _require_actuated(
     rng: np.random.Generator,
 ) -> None:
     """Raises unless inputs drive all coordinates, each by itself, and all of them have limits."""
-    n, n_u = len(system.coordinates), len(system.inputs)
-    place = "next-record --design"
-    if n_u != n:
-        raise InputError(
-            place, f"{n_u} inputs of {n} coordinates of '{system.name}'",
-            "an input for each coordinate",
-            "propose records: tustinnet next-record MODEL PROPOSALS",
-        )  # fmt: skip
+    n = len(system.coordinates)
     gains = dynamics.gains(_random_points(shapes, 8, rng))
     sizes = np.abs(gains).max(axis=0)
     is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
     if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():
         raise InputError(
-            place, f"the inputs of '{system.name}' do not drive every coordinate",
-            "an input for each coordinate",
-            "propose records: tustinnet next-record MODEL PROPOSALS",
+            _PLACE, f"the inputs of '{system.name}' do not drive every coordinate",
+            "an input for each coordinate", _RANK,
+        )  # fmt: skip
+    points = _random_points(shapes, 8, rng)
+    forces = dynamics.actuation(points)[:, n:]
+    if np.abs(dynamics.remainder(points)).max() > _NULL * np.abs(forces).max():
+        raise InputError(
+            _PLACE, f"an input of '{system.name}' that does not act linearly",
+            "forces that are linear in the inputs", _RANK,
         )  # fmt: skip
     for i, channel in enumerate(system.inputs):
         k = int(np.argmax(sizes[:, i]))
@@ -799,7 +802,7 @@ def _random_motion(
     Raises:
         InputError: no pose is within the limits of the actuators.
     """
-    worst = np.zeros(len(box.half))
+    nearest = np.full(len(box.half), np.inf)  # of poses: by how much limits are exceeded
     for _ in range(_DRAWS):
         x = rng.normal(size=(shapes.count, len(shapes.middle)))
         x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
@@ -810,14 +813,15 @@ def _random_motion(
         x[1:] = 0.0
         points = shapes.points(x, t[:1])
         shares = box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))[0]
-        worst = np.maximum(worst, np.where(np.isfinite(shares), np.abs(shares), np.inf))
-    k = int(np.argmax(worst))
+        if np.abs(shares).max() < nearest.max():
+            nearest = np.abs(shares)
+    k = int(np.argmax(nearest))
     n = len(system.coordinates)
     what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
     name = system.inputs[k % n].name if what == "input" else name
     raise InputError(
-        f"system '{system.name}'", f"no pose within the limits: it needs {worst[k]:.3g} times the "
-        f"{what} limit of '{name}' at rest", "poses that actuators can hold",
+        f"system '{system.name}'", f"no pose within the limits: it needs {nearest[k]:.3g} times "
+        f"the {what} limit of '{name}' at rest", "poses that actuators can hold",
         "check the limits, or give others by --within and --limits",
     )  # fmt: skip
 
@@ -875,14 +879,30 @@ def _search(
         if time.monotonic() > deadline:
             raise StopIteration
 
-    for penalty in _PENALTIES:
+    for penalty in _PENALTIES if problem.iterations else ():
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
-            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": _ITERATIONS},
+            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": problem.iterations},
         ).x  # fmt: skip
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True
     return vector.reshape(x.shape), False
+
+
+def _choose_noise(
+    knowledge: Knowledge,
+    options: DesignOptions,
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    motions: Sequence[Float[np.ndarray, "count n_q"]],
+    t: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n_q"]:
+    """The missing force of each coordinate: what a fit has left, or a share of that of motions."""
+    if options.noise is None and knowledge.noise is not None:
+        return knowledge.noise
+    force = [dynamics.actuation(shapes.points(x, t))[:, -len(shapes.middle) :] for x in motions]
+    size = np.sqrt(np.mean(np.concatenate(force) ** 2, axis=0))
+    return (options.noise or _USUAL_NOISE) * np.maximum(size, 1e-6 * size.max() + 1e-12)
 
 
 def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
@@ -910,8 +930,10 @@ def _find_combinations(
 
     points = _random_points(shapes, _RANDOM_POINTS, rng)
     u = dynamics.actuation(points)[:, : len(noise)]
-    rows = (dynamics.slopes(points, u) / noise[:, None]).reshape(-1, len(dynamics.units))
-    triangle, order = scipy.linalg.qr(rows, mode="r", pivoting=True)[-2:]
+    slopes = dynamics.slopes(points, u) @ dynamics.selection
+    rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))
+    factors: Any = scipy.linalg.qr(rows, mode="r", pivoting=True)
+    triangle, order = factors
     sizes = np.abs(np.diag(triangle))
     rank = int(np.sum(sizes > _NULL * sizes[0]))
     beside = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])

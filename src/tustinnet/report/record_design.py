@@ -62,6 +62,10 @@ def sentences(design: RecordDesign) -> list[str]:
     start = ", ".join(f"{name} {x:.4g}" for name, x in zip(names, design.q[0], strict=True))
     periods = round(design.options.seconds * design.motion.frequency)
     known = design.base_parameters[0].known is not None
+    noise = ", ".join(
+        f"{c.name} {x:.2g} {'N m' if c.kind == 'angular' else 'N'}"
+        for c, x in zip(design.channels.coordinates, design.noise, strict=True)
+    )
     found = [
         f"{counted(len(design.base_parameters), 'base parameter')}; by random motions within the "
         f"same limits the errors would be {design.by_random:.2f} times as large (geometric mean)",
@@ -74,6 +78,7 @@ def sentences(design: RecordDesign) -> list[str]:
         mean = float(np.exp(np.mean(np.log(better))))
         found.insert(1, f"it makes the errors of the records so far {mean:.2f} times smaller "
                         "(geometric mean)")  # fmt: skip
+    found.append(f"forces that are taken to stay unexplained: {noise}")
     if design.stopped:
         found.append("the time ended before the search: --budget gives it more")
     found.append(
@@ -124,4 +129,6 @@ def design_figure(design: RecordDesign) -> "Figure":
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         figure.align_ylabels()
+        title = "dashed: limits, where the motion comes near; dotted: what the margin leaves"
+        figure.suptitle(title, fontsize=8)
         return figure
