@@ -117,13 +117,16 @@ def pinocchio_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str,
 
 
 def mujoco_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, Any]]:
-    """The terms of a URDF or MJCF by MuJoCo."""
+    """The terms of a URDF or MJCF by MuJoCo.
+
+    Shapes of a URDF, where a link without an inertia has no mass, are left out.
+    """
     mujoco = import_module("mujoco")
     spec = mujoco.MjSpec.from_string(text)
-    shapes = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     for geom in spec.geoms:
         geom.material = ""
-        if geom.type in shapes or geom.meshname:
+        if "<robot" in text or geom.type in files or geom.meshname:
             spec.delete(geom)
     for site in spec.sites:
         site.material = ""

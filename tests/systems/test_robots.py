@@ -367,6 +367,23 @@ def test_what_is_only_seen_or_read_by_other_programs_is_left_out(tmp_path):
     assert [c.name for c in tn.load_system(file).coordinates] == ["ab"]
 
 
+def test_forces_that_a_file_switches_off_are_none(tmp_path):
+    joint = '<joint name="j" damping="1" frictionloss="1" stiffness="1"/>'
+    body = BODY.format("").replace('<joint name="j"/>', joint)
+    flags = " ".join(f'{x}="disable"' for x in ("gravity", "spring", "damper", "frictionloss"))
+    found = []
+    for option in ("", f"<option><flag {flags}/></option>"):
+        (file := tmp_path / "r.xml").write_text(
+            f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>"
+        )
+        system = tn.load_system(file)
+        model = system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
+        found.append(model.derivative(jnp.array([1.0, 0.0]), jnp.zeros(len(system.inputs)))[1])
+        assert system.nominal()["j.viscous"] == (0.0 if option else 1.0)
+    assert abs(found[0]) > 0.1
+    assert found[1] == 0.0
+
+
 def test_files_are_included_once(tmp_path):
     body = f"<mujocoinclude>{BODY.format('')}</mujocoinclude>"
     (tmp_path / "body.xml").write_text(body)
