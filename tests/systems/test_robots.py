@@ -329,7 +329,7 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
         ),
         (
             f'<worldbody>{BODY.format("")}</worldbody><equality><weld body1="b"/></equality>',
-            "a loop: a <weld>",
+            "a loop: the equality constraint number 1, without a name (weld)",
         ),
         (
             f'<worldbody>{BODY.format("")}</worldbody><tendon><fixed name="t"><joint joint="j" '

@@ -195,7 +195,8 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
             continue
         is_loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
         name, called = model.equality(i).name, kind.name.removeprefix("mjEQ_").lower()
-        what = f"the equality constraint '{name}' ({called})" if name else f"a <{called}>"
+        which = f"'{name}'" if name else f"number {i + 1}, without a name"
+        what = f"the equality constraint {which} ({called})"
         raise InputError(
             where, f"a loop: {what}" if is_loop else what,
             "a tree, of joints that follow others at most",
