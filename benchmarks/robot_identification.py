@@ -26,13 +26,12 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from robot_twins import record_in_loop, true_values  # pyright: ignore[reportMissingImports]
-from robots import ARM
 
 import tustinnet as tn
 from tustinnet.fitting.shooting.inverse_dynamics import filter_record
@@ -40,6 +39,11 @@ from tustinnet.models.chains import BodyInertia, Chain, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.low_pass import low_pass, occupied_band
 
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+from robot_twins import record_in_loop, true_values  # pyright: ignore[reportMissingImports]
+
+ARM = ROOT / "examples" / "robots" / "arm7.urdf"
 _TRUNCATED = 1e-8  # singular values by the largest one that count as none
 _ENCODER = 2 * np.pi / 2**16  # [rad]
 _NOISE = 0.02  # of torques, by their root mean square
