@@ -285,7 +285,7 @@ def fit_by_mujoco(
         return compiled[key]
 
     residuals = sysid.build_residual_fn(models_sequences=[sequences], build_model=build)
-    found, _ = sysid.optimize(parameters, residuals, verbose=False, x_scale="jac")
+    found, _ = sysid.optimize(parameters, residuals, verbose=False)
     return sysid.apply_param_modifiers(found, spec.copy())
 
 

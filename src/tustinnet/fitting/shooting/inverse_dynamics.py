@@ -509,8 +509,9 @@ def _covariance(
 ) -> tuple[Float[np.ndarray, "n_p n_p"], str, float]:
     """Covariance of the estimates, NaN at a bound; what it is from; errors of half an interval.
 
-    From how the records disagree (the jackknife over records) where there are enough of them, but
-    never less than what the noise of the residuals makes.
+    Intervals are the larger of two: of how the records disagree (the jackknife over records, where
+    there are enough of them), and of the noise of the residuals. The covariance is that of normal
+    errors with such intervals.
     """
     inside, n_p = space.inside(point.vector), len(point.vector)
     both = np.ix_(inside, inside)
@@ -519,9 +520,9 @@ def _covariance(
     inverse = np.linalg.inv(whole)
     covariance = np.full((n_p, n_p), np.nan)
     covariance[both] = inverse
-    n = len(point.matrices)
+    n, quantile = len(point.matrices), float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
     if n < FEWEST_RECORDS:
-        return covariance, "residuals", float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
+        return covariance, "residuals", quantile
     steps = np.stack([
         np.linalg.solve(whole - m[both], g[inside])
         for m, g in zip(point.matrices, point.gradients, strict=True)
@@ -529,9 +530,10 @@ def _covariance(
     steps -= steps.mean(axis=0)
     clustered = (n - 1) / n * steps.T @ steps + inverse @ precision[both] @ inverse
     # rank is at most the number of records: in other directions the noise has to say it
-    scale = np.sqrt(np.maximum(np.diag(clustered) / np.diag(inverse), 1.0))
+    wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / quantile
+    scale = np.maximum(wider * np.sqrt(np.diag(clustered) / np.diag(inverse)), 1.0)
     covariance[both] = inverse * np.outer(scale, scale)
-    return covariance, "records", float(scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2))
+    return covariance, "records", quantile
 
 
 def _estimates(
