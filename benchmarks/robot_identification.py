@@ -10,7 +10,7 @@ ordinary and weighted by what each joint leaves, as in Gautier, Khalil (1990), o
 filtered and thinned out as this package does it; and by `inverse-dynamics` with viscous and Coulomb
 friction, with the names, and with a friction curve. Of all joints the mean is printed.
 
-`mujoco`: an arm that MuJoCo simulates with its own friction in the loop of a PD controller: four
+`mujoco`: an arm that MuJoCo simulates with its own friction in the loop of a PD controller: three
 records of 5 s and one that is held out. `mujoco.sysid` gets them in pieces of 0.5 s with positions
 and velocities, log-Cholesky inertias, armature, damping and frictionloss of all joints, in the
 ranges of this package, and stops as its defaults say. Both results are judged by MuJoCo: torques
@@ -322,7 +322,7 @@ def compare_to_mujoco(count: int) -> None:
     for seed in range(count):
         truth = true_values(system, seed) | offsets
         true_model = arm_for_mujoco(mujoco, truth).compile()
-        *records, held = record_by_mujoco(mujoco, true_model, 5, 5.0, seed)
+        *records, held = record_by_mujoco(mujoco, true_model, 4, 5.0, seed)
         data = tn.DataSet("arm", tuple(
             tn.from_arrays(
                 q, u, dt=_STEP,
