@@ -126,13 +126,16 @@ def pinocchio_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str,
 
 
 def mujoco_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, Any]]:
-    """The terms of a URDF or MJCF by MuJoCo."""
+    """The terms of a URDF or MJCF by MuJoCo.
+
+    Shapes of a URDF, where a link without an inertia has no mass, are left out.
+    """
     mujoco = import_module("mujoco")
     spec = mujoco.MjSpec.from_string(text)
-    shapes = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     for geom in spec.geoms:
         geom.material = ""
-        if geom.type in shapes or geom.meshname:
+        if "<robot" in text or geom.type in files or geom.meshname:
             spec.delete(geom)
     for site in spec.sites:
         site.material = ""
@@ -354,6 +357,7 @@ def twins(out: Path, count: int, first: int = 0) -> None:
     """Torques that are missing on held-out records, and how often intervals hold the truth."""
     system = tn.load_system(ARM)
     inside = combinations = single = singles = 0
+    rows: list[list[float]] = []  # missing torque, mean of joints; seconds; memory
     print("| arm | missing torque, held out [%] | base parameters within 95 % | values | s | GiB |")
     for seed in range(first, first + count):
         truth = true_values(system, seed)
@@ -371,9 +375,13 @@ def twins(out: Path, count: int, first: int = 0) -> None:
         missing = [
             100 * row["held_out"] / row["size"] for row in header["identification"]["force_errors"]
         ]
+        rows.append([float(np.mean(missing)), seconds, memory])
         print(f"| {seed} | {min(missing):.2f} to {max(missing):.2f} | {(np.abs(z) < factor).sum()} "
               f"of {len(z)} | {near.sum()} of {decided.sum()} | {seconds:.0f} | {memory:.2f} |",
               flush=True)  # fmt: skip
+    middle, seconds, memory = np.median(rows, axis=0)
+    print(f"median: missing torque {middle:.2f} % in the mean of joints, {seconds:.0f} s, "
+          f"{memory:.2f} GiB")  # fmt: skip
     print(f"base parameters {inside} of {combinations} ({inside / combinations:.1%}), "
           f"values {single} of {singles} ({single / singles:.1%})")  # fmt: skip
 
@@ -382,6 +390,7 @@ def halves(out: Path, count: int, first: int = 0) -> None:
     """How often two disjoint halves of an arm's records agree within their stated errors."""
     system = tn.load_system(ARM)
     agreed = compared = 0
+    shares: list[float] = []
     for seed in range(first, first + count):
         records = list(record_in_loop(system, true_values(system, seed), 11, 10.0, seed=seed))
         held = records.pop()
@@ -394,8 +403,10 @@ def halves(out: Path, count: int, first: int = 0) -> None:
         # of what both know: priors draw both to the same values, which would agree too well
         z = deviations(system, names, first, second, one + other)
         agreed, compared = agreed + int((np.abs(z) < factor).sum()), compared + len(z)
+        shares.append(float(np.mean(np.abs(z) < factor)))
         print(f"{seed}: {(np.abs(z) < factor).sum()} of {len(z)}", flush=True)
-    print(f"base parameters that agree: {agreed} of {compared} ({agreed / compared:.1%})")
+    print(f"base parameters that agree: {agreed} of {compared} ({agreed / compared:.1%}), "
+          f"median of arms {np.median(shares):.1%}")  # fmt: skip
 
 
 def payload(count: int) -> None:

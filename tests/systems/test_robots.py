@@ -473,7 +473,7 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
         ),
         (
             f'<worldbody>{BODY.format("")}</worldbody><equality><weld body1="b"/></equality>',
-            "a loop: a <weld>",
+            "a loop: the equality constraint number 1, without a name (weld)",
         ),
         (
             f'<worldbody>{BODY.format("")}</worldbody><tendon><fixed name="t"><joint joint="j" '
@@ -518,6 +518,23 @@ def test_what_is_only_seen_or_read_by_other_programs_is_left_out(tmp_path):
         f"<robot name='r'>{A}{B}{AB.replace('</joint>', limit)}<drake:group name='g'/></robot>"
     )
     assert [c.name for c in tn.load_system(file).coordinates] == ["ab"]
+
+
+def test_forces_that_a_file_switches_off_are_none(tmp_path):
+    joint = '<joint name="j" damping="1" frictionloss="1" stiffness="1"/>'
+    body = BODY.format("").replace('<joint name="j"/>', joint)
+    flags = " ".join(f'{x}="disable"' for x in ("gravity", "spring", "damper", "frictionloss"))
+    found = []
+    for option in ("", f"<option><flag {flags}/></option>"):
+        (file := tmp_path / "r.xml").write_text(
+            f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>"
+        )
+        system = tn.load_system(file)
+        model = system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
+        found.append(model.derivative(jnp.array([1.0, 0.0]), jnp.zeros(len(system.inputs)))[1])
+        assert system.nominal()["j.viscous"] == (0.0 if option else 1.0)
+    assert abs(found[0]) > 0.1
+    assert found[1] == 0.0
 
 
 def test_files_are_included_once(tmp_path):

@@ -41,6 +41,12 @@ def low_pass(
     return (filtered + trend)[reach : reach + n]
 
 
+def noise_bandwidth(cutoff: float) -> float:
+    """The band of an ideal filter that lets as much white noise through as `low_pass` [Hz]."""
+    order = 2 * _ORDER
+    return cutoff * (1 - 1 / order) / np.sinc(1 / order)
+
+
 def occupied_band(q: Float[np.ndarray, "n n_q"], dt: float) -> float:
     """The frequency below which all velocities have 99.9 % of their power [Hz].
 

@@ -177,11 +177,17 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
             joints.append(_joint_of(mujoco, model, k, parent, child, rotation, position, where))
             # further joints of a body begin where the one before ends
             parent, rotation, position = child, np.eye(3), np.zeros(3)
-    x, y, z = (float(g) for g in model.opt.gravity)
+    has_gravity = not _is_disabled(mujoco, model, "GRAVITY")
+    x, y, z = (float(g) * has_gravity for g in model.opt.gravity)
     return Robot(
         _name_of(model) or "robot", tuple(links), tuple(joints), _actuators_of(model, where),
         (x, y, z),
     )  # fmt: skip
+
+
+def _is_disabled(mujoco: Any, model: Any, name: str) -> bool:
+    """Whether a file switches off a kind of force, by <flag>."""
+    return bool(model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
 def _require_supported(mujoco: Any, model: Any, where: object) -> None:
@@ -201,7 +207,8 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
             continue
         is_loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
         name, called = model.equality(i).name, kind.name.removeprefix("mjEQ_").lower()
-        what = f"the equality constraint '{name}' ({called})" if name else f"a <{called}>"
+        which = f"'{name}'" if name else f"number {i + 1}, without a name"
+        what = f"the equality constraint {which} ({called})"
         raise InputError(
             where, f"a loop: {what}" if is_loop else what,
             "a tree, of joints that follow others at most",
@@ -227,15 +234,18 @@ def _joint_of(
     if not name:
         raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")
     dof, zero = int(model.jnt_dofadr[k]), float(model.qpos0[model.jnt_qposadr[k]])
+    has_damper, has_spring, has_friction = (
+        not _is_disabled(mujoco, model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
+    )
     return RobotJoint(
         name, "angular" if kind == mujoco.mjtJoint.mjJNT_HINGE else "linear", parent, child,
         rotation, position, without_rounding(model.jnt_axis[k]), model.jnt_pos[k].copy(),
         zero=zero,
         mimic=_mimic_of(model, k, place),
         armature=float(model.dof_armature[dof]),
-        viscous=float(np.ravel(model.dof_damping[dof])[0]),
-        coulomb=float(model.dof_frictionloss[dof]),
-        stiffness=float(np.ravel(model.jnt_stiffness[k])[0]),
+        viscous=float(np.ravel(model.dof_damping[dof])[0]) * has_damper,
+        coulomb=float(model.dof_frictionloss[dof]) * has_friction,
+        stiffness=float(np.ravel(model.jnt_stiffness[k])[0]) * has_spring,
         spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
         range=_range_of(model.jnt_limited[k], model.jnt_range[k]),
     )  # fmt: skip

@@ -11,7 +11,9 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.shooting.inverse_dynamics import filter_record
 from tustinnet.models.forces import LAWS
+from tustinnet.signals.low_pass import low_pass
 
 SCARA = Path(__file__).parents[3] / "examples" / "robots" / "scara.urdf"
 
@@ -94,6 +96,30 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
 
 def test_friction_that_is_explained_needs_no_curve(result):
     assert not [s for s in result.findings if "depends on the speed" in s]
+
+
+def test_a_held_input_is_compared_as_the_steps_that_it_is():
+    dt, cutoff, fine = 0.01, 10.0, 40
+    u = np.random.default_rng(0).normal(size=(400, 1))
+    record = tn.from_arrays(
+        np.zeros((400, 1)), u, dt=dt, coordinates=[tn.Coordinate("joint", "angular", 1e-4)],
+        inputs=[tn.Input("torque", "N m", "zero-order", is_delay_declared=True)],
+    )  # fmt: skip
+    part = filter_record(record, cutoff)
+    steps = low_pass(np.repeat(u, fine, axis=0), dt / fine, cutoff)
+    # a sample is where one step ends and the next begins
+    between = (steps[fine::fine] + steps[fine - 1 : -1 : fine]) / 2
+    filtered = low_pass(part.points[:, 3:], dt, cutoff)[1:]
+    middle = slice(20, -20)
+    error = np.std((filtered - between)[middle]) / np.std(between[middle])
+    assert error < 0.003
+
+
+def test_a_filtered_sample_counts_by_the_band_that_is_left(twin):
+    part = filter_record(twin[0], 5.0)
+    compared = part.compare(np.random.default_rng(0).normal(size=(len(part.points), 1)))
+    independent = 2 * 0.9 * 5.0 * len(part.points) * part.dt
+    assert part.weight * len(compared) == pytest.approx(independent, rel=0.15)
 
 
 def test_what_a_link_carries_is_weighed(system, truth):

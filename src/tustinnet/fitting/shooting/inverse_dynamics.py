@@ -34,7 +34,7 @@ from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
 from tustinnet.models.chains import CENTER, INERTIAL
-from tustinnet.signals.low_pass import low_pass, occupied_band
+from tustinnet.signals.low_pass import low_pass, noise_bandwidth, occupied_band
 from tustinnet.systems.robot_equations import curve_terms
 from tustinnet.systems.robots import RobotFile
 
@@ -44,7 +44,7 @@ _BAND = 3.0  # cut-off frequency by the highest frequency of the motion
 _HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
 _SAMPLES = 2.5  # that are compared for each period of the cut-off frequency
 _EVALUATED = 20  # samples for each period of it at which forces are evaluated, at most
-_MOTION = 2.0  # cut-off frequency of the motion by that of the forces
+_MOTION = 3.0  # cut-off frequency of the motion by that of the forces
 _INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
 _FEWEST = 20  # samples that must be left of a record
 _REWEIGHTINGS = 3  # each after the iteration has converged
@@ -67,11 +67,20 @@ class MeasuredForces(NamedTuple):
     dt: float
     cutoff: float
 
+    @property
+    def step(self) -> int:
+        """Every how many samples forces are compared."""
+        return max(1, int(1 / (_SAMPLES * self.cutoff * self.dt)))
+
+    @property
+    def weight(self) -> float:
+        """Independent measurements by compared sample: filtered noise is correlated."""
+        return min(1.0, 2 * noise_bandwidth(self.cutoff) * self.step * self.dt)
+
     def compare(self, forces: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "k m"]:
         """Forces along the record as they are compared: filtered, at nearly independent samples."""
         edge = round(1 / (self.cutoff * self.dt))
-        step = max(1, int(1 / (_SAMPLES * self.cutoff * self.dt)))
-        return low_pass(forces, self.dt, self.cutoff)[edge : len(forces) - edge : step]
+        return low_pass(forces, self.dt, self.cutoff)[edge : len(forces) - edge : self.step]
 
 
 @dataclass(frozen=True)
@@ -195,9 +204,10 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     """
     motion_cutoff = min(_MOTION * cutoff, _HIGHEST / e.dt)
     motion = [low_pass(e.q, e.dt, motion_cutoff, derivative) for derivative in range(3)]
-    # an input held over the period acts, on average, where the period's middle is
-    held = np.vstack([e.held_inputs, e.held_inputs[-1:]])
-    u = np.vstack([held[:1], (held[1:] + held[:-1]) / 2])
+    # what a held input is around a sample, to fourth order: their mean would be too smooth
+    first, last = e.held_inputs[:1], e.held_inputs[-1:]
+    held = np.vstack([first, first, e.held_inputs, last, last])
+    u = (13 * (held[1:-2] + held[2:-1]) - held[:-3] - held[3:]) / 24
     every = max(1, int(1 / (_EVALUATED * cutoff * e.dt)))
     if every > 1:
         u = low_pass(u, e.dt, _INPUTS * cutoff)
@@ -297,9 +307,9 @@ def _evaluate(
         indices = np.repeat(problem.group_indices([part.record]), len(residual), axis=0)
         chain = equations.coordinate_derivatives(space, vector, indices)
         weighted = (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
-        matrices.append(weighted.T @ weighted)
-        gradients.append(weighted.T @ (residual / unit).ravel())
-        cost += float(np.sum((residual / unit) ** 2) / 2)
+        matrices.append(part.weight * weighted.T @ weighted)
+        gradients.append(part.weight * weighted.T @ (residual / unit).ravel())
+        cost += part.weight * float(np.sum((residual / unit) ** 2) / 2)
         residuals.append(residual)
     return _Point(vector, cost, np.stack(matrices), np.stack(gradients), tuple(residuals))
 
@@ -567,8 +577,9 @@ def _covariance(
 ) -> tuple[Float[np.ndarray, "n_p n_p"], str, float]:
     """Covariance of the estimates, NaN at a bound; what it is from; errors of half an interval.
 
-    From how the records disagree (the jackknife over records) where there are enough of them, but
-    never less than what the noise of the residuals makes.
+    Intervals are the larger of two: of how the records disagree (the jackknife over records, where
+    there are enough of them), and of the noise of the residuals. The covariance is that of normal
+    errors with such intervals.
     """
     inside, n_p = space.inside(point.vector), len(point.vector)
     both = np.ix_(inside, inside)
@@ -577,9 +588,9 @@ def _covariance(
     inverse = np.linalg.inv(whole)
     covariance = np.full((n_p, n_p), np.nan)
     covariance[both] = inverse
-    n = len(point.matrices)
+    n, quantile = len(point.matrices), float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
     if n < FEWEST_RECORDS:
-        return covariance, "residuals", float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
+        return covariance, "residuals", quantile
     steps = np.stack([
         np.linalg.solve(whole - m[both], g[inside])
         for m, g in zip(point.matrices, point.gradients, strict=True)
@@ -587,9 +598,10 @@ def _covariance(
     steps -= steps.mean(axis=0)
     clustered = (n - 1) / n * steps.T @ steps + inverse @ precision[both] @ inverse
     # rank is at most the number of records: in other directions the noise has to say it
-    scale = np.sqrt(np.maximum(np.diag(clustered) / np.diag(inverse), 1.0))
+    wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / quantile
+    scale = np.maximum(wider * np.sqrt(np.diag(clustered) / np.diag(inverse)), 1.0)
     covariance[both] = inverse * np.outer(scale, scale)
-    return covariance, "records", float(scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2))
+    return covariance, "records", quantile
 
 
 def _estimates(
