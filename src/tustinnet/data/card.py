@@ -492,6 +492,12 @@ class Card(Declaration):
                     f"no {'kp' if loop.kp is None else 'kd'} in the loop of '{own.name}', and no "
                     "column of this input, from which a gain is found; give one of both"
                 )
+        holds = {i.hold for i in self.inputs if i.name in computed}
+        if len(holds) > 1:
+            raise ValueError(
+                f"`hold` of the inputs that the controller computes: {', '.join(sorted(holds))}; "
+                "one for all: zero-order where it computes at every sample, else first-order"
+            )
         self.input_columns()  # units that fit
         return self
 
