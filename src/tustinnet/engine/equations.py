@@ -78,9 +78,22 @@ class Equations:
             replace(self, function=sample, n_x=size, sampled=None, continuous=False),
         )
 
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The programs of a simulation: the function, or the two of `with_sampled_states`.
+
+        Raises:
+            Unreadable: they use what no program can hold.
+        """
+        if self.sampled is None:
+            return (self.program,)
+        return tuple(equations.program for equations in self.with_sampled_states)
+
     @cached_property
     def program(self) -> Program:
         """The function as a program: `x`, `u`, `p`, `c` and the matrices to `x`.
+
+        Only of equations without sampled values.
 
         Raises:
             Unreadable: it uses what no program can hold.

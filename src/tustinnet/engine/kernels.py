@@ -186,9 +186,7 @@ def compare_kernel(
     """
     return _kernel(
         lanes,
-        lambda module, constants: write_compare(
-            module, equations, residual, constants, at_samples
-        ),
+        lambda module, constants: write_compare(module, equations, residual, constants, at_samples),
     )
 
 

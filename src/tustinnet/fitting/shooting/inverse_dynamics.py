@@ -95,21 +95,23 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
 
     Every coordinate's equation is weighed by what it leaves at the end; the prior of each parameter
     counts as one measurement of its nominal value, so directions that the records know nothing of
-    stay there.
+    stay there. Of a closed loop the system alone is identified, by what its controller computed as
+    recorded.
 
     Args:
         problem: the problem.
         state: the initial values.
 
     Raises:
-        InputError: a system with internal states, a record that is too short, or a force that is
-            not finite.
+        InputError: a system with internal states, inputs that were not recorded, a record that is
+            too short, or a force that is not finite.
 
     References:
         Gautier, Khalil (1990), Direct calculation of minimum set of inertial parameters of serial
         robots. Swevers, Verdonck, De Schutter (2007), Dynamic model identification for industrial
         robots, IEEE Control Systems 27(5).
     """
+    closed_loop, problem = problem, problem.plant
     system = problem.system
     if system.internal or problem.delays:
         what = "internal states" if system.internal else "delays"
@@ -117,11 +119,25 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             "search.method", f"inverse-dynamics, of a system with {what}", "one without",
             "identify it by simulation: --recipe grey",
         )  # fmt: skip
-    cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
+    for e in closed_loop.records:
+        if e.channels.controller is not None and e.outputs is None:
+            raise InputError(
+                "search.method", "inverse-dynamics, without the inputs that the controller "
+                "computed", "their columns in the data card",
+                "add them, or identify by simulation: --recipe grey",
+            )  # fmt: skip
+    # what the controller does is no force of the system: its gains stay
+    known = {p.name for p in system.parameters}
+    values = state.space.to_values(state.vector)
+    space = state.space.fixing({
+        p.name: values[p.name] for p in closed_loop.system.parameters
+        if p.name not in known and p.name in state.space.names
+    })  # fmt: skip
+    state = replace(state, space=space, vector=space.to_vector(values))
+    cutoff = problem.search.cutoff or choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
-    space, equations = state.space, system_equations(system, state.space.names)
+    equations = system_equations(system, space.names)
     formula = missing_forces(equations)
-    values = space.to_values(state.vector)
     unit = _force_sizes(formula, equations, problem, train, values)
     prior = _Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
@@ -154,8 +170,8 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             break
     held_out = [filter_record(e, cutoff) for e in problem.validation]
     return _make_identification(
-        problem, replace(state, vector=point.vector), formula, equations, prior, train, held_out,
-        point, iterations, status, cutoff,
+        closed_loop, replace(state, vector=point.vector), formula, equations, prior, train,
+        held_out, point, iterations, status, cutoff,
     )  # fmt: skip
 
 
@@ -209,8 +225,8 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     return part
 
 
-def _choose_cutoff(records: Sequence[Experiment]) -> float:
-    """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
+def choose_cutoff(records: Sequence[Experiment]) -> float:
+    """A cut-off frequency for records [Hz]: well above the motion, below the sampling rate."""
     rate = 1 / records[0].dt
     band = max(occupied_band(e.q, e.dt) for e in records)
     return min(_BAND * band, _HIGHEST * rate)
@@ -359,7 +375,7 @@ def _force_errors(
 
 
 def _make_identification(
-    problem: Problem,
+    closed_loop: Problem,
     state: SearchState,
     formula: Formula,
     equations: SystemEquations,
@@ -371,7 +387,11 @@ def _make_identification(
     status: str,
     cutoff: float,
 ) -> Identification:
-    """The result, with errors of parameters and of forces."""
+    """The result, with errors of parameters and of forces.
+
+    Forces are those of the system alone; simulated is the closed loop, if there is one.
+    """
+    problem = closed_loop.plant
     space, records = state.space, problem.records
     values = space.to_values_in_range(point.vector)
     covariance, trust, quantile = _covariance(point, prior, space)
@@ -379,8 +399,8 @@ def _make_identification(
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviations, deviations)
     # values in range that a simulation can begin with, and its period's steps
-    state = choose_substeps(problem, update_horizons(problem, state))
-    model = make_model(problem, state)
+    state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
+    model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
     errors = []
     trained, size = _force_errors(formula, equations, problem, train, values)
@@ -393,6 +413,7 @@ def _make_identification(
     estimates = _estimates(point, space, deviations, quantile)
     informed = deviations < _INFORMED * prior.spread
     sentences = [
+        *state.remarks,
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
@@ -403,7 +424,7 @@ def _make_identification(
     converged = status in ("converged", "stalled")
     left = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in point.residuals]
     return Identification(
-        system=problem.system,
+        system=closed_loop.system,
         model=model,
         estimates=estimates,
         fixed=dict(space.fixed_values),
@@ -425,9 +446,9 @@ def _make_identification(
         disagreements=(),
         initial="not simulated",
         initial_states={},
-        start=problem.scoring_start(state.shortest_horizon).name,
+        start=closed_loop.scoring_start(state.shortest_horizon).name,
         horizons=horizons,
-        validation_rmse=score_validation(problem, state) if problem.validation else None,
+        validation_rmse=score_validation(closed_loop, state) if problem.validation else None,
         substeps=model.substeps,
         iterations=iterations,
         force_errors=tuple(errors),

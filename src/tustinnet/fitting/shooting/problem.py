@@ -6,7 +6,7 @@ what several modules need: the cost function, the model, and the score on the va
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ class Problem:
         search: the options of the search, as the recipe has them.
         listener: gets every iteration and every stage.
         should_stop: asked before every stage and every step of one, as for a time limit.
+        remarks: findings about the records, before the search, as sentences.
     """
 
     system: LagrangianSystem
@@ -53,6 +54,17 @@ class Problem:
     search: SearchRecipe
     listener: Listener = SILENT
     should_stop: ShouldStopSearch = never_stop_search
+    remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def plant(self) -> "Problem":
+        """The problem of the system alone, without a controller in the loop."""
+        return replace(
+            self,
+            system=self.system.plant,
+            records=tuple(e.without_controller() for e in self.records),
+            validation=tuple(e.without_controller() for e in self.validation),
+        )
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
