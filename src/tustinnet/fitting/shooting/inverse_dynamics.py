@@ -126,14 +126,13 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
                 "computed", "their columns in the data card",
                 "add them, or identify by simulation: --recipe grey",
             )  # fmt: skip
-    # what the controller does is no force of the system: its gains stay
-    known = {p.name for p in system.parameters}
     values = state.space.to_values(state.vector)
-    space = state.space.fixing({
-        p.name: values[p.name] for p in closed_loop.system.parameters
-        if p.name not in known and p.name in state.space.names
-    })  # fmt: skip
-    state = replace(state, space=space, vector=space.to_vector(values))
+    if closed_loop.system.feedback is not None:
+        # no force of the system says anything of the controller's gains
+        known = closed_loop.system.nominal().keys() - system.nominal().keys()
+        space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
+        state = replace(state, space=space, vector=space.to_vector(values))
+    space = state.space
     cutoff = problem.search.cutoff or choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
