@@ -4,6 +4,7 @@
     python benchmarks/robots.py twins OUT [COUNT]     (default: 50 arms of 7 joints)
     python benchmarks/robots.py halves OUT [COUNT]    two halves of an arm's records
     python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
+    python benchmarks/robots.py loop [COUNT [RECORDS]]    the controller simulated (default: 5 arms)
 
 Needs the extras `bench` and `robots`. Each chain is compared at three states; differences of mass
 matrices, bias forces and energies are relative to the largest number of each quantity, and the
@@ -12,6 +13,10 @@ worst of all chains is printed, with the time to compile 7 joints.
 A twin is an arm whose masses, centres and inertias are off by up to a third of their priors, with
 armature, friction and offsets: 10 records of 10 s at 200 Hz in the loop of a PD controller,
 encoders of 16 bits, torque noise of 2 %. The command identifies it by inverse dynamics.
+
+`loop` has the set points in the records, not the gains. After inverse dynamics each arm is
+identified by simulation, over horizons of 0.25 s driven by recorded torques, and over whole records
+in the loop. Scored is the motion of the held-out record, simulated in the loop as a whole.
 """
 
 import jax
@@ -23,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -310,7 +315,52 @@ def payload(count: int) -> None:
         print(f"{seed}: {sentence}; {time.perf_counter() - begun:.0f} s", flush=True)
 
 
+def score_in_loop(
+    result: tn.Identification, values: Mapping[str, float], records: Sequence[tn.Experiment]
+) -> float:
+    """Mean RMSE of whole records [rad], the loop of a result with other values of the arm."""
+    known = result.model.continuous.values
+    arrays = {name: jnp.asarray(values.get(name, x)) for name, x in known.items()}
+    model = replace(result.model, continuous=result.system.model(arrays))
+    return tn.mean_rmse(tn.evaluate(model, list(records), "derived-6"))
+
+
+def loop(count: int, records: int) -> None:
+    """Motion of whole held-out records: after inverse dynamics, short horizons, and in the loop."""
+    system = tn.load_system(ARM)
+    short = {"name": "short", "model": {"kind": "euler-lagrange"}, "search": {"horizon": 0.25}}
+    print("| arm | inverse dynamics [rad] | short horizons [rad] | in the loop [rad] "
+          "| short, torques as recorded [rad] | s | s | s |")  # fmt: skip
+    for seed in range(count):
+        truth = true_values(system, seed)
+        in_loop, driven = (
+            record_in_loop(
+                system, truth, records, 10.0, seed=seed, knows_controller=knows, knows_gains=False
+            )
+            for knows in (True, False)
+        )
+        held = list(in_loop.split("validation"))
+        first = tn.identify(in_loop, system, "inverse-dynamics")
+        begin = {name: first.values[name] for name in system.nominal() if name in first.values}
+        by_horizons = tn.identify(driven, system, short, begin=begin)
+        closed = tn.identify(in_loop, system, "grey", begin=begin)
+        scores = [
+            score_in_loop(closed, result.values, held) for result in (first, by_horizons, closed)
+        ]
+        as_recorded = tn.evaluate(
+            by_horizons.model, list(driven.split("validation")), "derived-6"
+        )  # fmt: skip
+        times = [result.seconds for result in (first, by_horizons, closed)]
+        print(f"| {seed} | {' | '.join(f'{x:.2e}' for x in scores)} "
+              f"| {tn.mean_rmse(as_recorded):.2g} | {' | '.join(f'{x:.0f}' for x in times)} |",
+              flush=True)  # fmt: skip
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["loop"]:
+        count, records, *_ = [*map(int, sys.argv[2:]), *(5, 10)[len(sys.argv) - 2 :]]
+        loop(count, records)
+        sys.exit()
     if sys.argv[1:2] == ["payload"]:
         payload(int(sys.argv[2]) if len(sys.argv) > 2 else 10)
         sys.exit()

@@ -105,13 +105,12 @@ def record_in_loop(
     coordinates = [tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates]
     inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
               for i in system.inputs]  # fmt: skip
+    gains = [(float(stiffness[j]), float(damping[j])) if knows_gains else () for j in driven]
+    names = [coordinates[j].name for j in driven]
     loops = [
-        PDLoop(
-            i.name, name := coordinates[j].name, f"{name}_setpoint", f"{name}_velocity_setpoint", "",
-            *((float(stiffness[j]), float(damping[j])) if knows_gains else ()),
-        )
-        for i, j in zip(inputs, driven, strict=True)
-    ]  # fmt: skip
+        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", "", *own)
+        for i, name, own in zip(inputs, names, gains, strict=True)
+    ]
     points = [
         tn.Input(name, coordinates[j].unit + per, "zero-order", is_delay_declared=True)
         for loop, j in zip(loops, driven, strict=True)

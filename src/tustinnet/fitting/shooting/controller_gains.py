@@ -21,7 +21,7 @@ from tustinnet.signals.low_pass import low_pass
 _RANGE = 3.0  # factor by which a gain may differ from what is found
 _SAMPLES = 2.5  # that count as independent for each period of the cut-off frequency
 _SURE = 3.0  # standard errors below 0 from which on a gain has the wrong sign
-_LEAST_ERROR = 1e-4  # of a gain, relative
+_LEAST_ERROR = 1e-3  # of a gain, relative: what a derived velocity may add
 _OTHER_LAW = 0.3  # share of the recorded input that another controller than the card's would leave
 
 
@@ -90,7 +90,7 @@ def _remarks(
     computed = ", ".join(shares)
     remarks = [
         "the controller of the data card is in the loop: set points drive the simulations"
-        + (f", the recorded {computed} {used}" if computed else "")
+        + (f", the recorded inputs ({computed}) {used}" if computed else "")
     ]
     if listed:
         remarks.append(f"gains of the controller, by the recorded inputs: {', '.join(listed)}")
@@ -120,12 +120,15 @@ def _fit_gains(
         j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
         assert e.outputs is not None
         output = e.outputs[:, k] - wanted.get(loop.feedforward, 0.0)
-        is_measured = e.v is not None and e.v_measured and e.padded_rows == (0, 0)
-        velocity = (
-            low_pass(e.v[:, j : j + 1], e.dt, cutoff)
-            if e.v is not None and is_measured
-            else low_pass(e.q[:, j : j + 1], e.dt, cutoff, 1)
-        )
+        if e.v is not None and e.v_measured and e.padded_rows == (0, 0):
+            velocity = low_pass(e.v[:, j : j + 1], e.dt, cutoff)
+        else:
+            q = e.q[:, j : j + 1]
+            velocity = low_pass(q, e.dt, cutoff, 1)
+            if computed.hold in (None, "zero-order", "unknown"):
+                # under a force that is held over a period, velocities at the samples are
+                # tan(wT/2) / (T/2) = w (1 + (wT)^2 / 12) times the positions, not w times
+                velocity -= e.dt**2 / 12 * low_pass(q, e.dt, cutoff, 3)
         target = np.stack([wanted.get(loop.velocity, np.zeros(len(e)))], axis=1)
         filtered = low_pass(
             np.stack([wanted[loop.position] - e.q[:, j], output], axis=1), e.dt, cutoff
