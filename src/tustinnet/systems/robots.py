@@ -155,7 +155,7 @@ class RobotFile(ChannelSource):
         held |= {f"{joint}.{kind}" for joint in joints for kind in kinds}
         held |= {f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None}
         nominal = self.load().nominal()
-        lacking = [name for name, x in values.items() if name not in held and x != nominal[name]]
+        lacking = [n for n, x in values.items() if n not in held and x != nominal.get(n)]
         return text, tuple(lacking)
 
     def _assembly(self) -> "_Assembly":
