@@ -24,8 +24,7 @@ def low_pass(
         signal: samples, (n, m).
         dt: sampling period [s].
         cutoff: frequency at which half of the amplitude is left [Hz].
-        derivative: 0 for the signal itself, 1, 2 or 3 for its derivative by time [unit/s, unit/s^2,
-            unit/s^3].
+        derivative: 0 for the signal itself, 1 or 2 for its derivative by time [unit/s, unit/s^2].
     """
     # written out, for scipy.signal takes longer to load than records take to be filtered
     n = len(signal)

@@ -47,7 +47,7 @@ def test_gains_are_found_and_said(result):
         "recorded inputs (voltage) are used for its gains alone"
     )
     assert re.match(r"gains of the controller, by the recorded inputs: angle\.kp (40|39\.9)", gains)
-    assert "V/(rad)" in gains
+    assert "V s/rad" in gains
     assert "% of the recorded inputs unexplained" in law
 
 

@@ -16,10 +16,12 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.feedback import GAINS, gain_name
 from tustinnet.models.lagrangian import Parameter
-from tustinnet.signals.low_pass import low_pass
+from tustinnet.signals.low_pass import low_pass, occupied_band
 
 _RANGE = 3.0  # factor by which a gain may differ from what is found
-_SAMPLES = 2.5  # that count as independent for each period of the cut-off frequency
+_HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
+_APART = 3  # periods between a sample and those that it is found by, which have other noise
+_LEAST_MOTION = 1e-4  # of the products of deviations, by their squares
 _SURE = 3.0  # standard errors below 0 from which on a gain has the wrong sign
 _LEAST_ERROR = 1e-3  # of a gain, relative: what a derived velocity may add
 _OTHER_LAW = 0.3  # share of the recorded input that another controller than the card's would leave
@@ -38,23 +40,27 @@ class ControllerGains:
     remarks: tuple[str, ...]
 
 
-def gain_parameters(records: Sequence[Experiment], cutoff: float) -> ControllerGains:
+def gain_parameters(records: Sequence[Experiment]) -> ControllerGains:
     """Gains of the controller in the loop of records, as parameters of the closed loop.
 
-    Set points, positions and recorded inputs are filtered alike, so the law of the controller holds
-    between them; what is faster than the motion, and samples at a limit, do not count.
+    The law of the controller is averaged over every period. Its gains are found with instrumental
+    variables, deviations from the set points a few samples before and after: noise of encoders in
+    the deviations themselves would make gains too small. Samples at a limit do not count.
 
     Args:
         records: records with the channels of one controller.
-        cutoff: frequency up to which signals are compared [Hz].
 
     Raises:
         InputError: a gain that cannot be found, or whose sign is wrong.
+
+    References:
+        Söderström, Stoica (1983), Instrumental Variable Methods for System Identification.
     """
     controller = records[0].channels.controller
     if controller is None:
         return ControllerGains((), ())
     parameters, listed, shares = [], [], {}
+    cutoff = min(max(occupied_band(e.q, e.dt) for e in records), _HIGHEST / records[0].dt)
     inputs = {i.name: i for i in controller.inputs}
     is_recorded = all(e.outputs is not None for e in records)
     for k, loop in enumerate(controller.loops):
@@ -63,8 +69,9 @@ def gain_parameters(records: Sequence[Experiment], cutoff: float) -> ControllerG
         if is_recorded:
             found, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
         coordinate = next(c for c in records[0].coordinates if c.name == loop.coordinate)
-        for gain, unit in zip(GAINS, (coordinate.unit, f"{coordinate.unit}/s"), strict=True):
-            name, unit = gain_name(loop, gain), f"{inputs[loop.input].unit}/({unit})"
+        for gain, per in zip(GAINS, ("", " s"), strict=True):
+            name = gain_name(loop, gain)
+            unit = f"{inputs[loop.input].unit}{per}/{coordinate.unit}"
             if gain not in found:
                 value = given[gain]
                 assert value is not None  # the data card requires it where nothing was recorded
@@ -114,67 +121,68 @@ def _fit_gains(
     Returns:
         The gains, and the share of the recorded input that the law leaves.
     """
-    errors, outputs = [], []
+    regressors, instruments, outputs = [], [], []
     for e in records:
-        columns, wanted = [], dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
-        j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
         assert e.outputs is not None
-        output = e.outputs[:, k] - wanted.get(loop.feedforward, 0.0)
+        wanted = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
+        zero = np.zeros(len(e))
+        j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
+        signals = np.stack([
+            wanted[loop.position] - e.q[:, j],
+            wanted.get(loop.velocity, zero),
+            e.outputs[:, k] - wanted.get(loop.feedforward, zero),
+        ], axis=1)  # fmt: skip
+        # means over both ends of a period: the mean of velocities is there the difference of
+        # positions, exactly so under a force that is held
+        velocity = np.diff(e.q[:, j]) / e.dt
         if e.v is not None and e.v_measured and e.padded_rows == (0, 0):
-            velocity = low_pass(e.v[:, j : j + 1], e.dt, cutoff)
-        else:
-            q = e.q[:, j : j + 1]
-            velocity = low_pass(q, e.dt, cutoff, 1)
-            if computed.hold in (None, "zero-order", "unknown"):
-                # under a force that is held over a period, velocities at the samples are
-                # tan(wT/2) / (T/2) = w (1 + (wT)^2 / 12) times the positions, not w times
-                velocity -= e.dt**2 / 12 * low_pass(q, e.dt, cutoff, 3)
-        target = np.stack([wanted.get(loop.velocity, np.zeros(len(e)))], axis=1)
-        filtered = low_pass(
-            np.stack([wanted[loop.position] - e.q[:, j], output], axis=1), e.dt, cutoff
-        )
-        columns = [filtered[:, 0], (low_pass(target, e.dt, cutoff) - velocity)[:, 0]]
-        edge, step = (max(1, round(n / (cutoff * e.dt))) for n in (1, 1 / _SAMPLES))
-        places = np.arange(edge, len(e) - edge, step)
-        places = places[~_near_limit(e.outputs[:, k], computed, edge)[places]]
-        errors.append(np.stack(columns, axis=1)[places])
-        outputs.append(filtered[places, 1])
-    x, y = np.concatenate(errors), np.concatenate(outputs)
+            velocity = (e.v[1:, j] + e.v[:-1, j]) / 2
+        means = (signals[1:] + signals[:-1]) / 2
+        means[:, 1] -= velocity
+        x, inside = means[:, :2], slice(_APART, max(_APART, len(means) - _APART))
+        is_free = ~_near_limit(e.outputs[:, k], computed)[inside]
+        regressors.append(x[inside][is_free])
+        instruments.append((x[: -2 * _APART] + x[2 * _APART :])[is_free] / 2)
+        outputs.append(means[inside, 2][is_free])
+    x, z, y = (np.concatenate(parts) for parts in (regressors, instruments, outputs))
     size = float(np.sqrt(np.mean(y**2))) if len(y) else 0.0
     free = [g for g, gain in enumerate(GAINS) if getattr(loop, gain) is None]
     gains = np.array([getattr(loop, gain) or 0.0 for gain in GAINS])
+    found: dict[str, tuple[float, float]] = {}
     where = f"the loop of '{loop.input}' in [controller]"
-    deviations = np.zeros(len(free))
     if free:
-        unit = np.sqrt(np.mean(x[:, free] ** 2, axis=0)) if len(x) else np.zeros(len(free))
-        scaled = x[:, free] / np.where(unit > 0, unit, 1.0)
         rest = y - x @ gains
-        values, _, rank, _ = np.linalg.lstsq(scaled, rest, rcond=1e-6)
-        if rank < len(free) or len(y) <= len(free):
+        unit = np.sqrt(np.mean(x[:, free] ** 2, axis=0)) if len(x) else np.zeros(len(free))
+        unit = np.where(unit > 0, unit, 1.0)
+        scaled, instrument = x[:, free] / unit, z[:, free] / unit
+        products = instrument.T @ scaled
+        if len(y) <= len(free) or np.linalg.svd(products)[1].min() < _LEAST_MOTION * len(y):
             raise InputError(
                 where, f"records from which {' and '.join(GAINS[g] for g in free)} cannot be found",
                 "deviations from the set points, within the limits", "give the gains in the card",
             )  # fmt: skip
+        inverse = np.linalg.inv(products)
+        values = inverse @ (instrument.T @ rest)
         noise = np.sum((rest - scaled @ values) ** 2) / (len(y) - len(free))
-        deviations = np.sqrt(noise * np.diag(np.linalg.inv(scaled.T @ scaled))) / unit
+        covariance = noise * inverse @ (instrument.T @ instrument) @ inverse.T
+        deviations = np.sqrt(np.diag(covariance)) / unit
         gains[free] = values / unit
-        for g, deviation in zip(free, deviations, strict=True):
+        for g, deviation in zip(free, deviations.tolist(), strict=True):
             if gains[g] < -_SURE * deviation:
                 raise InputError(
                     where, f"{GAINS[g]} is found to be {gains[g]:.4g}", "0 or more",
                     "check the key `sign` of the input and of the coordinate, and the set points",
                 )  # fmt: skip
-    share = float(np.sqrt(np.mean((y - x @ gains) ** 2))) / size if size else 0.0
-    found = zip(free, deviations.tolist(), strict=True)
-    return {GAINS[g]: (max(float(gains[g]), 0.0), error) for g, error in found}, share
+            found[GAINS[g]] = max(float(gains[g]), 0.0), deviation
+    # noise of velocities is not the law's
+    left = low_pass((y - x @ gains)[:, None], e.dt, cutoff) if len(y) > 1 else np.zeros((1, 1))
+    return found, float(np.sqrt(np.mean(left**2))) / size if size else 0.0
 
 
-def _near_limit(
-    output: Float[np.ndarray, " n"], computed: Input, reach: int
-) -> Bool[np.ndarray, " n"]:
-    """Mask of samples near which a recorded input is at a limit of its actuator."""
+def _near_limit(output: Float[np.ndarray, " n"], computed: Input) -> Bool[np.ndarray, " periods"]:
+    """Mask of the periods at an end of which a recorded input is at a limit of its actuator."""
     if computed.limits is None:
-        return np.zeros(len(output), dtype=bool)
+        return np.zeros(len(output) - 1, dtype=bool)
     low, high = computed.limits
     at_limit = (output <= low) | (output >= high)
-    return np.convolve(at_limit, np.ones(2 * reach + 1), "same") > 0
+    return at_limit[1:] | at_limit[:-1]

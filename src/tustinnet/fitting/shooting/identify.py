@@ -32,10 +32,7 @@ from tustinnet.fitting.shooting.equation_error import (
 )
 from tustinnet.fitting.shooting.groups import expand_values
 from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
-from tustinnet.fitting.shooting.inverse_dynamics import (
-    choose_cutoff,
-    identify_by_inverse_dynamics,
-)
+from tustinnet.fitting.shooting.inverse_dynamics import identify_by_inverse_dynamics
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
@@ -219,7 +216,7 @@ def _make_problem(
     free_sensors = sensor_parameters(system, recipe.model.free, plant_records)
     system = with_sensor_errors(system, free_sensors)
 
-    gains = gain_parameters(records, recipe.search.cutoff or choose_cutoff(records))
+    gains = gain_parameters(records)
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
     return Problem(
         system=with_controller(system, channels, gains.parameters),

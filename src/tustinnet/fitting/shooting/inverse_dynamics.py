@@ -133,7 +133,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
         space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
         state = replace(state, space=space, vector=space.to_vector(values))
     space = state.space
-    cutoff = problem.search.cutoff or choose_cutoff(problem.records)
+    cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
     formula = missing_forces(equations)
@@ -224,8 +224,8 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     return part
 
 
-def choose_cutoff(records: Sequence[Experiment]) -> float:
-    """A cut-off frequency for records [Hz]: well above the motion, below the sampling rate."""
+def _choose_cutoff(records: Sequence[Experiment]) -> float:
+    """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
     rate = 1 / records[0].dt
     band = max(occupied_band(e.q, e.dt) for e in records)
     return min(_BAND * band, _HIGHEST * rate)
