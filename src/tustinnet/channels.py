@@ -196,7 +196,7 @@ class Channels:
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...] = ()
     dt: float = 0.0
-    controller: PDController | None = None
+    controller: PDController | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coordinates", tuple(self.coordinates))

@@ -467,8 +467,12 @@ class Card(Declaration):
     def _check_controller(self) -> "Card":
         computed = self._loops()
         without = [i.name for i in self.inputs if i.column is None]
-        if other := next((name for name in without if name not in computed), None):
-            raise ValueError(f"no column of the input '{other}', which no controller computes")
+        for k, own in enumerate(self.inputs):
+            if own.column is None and own.name not in computed:
+                raise ValueError(
+                    f"inputs.{k}.column: missing; a column of '{own.name}', or a loop under "
+                    "[controller] that computes it"
+                )
         if without and len(without) < len(computed):
             raise ValueError(
                 f"no column of the input '{without[0]}', which the controller computes, and some "

@@ -10,7 +10,13 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, PDController, PDLoop
 from tustinnet.errors import InputError
-from tustinnet.models.lagrangian import Feedback, LagrangianSystem, Parameter, Values, takes_inputs
+from tustinnet.models.lagrangian import (
+    FeedbackLaw,
+    LagrangianSystem,
+    Parameter,
+    Values,
+    takes_inputs,
+)
 
 GAINS = ("kp", "kd")
 
@@ -21,7 +27,7 @@ def gain_name(loop: PDLoop, gain: str) -> str:
 
 
 @dataclass(frozen=True)
-class PDFeedback(Feedback):
+class PDFeedback(FeedbackLaw):
     """Proportional and derivative feedback to set points.
 
     Attributes:

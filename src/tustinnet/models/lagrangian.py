@@ -127,7 +127,7 @@ def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Feedback(ABC):
+class FeedbackLaw(ABC):
     """A controller in the loop of a system, see `models.feedback`.
 
     Attributes:
@@ -210,7 +210,7 @@ class LagrangianSystem:
     links: tuple[Link, ...] = ()
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None
-    feedback: "Feedback | None" = None
+    feedback: "FeedbackLaw | None" = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
