@@ -319,8 +319,7 @@ def score_in_loop(
     result: tn.Identification, values: Mapping[str, float], records: Sequence[tn.Experiment]
 ) -> float:
     """Mean RMSE of whole records [rad], the loop of a result with other values of the arm."""
-    known = result.model.continuous.values
-    arrays = {name: jnp.asarray(values.get(name, x)) for name, x in known.items()}
+    arrays = {name: jnp.asarray(values.get(name, x)) for name, x in result.values.items()}
     model = replace(result.model, continuous=result.system.model(arrays))
     return tn.mean_rmse(tn.evaluate(model, list(records), "derived-6"))
 

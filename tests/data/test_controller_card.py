@@ -134,9 +134,7 @@ def test_a_controller_that_is_wrong_is_refused_by_key(columns):
         other = card()
         other["inputs"][0]["delay"] = 0.01
         declare(other, Card, "dataset.toml")
-    with pytest.raises(
-        InputError, match=r"inputs\.0\.column: missing; a column of"
-    ):
+    with pytest.raises(InputError, match=r"inputs\.0\.column: missing; a column of"):
         other = card()
         del other["inputs"][0]["column"], other["controller"]
         declare(other, Card, "dataset.toml")

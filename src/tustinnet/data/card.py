@@ -481,6 +481,7 @@ class Card(Declaration):
         if self.controller is None:
             return self
         controller = self._controller()
+        assert controller is not None
         controller.require_loops([c.coordinate() for c in self.coordinates], "controller.loops")
         for own in self.inputs:
             if own.name not in computed:

@@ -533,7 +533,7 @@ class LagrangianModel(ContinuousModel):
 
     def between_samples(
         self, x: State, u: InputVector
-    ) -> "tuple[LagrangianModel, Callable[[InputVector], InputVector]]":
+    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
         """The equations of motion until the next sample, see `ContinuousModel`.
 
         Those of the system with what its controller computed at the sample, if it is sampled.

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from held_swings import KD, KP, held_swings
 from robot_twins import record_in_loop, true_values
@@ -12,7 +11,7 @@ from swinging import SWING, TRUTH
 import tustinnet as tn
 from tustinnet.errors import InputError
 
-SCARA = Path(__file__).parents[3] / "examples" / "robots" / "scara.urdf"
+PENDULUM = Path(__file__).parents[3] / "examples" / "robots" / "double_pendulum.urdf"
 
 
 @pytest.fixture(scope="module")
@@ -99,23 +98,25 @@ def test_kinds_without_use_for_a_controller_are_refused(records):
 
 def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
     """Inverse dynamics uses the recorded torques, as without the controller; then it simulates."""
-    system = tn.load_system(SCARA)
+    system = tn.load_system(PENDULUM)
     truth = true_values(system, seed=1)
-    loop, alone = (
+    in_loop, alone = (
         record_in_loop(system, truth, 3, 3.0, knows_controller=knows, knows_gains=False)
         for knows in (True, False)
     )
-    first, plain = (tn.identify(data, system, "inverse-dynamics") for data in (loop, alone))
+    first, plain = (tn.identify(data, system, "inverse-dynamics") for data in (in_loop, alone))
     for name, value in plain.values.items():
         assert first.values[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
     assert plain.horizons
     assert not first.horizons, "in the loop records are simulated as a whole"
-    assert first.validation_rmse < 1e-3
+    assert first.validation_rmse < 2e-3
+    assert "are compared with those that the motion needs" in first.findings[0]
     begin = {name: first.values[name] for name in plain.values}
-    result = tn.identify(loop, system, begin=begin)
-    assert result.validation_rmse < 2e-4
-    assert result.values["shoulder.kp"] == pytest.approx(first.values["shoulder.kp"], rel=0.01)
-    assert np.isfinite(result.validation_rmse)
+    result = tn.identify(in_loop, system, begin=begin)
+    assert result.validation_rmse < 0.7 * first.validation_rmse
+    for loop in in_loop.channels.controller.loops:
+        name = f"{loop.coordinate}.kp"
+        assert result.values[name] == pytest.approx(first.values[name], rel=0.01)
 
 
 def test_inverse_dynamics_requires_what_the_controller_computed():

@@ -40,7 +40,9 @@ class ControllerGains:
     remarks: tuple[str, ...]
 
 
-def gain_parameters(records: Sequence[Experiment]) -> ControllerGains:
+def gain_parameters(
+    records: Sequence[Experiment], *, compares_inputs: bool = False
+) -> ControllerGains:
     """Gains of the controller in the loop of records, as parameters of the closed loop.
 
     The law of the controller is averaged over every period. Its gains are found with instrumental
@@ -49,6 +51,8 @@ def gain_parameters(records: Sequence[Experiment]) -> ControllerGains:
 
     Args:
         records: records with the channels of one controller.
+        compares_inputs: whether the recorded inputs are compared with those that the motion needs,
+            as by inverse dynamics.
 
     Raises:
         InputError: a gain that cannot be found, or whose sign is wrong.
@@ -86,14 +90,17 @@ def gain_parameters(records: Sequence[Experiment]) -> ControllerGains:
                     Parameter(name, unit, value, value / _RANGE, value * _RANGE, prior=error)
                 )
             listed.append(f"{name} {value:.4g} ± {error:.1g} {unit}")
-    return ControllerGains(tuple(parameters), _remarks(listed, shares, list(inputs)))
+    return ControllerGains(
+        tuple(parameters), _remarks(listed, shares, compares_inputs=compares_inputs)
+    )
 
 
 def _remarks(
-    listed: Sequence[str], shares: dict[str, float], inputs: Sequence[str]
+    listed: Sequence[str], shares: dict[str, float], *, compares_inputs: bool
 ) -> tuple[str, ...]:
     """Sentences on the gains that were found, and how well the law gives what was recorded."""
     used = "are used for its gains alone" if listed else "are not used in simulations"
+    used = "are compared with those that the motion needs" if compares_inputs else used
     computed = ", ".join(shares)
     remarks = [
         "the controller of the data card is in the loop: set points drive the simulations"
@@ -175,7 +182,11 @@ def _fit_gains(
                 )  # fmt: skip
             found[GAINS[g]] = max(float(gains[g]), 0.0), deviation
     # noise of velocities is not the law's
-    left = low_pass((y - x @ gains)[:, None], e.dt, cutoff) if len(y) > 1 else np.zeros((1, 1))
+    left = (
+        low_pass((y - x @ gains)[:, None], records[0].dt, cutoff)
+        if len(y) > 1
+        else np.zeros((1, 1))
+    )
     return found, float(np.sqrt(np.mean(left**2))) / size if size else 0.0
 
 

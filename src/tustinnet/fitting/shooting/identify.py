@@ -216,7 +216,7 @@ def _make_problem(
     free_sensors = sensor_parameters(system, recipe.model.free, plant_records)
     system = with_sensor_errors(system, free_sensors)
 
-    gains = gain_parameters(records)
+    gains = gain_parameters(records, compares_inputs=recipe.search.method == "inverse-dynamics")
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
     return Problem(
         system=with_controller(system, channels, gains.parameters),
