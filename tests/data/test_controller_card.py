@@ -92,6 +92,12 @@ def test_channels_in_files_are_those_of_the_records(columns):
         e.channels.require_same(e.channels.plant, "run", "the model")
 
 
+def test_records_of_two_controllers_are_no_data_set():
+    first, second = held_swings(1)[0], held_swings(2, kp=2 * KP)[1]
+    with pytest.raises(InputError, match="run1: another controller; expected that of run0"):
+        tn.DataSet("two", (first, second))
+
+
 def test_a_written_folder_reads_the_same(tmp_path):
     data = held_swings(2, kp=None)
     path = write_data_set(data, tmp_path, "Held")
