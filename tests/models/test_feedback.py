@@ -12,6 +12,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.models.added import with_forces
 from tustinnet.models.feedback import with_controller
+from tustinnet.models.lagrangian import LagrangianModel
 
 GAINS = (
     tn.Parameter("angle.kp", "V/rad", KP, KP, KP, fixed=True),
@@ -65,6 +66,8 @@ def test_a_controller_that_computes_all_the_time(record):
     channels = replace(record.channels, inputs=inputs)
     continuous = replace(record, channels=channels)
     fine = closed_model(continuous, substeps=8)
+    assert isinstance(fine.continuous, LagrangianModel)
+    assert fine.continuous.system.feedback is not None
     assert not fine.continuous.system.feedback.is_sampled
     x, w = jnp.array([3.4, 0.3]), jnp.array([3.5, 0.1, 0.2])
     volts = KP * 0.1 - KD * 0.2 + 0.2
