@@ -6,6 +6,7 @@
     python benchmarks/robots.py halves OUT [COUNT [FIRST]]    two halves of an arm's records
     python benchmarks/robots.py payload [COUNT]       2.5 kg at the flange, weighed
     python benchmarks/robots.py design [COUNT]        a designed record against random ones
+    python benchmarks/robots.py loop [COUNT [RECORDS]]    the controller simulated (default: 5 arms)
 
 Needs the extras `bench` and `robots`. Each chain and each robot is compared at three states;
 differences of mass matrices, bias forces and energies are relative to the largest number of each
@@ -15,6 +16,10 @@ others are moved as they do, and their forces brought to the joints that lead.
 A twin is an arm whose masses, centres and inertias are off by up to a third of their priors, with
 armature, friction and offsets: 10 records of 10 s at 200 Hz in the loop of a PD controller,
 encoders of 16 bits, torque noise of 2 %. The command identifies it by inverse dynamics.
+
+`loop` has the set points in the records, not the gains. After inverse dynamics each arm is
+identified by simulation, over horizons of 0.25 s driven by recorded torques, and over whole records
+in the loop. Scored is the motion of the held-out record, simulated in the loop as a whole.
 """
 
 import jax
@@ -27,7 +32,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -505,12 +510,54 @@ def design(count: int) -> None:
                       f"| {missing[1]:.3f} |", flush=True)  # fmt: skip
 
 
+def score_in_loop(
+    result: tn.Identification, values: Mapping[str, float], records: Sequence[tn.Experiment]
+) -> float:
+    """Mean RMSE of whole records [rad], the loop of a result with other values of the arm."""
+    arrays = {name: jnp.asarray(values.get(name, x)) for name, x in result.values.items()}
+    model = replace(result.model, continuous=result.system.model(arrays))
+    return tn.mean_rmse(tn.evaluate(model, list(records), "derived-6"))
+
+
+def loop(count: int, records: int) -> None:
+    """Motion of whole held-out records: after inverse dynamics, short horizons, and in the loop."""
+    system = tn.load_system(ARM)
+    short = {"name": "short", "model": {"kind": "euler-lagrange"}, "search": {"horizon": 0.25}}
+    print("| arm | inverse dynamics [rad] | short horizons [rad] | in the loop [rad] "
+          "| short, torques as recorded [rad] | s | s | s |")  # fmt: skip
+    for seed in range(count):
+        truth = true_values(system, seed)
+        in_loop, driven = (
+            record_in_loop(
+                system, truth, records, 10.0, seed=seed, knows_controller=knows, knows_gains=False
+            )
+            for knows in (True, False)
+        )
+        held = list(in_loop.split("validation"))
+        first = tn.identify(in_loop, system, "inverse-dynamics")
+        begin = {name: first.values[name] for name in system.nominal() if name in first.values}
+        by_horizons = tn.identify(driven, system, short, begin=begin)
+        closed = tn.identify(in_loop, system, "grey", begin=begin)
+        scores = [
+            score_in_loop(closed, result.values, held) for result in (first, by_horizons, closed)
+        ]
+        as_recorded = tn.evaluate(
+            by_horizons.model, list(driven.split("validation")), "derived-6"
+        )  # fmt: skip
+        times = [result.seconds for result in (first, by_horizons, closed)]
+        print(f"| {seed} | {' | '.join(f'{x:.2e}' for x in scores)} "
+              f"| {tn.mean_rmse(as_recorded):.2g} | {' | '.join(f'{x:.0f}' for x in times)} |",
+              flush=True)  # fmt: skip
+
+
 if __name__ == "__main__":
     verb, *words = sys.argv[1:] or ["50"]
     if verb == "descriptions":
         descriptions(words)
     elif verb == "design":
         design(*map(int, words or ["3"]))
+    elif verb == "loop":
+        loop(*map(int, (words + ["5", "10"][len(words) :])))
     elif verb == "payload":
         payload(*map(int, words or ["10"]))
     elif verb in ("twins", "halves"):

@@ -1,11 +1,13 @@
 """Twins of robots: records in a closed loop, with encoders and noise of the torques."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
+from tustinnet.channels import Channels, PDController, PDLoop
 from tustinnet.models.chains import Body, body_inertia, inertial_parameters
 from tustinnet.models.lagrangian import LagrangianSystem
 
@@ -74,6 +76,9 @@ def record_in_loop(
     seed: int = 0,
     amplitude: float = 0.6,
     motions: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+    *,
+    knows_controller: bool = False,
+    knows_gains: bool = True,
 ) -> tn.DataSet:
     """Records of a robot that a PD controller moves along sums of sines, or other motions.
 
@@ -88,6 +93,8 @@ def record_in_loop(
         seed: seed of set points and noise.
         amplitude: size of the set points [rad or m].
         motions: positions and velocities that the first records follow instead, (n, n_q) each.
+        knows_controller: whether the records have the set points of the controller as inputs.
+        knows_gains: whether they have its gains, too.
     """
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
     step = tn.compiled_step(tn.discretise(model, dt, 5, inputs=system.inputs))
@@ -102,6 +109,23 @@ def record_in_loop(
     friction = np.array([values[f"{c.name}.coulomb"] for c in system.coordinates])
     stiffness = inertia * 20.0**2 + 10.0 * friction / amplitude
     damping = 2 * 0.8 * np.sqrt(inertia * stiffness)
+    coordinates = [tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates]
+    inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
+              for i in system.inputs]  # fmt: skip
+    gains = [(float(stiffness[j]), float(damping[j])) if knows_gains else () for j in driven]
+    names = [coordinates[j].name for j in driven]
+    loops = [
+        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", "", *own)
+        for i, name, own in zip(inputs, names, gains, strict=True)
+    ]
+    points = [
+        tn.Input(name, coordinates[j].unit + per, "zero-order", is_delay_declared=True)
+        for loop, j in zip(loops, driven, strict=True)
+        for name, per in zip(loop.set_points, ("", "/s"), strict=True)
+    ]
+    channels = Channels(
+        tuple(coordinates), tuple(points), dt, PDController(tuple(inputs), tuple(loops))
+    )
     records = []
     for k in range(count):
         omega = 2 * np.pi * rng.uniform(0.1, 1.2, (5, n))
@@ -120,11 +144,13 @@ def record_in_loop(
             x = step(x, torques[i])
         level = noise if isinstance(noise, np.ndarray) else noise * torques.std(axis=0)
         measured = torques + level * rng.normal(size=torques.shape)
-        records.append(tn.from_arrays(
+        record = tn.from_arrays(
             np.round(states[:, :n] / COUNT) * COUNT, measured, dt=dt,
-            coordinates=[tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates],
-            inputs=[tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
-                    for i in system.inputs],
+            coordinates=coordinates, inputs=inputs,
             name=f"run{k}", split="train" if k < count - 1 else "validation",
-        ))  # fmt: skip
+        )  # fmt: skip
+        if knows_controller:
+            u = np.stack([wanted[:, driven], speed[:, driven]], axis=2).reshape(len(t), -1)
+            record = replace(record, u=u, channels=channels, outputs=record.u)
+        records.append(record)
     return tn.DataSet("robot", tuple(records))

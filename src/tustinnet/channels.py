@@ -93,6 +93,78 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
+@dataclass(frozen=True)
+class PDLoop:
+    """The loop by which a controller computes an input from a coordinate and its set points.
+
+    `input = kp (position - q) + kd (velocity - v) + feedforward`, within the input's limits.
+
+    Attributes:
+        input: name of the input of the system.
+        coordinate: name of the coordinate that is controlled.
+        position: name of the set point of its position, an input of the closed loop.
+        velocity: name of the set point of its velocity; "" where it is 0.
+        feedforward: name of what is added to the input; "" where nothing is.
+        kp: gain [unit of the input by rad or m], None where it is to be found.
+        kd: gain [unit of the input by rad/s or m/s], None where it is to be found.
+    """
+
+    input: str
+    coordinate: str
+    position: str
+    velocity: str = ""
+    feedforward: str = ""
+    kp: float | None = None
+    kd: float | None = None
+
+    @property
+    def set_points(self) -> tuple[str, ...]:
+        """Names of the inputs of the closed loop that it brings, in their order."""
+        return tuple(name for name in (self.position, self.velocity, self.feedforward) if name)
+
+
+@dataclass(frozen=True)
+class PDController:
+    """A controller in the loop: proportional and derivative feedback to set points.
+
+    Attributes:
+        inputs: the inputs of the system, those included that it does not compute.
+        loops: a loop for each input that it computes.
+    """
+
+    inputs: tuple[Input, ...]
+    loops: tuple[PDLoop, ...]
+
+    def require_loops(self, coordinates: Sequence[Coordinate], where: object) -> None:
+        """Raises unless each loop has an input and a coordinate of its own.
+
+        Raises:
+            InputError: no loop; an input or a coordinate that is not there, or is in two loops; a
+                gain that is negative or not finite.
+        """
+        if not self.loops:
+            raise InputError(where, "no loop", "one for each input that is computed")
+        for kind, known, names in (
+            ("input", [i.name for i in self.inputs], [loop.input for loop in self.loops]),
+            ("coordinate", [c.name for c in coordinates], [x.coordinate for x in self.loops]),
+        ):
+            for k, name in enumerate(names):
+                if name not in known:
+                    raise InputError(
+                        where, f"no {kind} '{name}'", f"one of {', '.join(known) or '(none)'}"
+                    )
+                if name in names[:k]:
+                    raise InputError(where, f"two loops of the {kind} '{name}'", "one")
+        for loop in self.loops:
+            for gain in ("kp", "kd"):
+                value = getattr(loop, gain)
+                if value is not None and not 0 <= value < np.inf:
+                    raise InputError(
+                        where, f"{gain} = {value:g} of the loop of '{loop.input}'", "0 or more",
+                        "the sign of an input, or of a coordinate, is set by its key `sign`",
+                    )  # fmt: skip
+
+
 def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
     """Inputs with the delays of `others`, and with their holds where the inputs declare none."""
     return tuple(
@@ -117,11 +189,14 @@ class Channels:
         coordinates: the columns of `q`.
         inputs: the columns of `u`.
         dt: sampling period [s]; 0 in continuous time.
+        controller: the controller in the loop, whose set points are among the inputs in the place
+            of the inputs that it computes; None without one.
     """
 
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...] = ()
     dt: float = 0.0
+    controller: PDController | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coordinates", tuple(self.coordinates))
@@ -130,6 +205,13 @@ class Channels:
             raise InputError(
                 "channels", f"sampling period {self.dt}", "a time above 0, or 0 in continuous time"
             )
+
+    @property
+    def plant(self) -> "Channels":
+        """The channels of the system without the controller in the loop, if there is one."""
+        if self.controller is None:
+            return self
+        return Channels(self.coordinates, self.controller.inputs, self.dt)
 
     @property
     def n_q(self) -> int:
@@ -196,8 +278,17 @@ class Channels:
             open_holds: whether an input without a declared hold agrees with an input that has one.
 
         Raises:
-            InputError: other coordinates, inputs or another period.
+            InputError: other coordinates, inputs or another period; a controller in the loop of one
+                of them.
         """
+        if (self.controller is None) != (other.controller is None):
+            problem, expected = "no controller in the loop", f"one, as in {own_name}"
+            if self.controller is None:
+                problem, expected = "a controller in the loop", f"none, as in {own_name}"
+            raise InputError(
+                other_name, problem, expected,
+                "check the table [controller] of the data card",
+            )  # fmt: skip
         for noun, actual, expected in (
             ("coordinates", _describe_coordinates(other), _describe_coordinates(self)),
             ("inputs", *_describe_inputs(other, self, open_holds=open_holds)),
@@ -249,20 +340,35 @@ class Channels:
             "coordinates": coordinates,
             "inputs": inputs,
             "dt": self.dt,
+            **({} if self.controller is None else {"controller": self._controller_header()}),
         }
+
+    def _controller_header(self) -> dict[str, Any]:
+        """The controller as plain values."""
+        controller = asdict(self.controller) if self.controller else {}
+        for i in controller["inputs"]:
+            del i["is_delay_declared"]
+        return controller
 
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":
         """The channels that `as_header` wrote."""
-        limits = [tuple(i["limits"]) if i["limits"] else None for i in header["inputs"]]
+        controller = header.get("controller")
         return cls(
             tuple(Coordinate(**c) for c in header["coordinates"]),
-            tuple(
-                Input(**{**i, "limits": limit})
-                for i, limit in zip(header["inputs"], limits, strict=True)
-            ),
+            _inputs_from_header(header["inputs"]),
             header["dt"],
+            controller
+            and PDController(
+                _inputs_from_header(controller["inputs"]),
+                tuple(PDLoop(**loop) for loop in controller["loops"]),
+            ),
         )
+
+
+def _inputs_from_header(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
+    limits = [tuple(i["limits"]) if i["limits"] else None for i in entries]
+    return tuple(Input(**{**i, "limits": limit}) for i, limit in zip(entries, limits, strict=True))
 
 
 class HasChannels:

@@ -25,6 +25,9 @@ CARDS = (
     card.VelocityCard,
     card.InputCard,
     card.FileCard,
+    card.ControllerCard,
+    card.PDLoopCard,
+    card.SetPointCard,
 )
 RECIPES = (
     recipe.TrainingRecipe,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import tustinnet as tn
 from tustinnet.engine import by_jax, by_machine_code
 from tustinnet.engine import runs as engine
-from tustinnet.engine.equations import Equations, Formula, ResidualFormula
+from tustinnet.engine.equations import Equations, Formula, ResidualFormula, SampledValues
 from tustinnet.engine.runs import Directions, Runs, Samples
 
 SMALL = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -27,6 +27,10 @@ CONTINUOUS = Equations(swing, n_x=3, n_u=1, n_p=2, n_c=1)
 DISCRETE = Equations(
     lambda x, u, p, c: x + 0.05 * swing(x, u, p, c), n_x=3, n_u=1, n_p=2, n_c=1, continuous=False
 )
+SAMPLED = Equations(
+    lambda x, u, p, c, held: swing(x, u + held, p, c), n_x=3, n_u=1, n_p=2, n_c=1,
+    sampled=SampledValues(lambda x, u, p, c: p[1] * (u - x[:1]) - c[0] * x[1:2], 1),
+)  # fmt: skip
 PLAIN = ResidualFormula(lambda error: error, 2)
 PERIODIC = ResidualFormula(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
 
@@ -57,7 +61,7 @@ lengths_of_runs = st.lists(st.integers(0, 30), min_size=1, max_size=9)
 seeds_of_runs = st.integers(0, 2**16)
 
 
-@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE])
+@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE, SAMPLED])
 @SMALL
 @given(seed=seeds_of_runs, lengths=lengths_of_runs, substeps=st.integers(1, 3))
 def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
@@ -70,7 +74,7 @@ def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
 
 
 @pytest.mark.parametrize("residual", [PLAIN, PERIODIC])
-@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE])
+@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE, SAMPLED])
 @SMALL
 @given(seed=seeds_of_runs, lengths=lengths_of_runs, parameters=st.booleans())
 def test_both_engines_find_the_same_products(equations, residual, seed, lengths, parameters):
@@ -88,7 +92,7 @@ def test_measured_samples_take_the_place_of_the_simulated_ones():
     runs, _ = made(3, [12, 5, 7])
     rows = np.random.default_rng(1).normal(size=(len(runs.drive), 2))
     runs = replace(runs, measured=rows, measured_samples=np.array([4, 6, 0]))
-    for equations in (CONTINUOUS, DISCRETE):
+    for equations in (CONTINUOUS, DISCRETE, SAMPLED):
         result = by_machine_code.simulate(equations, runs, 2)
         alike(result, by_jax.simulate(equations, runs, 2))
 

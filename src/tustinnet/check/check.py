@@ -28,7 +28,7 @@ def check_records(records: Iterable[Experiment], card: Card | None = None) -> tu
     Returns:
         Findings, the severe ones first, those of equal text merged.
     """
-    views = [RecordView(e, card) for e in records]
+    views = [RecordView(_without_controller(e), card) for e in records]
     if not views:
         return ()
     findings = [f for view in views for f in check_view(view)]
@@ -38,6 +38,11 @@ def check_records(records: Iterable[Experiment], card: Card | None = None) -> tu
     return sort_findings(merge_findings(findings))
 
 
+def _without_controller(e: Experiment) -> Experiment:
+    """The record with the inputs of its system, where they were recorded."""
+    return e.without_controller() if e.outputs is not None else e
+
+
 def check_record(experiment: Experiment, card: Card | None = None) -> tuple[Finding, ...]:
     """Finds what is wrong with a record by itself.
 
@@ -45,7 +50,7 @@ def check_record(experiment: Experiment, card: Card | None = None) -> tuple[Find
         experiment: the record.
         card: its data card, if it has one.
     """
-    return sort_findings(check_view(RecordView(experiment, card)))
+    return sort_findings(check_view(RecordView(_without_controller(experiment), card)))
 
 
 @np.errstate(all="ignore")  # numbers of damaged records overflow; they are findings, too

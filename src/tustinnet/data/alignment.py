@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.data.card import Card, ColumnKey, CoordinateCard, InputCard
+from tustinnet.channels import Input
+from tustinnet.data.card import Card, ColumnKey, CoordinateCard
 from tustinnet.data.columns import Column, Columns
 from tustinnet.errors import InputError
 from tustinnet.signals import resampling
@@ -114,8 +115,8 @@ def _rules(card: Card, name: Callable[[ColumnKey], str]) -> dict[str, Resample]:
             rules[name(coordinate.column)] = rules[name(coordinate.sine)] = _resample_spline
         if coordinate.velocity is not None:
             rules.setdefault(name(coordinate.velocity.column), _resample_linear)
-    for entry in card.inputs:
-        rules.setdefault(name(entry.column), _input_rule(entry))
+    for entry in (*card.input_columns(), *card.output_columns()):
+        rules.setdefault(name(entry.column), _input_rule(entry.input))
     return rules
 
 
@@ -168,7 +169,7 @@ def _resample_held(t: Times, column: Column, grid: Grid) -> Grid:
     return resampling.resample_held(t, column[:, None], grid)[:, 0]
 
 
-def _input_rule(entry: InputCard) -> Resample:
+def _input_rule(entry: Input) -> Resample:
     """The rule for an input, by the course between its samples."""
     rules = {"first-order": _resample_linear, "band-limited": _resample_spline}
-    return rules.get(entry.hold, _resample_held)
+    return rules.get(entry.hold or "", _resample_held)

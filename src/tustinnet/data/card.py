@@ -1,7 +1,7 @@
 """The data card: a TOML file that declares the columns of a folder of logs."""
 
 from pathlib import PureWindowsPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import (
@@ -22,6 +22,8 @@ from tustinnet.channels import (
     Hold,
     Input,
     Kind,
+    PDController,
+    PDLoop,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
 from tustinnet.data.units import TIME, convert_to_si, velocity_factor
@@ -67,6 +69,7 @@ Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
 Scale = Annotated[Amount, AfterValidator(_nonzero)]
 Delay = Annotated[float, Field(ge=-1e4, le=1e4)]
 Resolution = Annotated[float, Field(ge=1e-12, le=1e6)]
+Gain = Annotated[float, Field(ge=0, le=1e15)]
 Row = Annotated[StrictInt, Field(ge=0, le=10**12)]
 Second = Annotated[float, Field(ge=0, le=1e12)]
 Limits = Annotated[tuple[Amount, Amount], _rising("the smaller limit comes first")]
@@ -170,15 +173,27 @@ class CoordinateCard(Declaration):
             return 2 * np.pi / self.counts_per_revolution
         return self.resolution
 
-    def factor(self) -> float:
-        """SI units in one unit of the position column."""
-        if self.unit == "counts":
-            return float(self.count or np.nan)
-        return self.scale * (1.0 if self.unit is None else convert_to_si(self.unit)[0])
+    def factor(self, unit: str | None = None) -> float:
+        """SI units in one unit of a column of positions, by default its own column.
 
-    def velocity_factor(self) -> float:
-        """SI units in one unit of the velocity column."""
-        unit = self.velocity.unit if self.velocity else None
+        Raises:
+            ValueError: a unit of something else.
+        """
+        # a scale belongs to the coordinate's own column, and to set points in its unit
+        scale = self.scale if unit in (None, self.unit) else 1.0
+        unit = unit or self.unit
+        if unit == "counts":
+            return float(self.count or np.nan)
+        if unit is None:
+            return self.scale
+        factor, si_unit = convert_to_si(unit)
+        if si_unit != self.si_unit:
+            raise ValueError(f"unit '{unit}' of a set point of '{self.name}'; {self.si_unit}")
+        return scale * factor
+
+    def velocity_factor(self, unit: str | None = None) -> float:
+        """SI units in one unit of a column of velocities, by default that of its own column."""
+        unit = unit or (self.velocity.unit if self.velocity else None)
         if unit is None:
             return self.factor()
         counts, _, per = unit.partition("/")
@@ -191,12 +206,28 @@ class CoordinateCard(Declaration):
         return Coordinate(self.name, self.kind, self.count, self.si_unit)
 
 
+class InputColumn(NamedTuple):
+    """The column of an input of records: `value = factor * (column - offset)`.
+
+    Attributes:
+        input: the input.
+        column: name or number.
+        factor: units of the input in one unit of the column.
+        offset: reading of the column where the input is 0.
+    """
+
+    input: Input
+    column: ColumnKey
+    factor: float
+    offset: float
+
+
 class InputCard(Declaration):
     """An input: `value = sign * scale * (column - offset)`.
 
     Attributes:
         name: name of the input.
-        column: name or number.
+        column: name or number; it may be left out of inputs that a controller computes.
         unit: the unit of `value`.
         scale: units of `value` in one unit of the column.
         sign: 1 or -1.
@@ -211,7 +242,7 @@ class InputCard(Declaration):
     """
 
     name: Name
-    column: ColumnKey
+    column: ColumnKey | None = None
     unit: Text
     scale: Scale = 1.0
     sign: Literal[1, -1] = 1
@@ -226,12 +257,83 @@ class InputCard(Declaration):
         _require_assumed(self, self.assumed)
         return self
 
+    def input_columns(self) -> list[InputColumn]:
+        """Its column; none where it has none."""
+        if self.column is None:
+            return []
+        return [InputColumn(self.input(), self.column, self.sign * self.scale, self.offset)]
+
     def input(self) -> Input:
         """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
         is_declared = delay is not None and "delay" in self.model_fields_set
         return Input(self.name, self.unit, hold, self.limits, delay, is_declared)
+
+
+class SetPointCard(Declaration):
+    """The column of a set point.
+
+    Attributes:
+        column: name or number.
+        unit: unit of the column, by default that of the coordinate's own column.
+    """
+
+    column: ColumnKey
+    unit: str | None = None
+
+
+class PDLoopCard(Declaration):
+    """The loop by which a controller computes an input, see `channels.PDLoop`.
+
+    Attributes:
+        input: name of the input.
+        coordinate: name of the coordinate that is controlled.
+        position: the column of its set point, which has the sign and the zero of the coordinate's
+            own column.
+        velocity: the column of the set point of its velocity; without it that is 0.
+        feedforward: the column of what is added, read as the input's own: its sign, scale, offset.
+        kp: gain [unit of the input by rad or m]; without it, it is found.
+        kd: gain [unit of the input by rad/s or m/s]; without it, it is found.
+    """
+
+    input: Name
+    coordinate: Name
+    position: SetPointCard
+    velocity: SetPointCard | None = None
+    feedforward: ColumnKey | None = None
+    kp: Gain | None = None
+    kd: Gain | None = None
+
+    @field_validator("position", "velocity", mode="before")
+    @classmethod
+    def _expand_column(cls, content: object) -> object:
+        # "q_desired" is short for { column = "q_desired" }
+        return {"column": content} if isinstance(content, str | int) else content
+
+    def loop(self) -> PDLoop:
+        """The loop as records have it."""
+        return PDLoop(
+            self.input,
+            self.coordinate,
+            f"{self.coordinate}_setpoint",
+            f"{self.coordinate}_velocity_setpoint" if self.velocity else "",
+            f"{self.input}_feedforward" if self.feedforward is not None else "",
+            self.kp,
+            self.kd,
+        )
+
+
+class ControllerCard(Declaration):
+    """The controller that was in the loop.
+
+    Attributes:
+        kind: `pd`: proportional and derivative feedback to set points.
+        loops: one for each input that it computes.
+    """
+
+    kind: Literal["pd"]
+    loops: list[PDLoopCard] = Field(min_length=1)
 
 
 class TimeCard(Declaration):
@@ -408,6 +510,7 @@ class Card(Declaration):
         inputs: any number.
         join: files with more columns of the records, by a label.
         assumed: keys of the top level that nothing in the logs says; the check reminds of them.
+        controller: the controller that was in the loop, if it is to be simulated.
     """
 
     name: Text
@@ -421,6 +524,7 @@ class Card(Declaration):
     inputs: list[InputCard] = Field(default_factory=list)
     join: dict[Name, JoinCard] = Field(default_factory=dict)
     assumed: tuple[Literal["dt"], ...] = ()
+    controller: ControllerCard | None = None
 
     @field_validator("splits", mode="before")
     @classmethod
@@ -436,9 +540,54 @@ class Card(Declaration):
         }
 
     @model_validator(mode="after")
+    def _check_controller(self) -> "Card":
+        computed = self._loops()
+        without = [i.name for i in self.inputs if i.column is None]
+        for k, own in enumerate(self.inputs):
+            if own.column is None and own.name not in computed:
+                raise ValueError(
+                    f"inputs.{k}.column: missing; a column of '{own.name}', or a loop under "
+                    "[controller] that computes it"
+                )
+        if without and len(without) < len(computed):
+            raise ValueError(
+                f"no column of the input '{without[0]}', which the controller computes, and some "
+                "of others; give the columns of all of them, or of none"
+            )
+        if self.controller is None:
+            return self
+        controller = self._controller()
+        assert controller is not None
+        controller.require_loops([c.coordinate() for c in self.coordinates], "controller.loops")
+        for own in self.inputs:
+            if own.name not in computed:
+                continue
+            loop = computed[own.name]
+            if own.delay != 0:
+                raise ValueError(
+                    f"`delay` of the input '{own.name}', which the controller computes; "
+                    "feedback is simulated without a delay: leave it out"
+                )
+            if own.column is None and (loop.kp is None or loop.kd is None):
+                raise ValueError(
+                    f"no {'kp' if loop.kp is None else 'kd'} in the loop of '{own.name}', and no "
+                    "column of this input, from which a gain is found; give one of both"
+                )
+        holds = {i.hold for i in self.inputs if i.name in computed}
+        if len(holds) > 1:
+            raise ValueError(
+                f"`hold` of the inputs that the controller computes: {', '.join(sorted(holds))}; "
+                "one for all: zero-order where it computes at every sample, else first-order"
+            )
+        self.input_columns()  # units that fit
+        return self
+
+    @model_validator(mode="after")
     def _check_names(self) -> "Card":
         _require_assumed(self, self.assumed)
+        recorded = {i.name for i in self.inputs} | {c.input.name for c in self.input_columns()}
         names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
+        names += sorted(recorded.difference(names))
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             raise ValueError(f"two channels are called '{duplicates[0]}'")
@@ -463,12 +612,70 @@ class Card(Declaration):
         velocities = [c.velocity.column for c in self.coordinates if c.velocity is not None]
         times = [] if self.time is None else [self.time.column]
         positions = [key for c in self.coordinates for key in (c.column, c.sine) if key is not None]
-        return [*positions, *(i.column for i in self.inputs), *velocities, *times]
+        inputs = [i.column for i in (*self.input_columns(), *self.output_columns())]
+        return [*positions, *inputs, *velocities, *times]
+
+    def input_columns(self) -> list[InputColumn]:
+        """The columns of the inputs of records; set points, where a controller computes inputs.
+
+        Raises:
+            ValueError: a unit of a set point that does not fit its coordinate.
+        """
+        computed, columns = self._loops(), []
+        coordinates = {c.name: c for c in self.coordinates}
+        for own in self.inputs:
+            if own.name not in computed:
+                columns += own.input_columns()
+                continue
+            card = computed[own.name]
+            loop, coordinate = card.loop(), coordinates[card.coordinate]
+            # set points act as the input that is computed from them
+            hold = "zero-order" if own.hold in ("zero-order", "unknown") else "first-order"
+
+            def set_point(name: str, unit: str, hold: Hold = hold) -> Input:
+                return Input(name, unit, hold, is_delay_declared=True)
+
+            factor = coordinate.factor(card.position.unit)
+            columns.append(InputColumn(
+                set_point(loop.position, coordinate.si_unit), card.position.column,
+                coordinate.sign * factor, coordinate.offset * coordinate.factor() / factor,
+            ))  # fmt: skip
+            if card.velocity is not None:
+                factor = coordinate.velocity_factor(card.velocity.unit)
+                columns.append(InputColumn(
+                    set_point(loop.velocity, f"{coordinate.si_unit}/s"), card.velocity.column,
+                    coordinate.sign * factor, 0.0,
+                ))  # fmt: skip
+            if card.feedforward is not None:
+                columns.append(InputColumn(
+                    set_point(loop.feedforward, own.unit), card.feedforward,
+                    own.sign * own.scale, own.offset,
+                ))  # fmt: skip
+        return columns
+
+    def output_columns(self) -> list[InputColumn]:
+        """The columns of what a controller computed, one for each loop; none without."""
+        own = {i.name: i for i in self.inputs}
+        return [column for name in self._loops() for column in own[name].input_columns()]
+
+    def _loops(self) -> dict[str, PDLoopCard]:
+        """The loops of the controller by their inputs."""
+        return {loop.input: loop for loop in self.controller.loops} if self.controller else {}
+
+    def _controller(self) -> PDController | None:
+        """The controller as records have it."""
+        if self.controller is None:
+            return None
+        return PDController(
+            tuple(i.input() for i in self.inputs),
+            tuple(loop.loop() for loop in self.controller.loops),
+        )
 
     def channels(self, dt: float) -> Channels:
         """Coordinates and inputs as records have them, at a sampling period [s]."""
         return Channels(
             tuple(c.coordinate() for c in self.coordinates),
-            tuple(i.input() for i in self.inputs),
+            tuple(i.input for i in self.input_columns()),
             dt,
+            self._controller(),
         )

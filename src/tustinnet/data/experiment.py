@@ -20,6 +20,7 @@ VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener"
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
 _STENCIL_SAMPLES = 5
 _FEW_PADDED = 10  # rows: fewer are the ends of a difference, more may be an arm at rest
+_COLUMNS = {"u": "inputs", "outputs": "loops"}
 _FLICKER = 2.5  # steps of a position at rest
 
 
@@ -62,6 +63,24 @@ def begin_near_zero(experiment: "Experiment", wrapped: Iterable[int]) -> "Experi
     return replace(experiment, q=q, notes=tuple(notes))
 
 
+def with_near_set_points(experiment: "Experiment") -> "Experiment":
+    """The record with set points of angles unwrapped, and moved by whole turns to the angles.
+
+    Args:
+        experiment: the record, its angles as they stay.
+    """
+    channels, u = experiment.channels, experiment.u.copy()
+    names = [i.name for i in channels.inputs]
+    for loop in channels.controller.loops if channels.controller else ():
+        j = next(j for j, c in enumerate(channels.coordinates) if c.name == loop.coordinate)
+        if channels.angular[j]:
+            k = names.index(loop.position)
+            wanted = resampling.unwrap_angle(u[:, k])[0]
+            turns = np.round(np.median(experiment.q[:, j] - wanted) / (2 * np.pi))
+            u[:, k] = wanted + 2 * np.pi * turns
+    return experiment if (u == experiment.u).all() else replace(experiment, u=u)
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment(HasChannels):
     """One frozen record of one run. SI units, angles in radians and not wrapped.
@@ -70,7 +89,8 @@ class Experiment(HasChannels):
         name: name of the record.
         t: timestamps as recorded, (n,) [s].
         q: positions, (n, n_q) [rad or m].
-        u: inputs, (n, n_u); `u[k]` acts from sample k on.
+        u: inputs, (n, n_u); `u[k]` acts from sample k on. With a controller in the loop its set
+            points are among them, in the place of what it computes.
         channels: the columns of `q` and `u`, and the sampling period.
         v: velocities as they stand in the file, (n, n_q) [rad/s or m/s], or None.
         v_measured: whether `v` was measured by a sensor of its own.
@@ -83,6 +103,7 @@ class Experiment(HasChannels):
         first_row: row of sample 0 in the source.
         recording: time base of the whole record before it was resampled, None where it was not.
         notes: remarks on how it was read (jitter accepted, angles unwrapped or moved, ...).
+        outputs: what a controller in the loop computed, as recorded, (n, loops), or None.
     """
 
     name: str
@@ -100,6 +121,7 @@ class Experiment(HasChannels):
     recording: Recording | None = None
     notes: tuple[str, ...] = field(default=())
     groups: tuple[tuple[str, str], ...] = field(default=())
+    outputs: Float[np.ndarray, "n loops"] | None = None
 
     def __post_init__(self) -> None:
         require_name(self.name, "record")
@@ -119,6 +141,9 @@ class Experiment(HasChannels):
         self._freeze("u", (n, len(self.inputs)))
         if self.v is not None:
             self._freeze("v", (n, len(self.coordinates)))
+        if self.outputs is not None:
+            controller = self.channels.controller
+            self._freeze("outputs", (n, len(controller.loops) if controller else 0))
         backward = np.flatnonzero(np.diff(self.t) <= 0)
         if len(backward):
             row = int(backward[0]) + 1
@@ -138,7 +163,7 @@ class Experiment(HasChannels):
             raise InputError(
                 self.name,
                 f"{attribute} has shape {array.shape}",
-                f"{expected}: samples by {'inputs' if attribute == 'u' else 'coordinates'}",
+                f"{expected}: samples by {_COLUMNS.get(attribute, 'coordinates')}",
             )
         usable = np.abs(array) <= LARGEST
         if not usable.all():
@@ -152,6 +177,29 @@ class Experiment(HasChannels):
             )
         array.setflags(write=False)
         object.__setattr__(self, attribute, array)
+
+    @property
+    def output_inputs(self) -> tuple[Input, ...]:
+        """The inputs that a controller in the loop computes, in the order of `outputs`."""
+        controller = self.channels.controller
+        if controller is None:
+            return ()
+        inputs = {i.name: i for i in controller.inputs}
+        return tuple(inputs[loop.input] for loop in controller.loops)
+
+    def without_controller(self) -> "Experiment":
+        """The record of the system alone: inputs as recorded, in the place of set points.
+
+        Itself where there is no controller in the loop. Inputs that were not recorded are 0.
+        """
+        if self.channels.controller is None:
+            return self
+        columns = dict(zip((i.name for i in self.inputs), self.u.T, strict=True))
+        if self.outputs is not None:
+            columns |= zip((i.name for i in self.output_inputs), self.outputs.T, strict=True)
+        plant, zero = self.channels.plant, np.zeros(len(self))
+        inputs = [columns.get(i.name, zero) for i in plant.inputs]
+        return replace(self, u=np.stack(inputs, axis=1), channels=plant, outputs=None)
 
     @property
     def logged_rows(self) -> tuple[int, int]:
@@ -196,6 +244,7 @@ class Experiment(HasChannels):
             q=self.q[part],
             u=self.u[part],
             v=None if self.v is None else self.v[part],
+            outputs=None if self.outputs is None else self.outputs[part],
             channels=replace(self.channels, dt=self.dt * stride),
             k_bar=None if k_bar is None else -(-k_bar // stride),
             first_row=self.first_row + start,
@@ -229,15 +278,25 @@ class Experiment(HasChannels):
             "first-order": resampling.resample_linear,
             "band-limited": resampling.resample_positions,
         }
-        u = np.zeros((len(grid), self.channels.n_u))
-        for k, i in enumerate(self.inputs):
-            u[:, k : k + 1] = by_hold[i.hold or "zero-order"](self.t, self.u[:, k : k + 1], grid)
+
+        def resample_inputs(u: np.ndarray, inputs: Sequence[Input]) -> np.ndarray:
+            columns = [
+                by_hold[i.hold or "zero-order"](self.t, u[:, k : k + 1], grid)
+                for k, i in enumerate(inputs)
+            ]
+            return np.concatenate(columns, axis=1) if columns else np.zeros((len(grid), 0))
+
+        outputs = self.outputs
+        if outputs is not None:
+            self._require_holds(self.output_inputs, "resampling", delays=False)
+            outputs = resample_inputs(outputs, self.output_inputs)
         return replace(
             self,
             t=grid,
             channels=replace(self.channels, dt=dt),
             q=resampling.resample_positions(self.t, self.q, grid),
-            u=u,
+            u=resample_inputs(self.u, self.inputs),
+            outputs=outputs,
             v=None if self.v is None else resampling.resample_linear(self.t, self.v, grid),
             k_bar=k_bar,
             recording=self.recording or describe_recording(self.t, self.q, self.dt),

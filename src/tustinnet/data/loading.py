@@ -18,7 +18,13 @@ from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.drafting.logs import find_clock_of
-from tustinnet.data.experiment import LARGEST, Experiment, begin_near_zero, unwrap_angles
+from tustinnet.data.experiment import (
+    LARGEST,
+    Experiment,
+    begin_near_zero,
+    unwrap_angles,
+    with_near_set_points,
+)
 from tustinnet.data.formats.mat import OBJECT, object_remedy
 from tustinnet.data.joining import join_columns, read_formatted
 from tustinnet.errors import InputError
@@ -192,7 +198,8 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
     wrapped = [
         j for j, c in enumerate(card.coordinates) if (j in wrapping if c.wraps is None else c.wraps)
     ]
-    return [begin_near_zero(record.experiment, wrapped) for record in records]
+    begun = (begin_near_zero(record.experiment, wrapped) for record in records)
+    return [with_near_set_points(record) for record in begun]
 
 
 def _load_file(
@@ -396,9 +403,12 @@ def _read_record(
     for j, c in enumerate(card.coordinates):
         if c.sine is not None:
             q[:, j] = np.arctan2(reader.read_matrix([c.sine], like=q)[:, 0], q[:, j])
-    u = reader.read_matrix([i.column for i in card.inputs], like=q)
+    u, outputs = (
+        (reader.read_matrix([i.column for i in columns], like=q) - [i.offset for i in columns])
+        * [i.factor for i in columns]
+        for columns in (card.input_columns(), card.output_columns())
+    )
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
-    u = (u - [i.offset for i in card.inputs]) * [i.sign * i.scale for i in card.inputs]
     v, velocities = None, [c.velocity for c in card.coordinates if c.velocity is not None]
     if velocities:
         if len(velocities) < len(card.coordinates):
@@ -423,7 +433,8 @@ def _read_record(
     t, dt = _times(reader, card, len(q))
     columns.release()
     record = Experiment(
-        name=name, t=t, q=q, u=u, channels=card.channels(dt), v=v,
+        name=name, t=t, q=q, u=u, outputs=outputs if outputs.shape[1] else None,
+        channels=card.channels(dt), v=v,
         v_measured=bool(velocities) and all(c.measured for c in velocities),
         first_row=reader.rows[0] if reader.rows else 0, split=split, k_bar=entry and entry.k_bar,
         groups=tuple(groups.items()), source=entry.file if entry else "", sha256=sha256,

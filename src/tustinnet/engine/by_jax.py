@@ -111,13 +111,16 @@ def _next_state(
 ) -> Array:
     """The state a period later."""
     n_p = equations.n_p
+    held = ()
+    if equations.sampled is not None:
+        held = (equations.sampled.function(x, pieces[0], p[:n_p], p[n_p:]),)
 
     def at(state: Array, part: Array | float) -> Array:
         """The equations at a state and a part of the period."""
         inputs = pieces[-1]
         for coefficient in pieces[-2::-1]:
             inputs = coefficient + part * inputs
-        return equations.function(state, inputs, p[:n_p], p[n_p:])
+        return equations.function(state, inputs, p[:n_p], p[n_p:], *held)
 
     if not equations.continuous:
         return at(x, 0.0)

@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -41,11 +42,14 @@ _operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, d
 
 def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarray, "rows n_x"]:
     """The states at all samples, run after run; see `runs.simulate`."""
+    n_x = equations.n_x
+    equations, at_samples, start = _with_sampled_states(equations, runs.start)
+    runs = replace(runs, start=start)
     # two vectors side by side where layers of a network are multiplied: each weight is then read
     # once for both
     has_layers = any(node.op == "product" for node in equations.program.nodes)
     lanes = 2 * width() if has_layers and len(runs.steps) > width() else width()
-    function, constants = _function(run_kernel, "run", RUN, equations, lanes)
+    function, constants = _function(run_kernel, "run", RUN, equations, at_samples, lanes)
     states = np.zeros((runs.samples, equations.n_x))
     measured = np.zeros((1, 0)) if runs.measured is None else _contiguous(runs.measured)
     table = _table(runs, lanes)
@@ -58,7 +62,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
         )  # fmt: skip
 
     _side_by_side(run, len(table) // lanes)
-    return states
+    return states[:, :n_x]
 
 
 def compare(
@@ -67,14 +71,19 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()
-    function, constants = _function(compare_kernel, "compare", COMPARE, equations, residual, lanes)
-    n_r, n_d, n_x = directions.seeds.shape
+    extended, at_samples, start = _with_sampled_states(equations, runs.start)
+    runs = replace(runs, start=start)
+    seeds = _with_sampled_states(equations, directions.seeds)[2]
+    function, constants = _function(
+        compare_kernel, "compare", COMPARE, extended, at_samples, residual, lanes
+    )
+    n_r, n_d, n_x = seeds.shape
     result = Comparison(
         np.zeros((n_r, n_d, n_d)), np.zeros((n_r, n_d)), np.zeros(n_r),
         np.zeros((runs.samples, residual.n_y)),
     )  # fmt: skip
     table = _table(runs, lanes)
-    arrays = [*_arrays(runs), _contiguous(directions.seeds)]
+    arrays = [*_arrays(runs), _contiguous(seeds)]
     target, weight = _contiguous(samples.target), _contiguous(samples.weight)
     by_p = equations.n_p if directions.parameters else 0
 
@@ -93,6 +102,22 @@ def compare(
     # only the lower triangles were computed
     result.products[...] += np.swapaxes(np.tril(result.products, -1), 1, 2)
     return result
+
+
+def _with_sampled_states(
+    equations: Equations, states: Float[np.ndarray, "*runs n_x"]
+) -> tuple[Equations, Equations | None, Float[np.ndarray, "*runs n"]]:
+    """Equations without sampled values: these are states behind the others.
+
+    Returns:
+        The equations; the step that computes the sampled values at each sample, None without any;
+        and states, or derivatives of them, with zeros in their places.
+    """
+    if equations.sampled is None:
+        return equations, None, states
+    flow, at_samples = equations.with_sampled_states
+    zeros = np.zeros((*states.shape[:-1], equations.sampled.size))
+    return flow, at_samples, np.concatenate([states, zeros], axis=-1)
 
 
 def evaluate(

@@ -1,14 +1,30 @@
 """Equations for the engine: functions of JAX arrays, read once as programs with derivatives."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
+
+import jax.numpy as jnp
 
 from tustinnet.program.adjoints import Adjoints, with_adjoints
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
+
+
+@dataclass(frozen=True, eq=False)
+class SampledValues:
+    """Values that are computed at each sample and held until the next, as by a controller.
+
+    Attributes:
+        function: of the state (n_x,), the inputs (n_u,) at the sample, the parameters that
+            derivatives are needed by (n_p,), and all others (n_c,): the values, (size,).
+        size: how many there are.
+    """
+
+    function: Callable[..., Any]
+    size: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +43,8 @@ class Equations:
             Runge-Kutta method.
         where: its name in messages.
         matrices: the weights of layers that are given with every run, and their shapes.
+        sampled: values that are held from sample to sample, which the function takes last; None
+            where it takes none.
     """
 
     function: Callable[..., Any]
@@ -37,10 +55,45 @@ class Equations:
     continuous: bool = True
     where: str = "model"
     matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    sampled: SampledValues | None = None
+
+    @cached_property
+    def with_sampled_states(self) -> "tuple[Equations, Equations]":
+        """Equations of states with the sampled values behind them, and the step at a sample.
+
+        The first hold the values, the second, discrete ones, compute them anew.
+        """
+        assert self.sampled is not None
+        held, n_x, size = self.sampled, self.n_x, self.n_x + self.sampled.size
+
+        def flow(x: Any, u: Any, p: Any, c: Any) -> Any:
+            rate = self.function(x[:n_x], u, p, c, x[n_x:])
+            return jnp.concatenate([rate, jnp.zeros_like(x[n_x:])])
+
+        def sample(x: Any, u: Any, p: Any, c: Any) -> Any:
+            return jnp.concatenate([x[:n_x], held.function(x[:n_x], u, p, c)])
+
+        return (
+            replace(self, function=flow, n_x=size, sampled=None),
+            replace(self, function=sample, n_x=size, sampled=None, continuous=False),
+        )
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The programs of a simulation: the function, or the two of `with_sampled_states`.
+
+        Raises:
+            Unreadable: they use what no program can hold.
+        """
+        if self.sampled is None:
+            return (self.program,)
+        return tuple(equations.program for equations in self.with_sampled_states)
 
     @cached_property
     def program(self) -> Program:
         """The function as a program: `x`, `u`, `p`, `c` and the matrices to `x`.
+
+        Only of equations without sampled values.
 
         Raises:
             Unreadable: it uses what no program can hold.

@@ -3,7 +3,7 @@
 Lanes are runs of any lengths: a run that has ended stands still until the longest beside it ends.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,7 @@ DYNAMICS = (
     "ptr noalias %constants, ptr noalias %x, ptr noalias %u, ptr noalias %p, "
     "ptr noalias %out, ptr noalias %by_x, ptr noalias %by_p"
 )
+DYNAMIC, SAMPLE = "dynamics", "sample"  # names of procedures
 MAP = "i64 %count, ptr %constants, ptr %in, ptr %out"
 STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
@@ -61,28 +62,48 @@ def _kernel(lanes: int, write: Callable[[Module, Constants], object]) -> Kernel:
     return Kernel(module.text(), tuple(constants.numbers))
 
 
-def run_kernel(equations: Equations, lanes: int) -> Kernel:
-    """Machine code of free runs: the states at all samples."""
-    return _kernel(lanes, lambda module, constants: write_run(module, equations, constants))
+def run_kernel(equations: Equations, at_samples: Equations | None, lanes: int) -> Kernel:
+    """Machine code of free runs: the states at all samples.
+
+    Args:
+        equations: what is simulated.
+        at_samples: a step, of the same sizes, that is done at each sample before the integration
+            to the next one; None without.
+        lanes: the number of lanes.
+    """
+    return _kernel(
+        lanes, lambda module, constants: write_run(module, equations, constants, at_samples)
+    )
 
 
-def write_run(module: Module, equations: Equations, constants: Constants) -> None:
+def write_run(
+    module: Module,
+    equations: Equations,
+    constants: Constants,
+    at_samples: Equations | None = None,
+) -> None:
     """Writes the function `run`: free runs."""
-    with module.procedure("dynamics", DYNAMICS) as f:
-        inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", equations.n_p)}
-        emission = Emission(f, equations.program, inputs, constants, "%constants")
-        emission.store(emission.values()["x"], "%out")
+    for name, own in _procedures(equations, at_samples):
+        with module.procedure(name, DYNAMICS) as f:
+            inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", own.n_p)}
+            emission = Emission(f, own.program, inputs, constants, "%constants")
+            emission.store(emission.values()["x"], "%out")
     with (
         module.procedure("run", RUN, is_internal=False) as f,
         f.loop("%begin", "%end") as group,
     ):
-        s = _Simulation(f, equations, group)
+        s = _Simulation(f, equations, group, has_sample_steps=at_samples is not None)
         with f.loop(0, s.ends) as k:
             s.now(k)
             s.keep(k, [f.load(s.x, i) for i in range(equations.n_x)], "%states")
             s.put_back(k)
             with f.when(f.value(f"icmp slt i64 {k}, {s.longest}")):
                 s.advance(k)
+
+
+def _procedures(equations: Equations, at_samples: Equations | None) -> list[tuple[str, Equations]]:
+    """The procedures of a simulation by name."""
+    return [(DYNAMIC, equations), *([] if at_samples is None else [(SAMPLE, at_samples)])]
 
 
 def write_backward(module: Module, equations: Equations, constants: Constants) -> None:
@@ -152,23 +173,40 @@ def layer_outputs(equations: Equations) -> list[str]:
     return [name for i in places for name in (f"in_{i}", f"out_{i}")]
 
 
-def compare_kernel(equations: Equations, residual: ResidualFormula, lanes: int) -> Kernel:
-    """Machine code of free runs with derivatives: products of these and of residuals."""
+def compare_kernel(
+    equations: Equations, at_samples: Equations | None, residual: ResidualFormula, lanes: int
+) -> Kernel:
+    """Machine code of free runs with derivatives: products of these and of residuals.
+
+    Args:
+        equations: what is simulated.
+        at_samples: see `run_kernel`.
+        residual: how errors count.
+        lanes: the number of lanes.
+    """
     return _kernel(
-        lanes, lambda module, constants: write_compare(module, equations, residual, constants)
+        lanes,
+        lambda module, constants: write_compare(module, equations, residual, constants, at_samples),
     )
 
 
 def write_compare(
-    module: Module, equations: Equations, residual: ResidualFormula, constants: Constants
+    module: Module,
+    equations: Equations,
+    residual: ResidualFormula,
+    constants: Constants,
+    at_samples: Equations | None = None,
 ) -> None:
     """Writes the function `compare`: free runs with derivatives, compared with samples."""
-    structure = _write_derivatives(module, equations, constants)
+    structures = {
+        name: _write_derivatives(module, own, constants, name)
+        for name, own in _procedures(equations, at_samples)
+    }
     with (
         module.procedure("compare", COMPARE, is_internal=False) as f,
         f.loop("%begin", "%end") as group,
     ):
-        s = _Sensitivities(f, equations, structure, residual, constants, group)
+        s = _Sensitivities(f, equations, structures, residual, constants, group)
         with f.loop(0, s.ends) as k:
             s.now(k)
             s.compare(k)
@@ -242,7 +280,9 @@ class _Structure:
     by_p: tuple[int, ...]
 
 
-def _write_derivatives(module: Module, equations: Equations, constants: Constants) -> _Structure:
+def _write_derivatives(
+    module: Module, equations: Equations, constants: Constants, name: str
+) -> _Structure:
     """Writes the equations with their derivatives, and returns the structure of these.
 
     Derivatives are computed in reverse, a row in each turn of a loop, which takes as long as to
@@ -250,11 +290,12 @@ def _write_derivatives(module: Module, equations: Equations, constants: Constant
     computed before the loop.
     """
     n_x, n_p, program = equations.n_x, equations.n_p, equations.derivatives
-    # velocities stand in the state: their rows are known
+    # velocities stand in the state: their rows are known, as are those of zeros
     copies = equations.program.copies("x", "x")
-    rows = [i for i, j in enumerate(copies) if j is None]
+    depends = equations.program.dependencies("x")
+    rows = [i for i, j in enumerate(copies) if j is None and depends[i]]
     zero, one = module.number(0.0), module.number(1.0)
-    with module.procedure("dynamics", DYNAMICS) as f:
+    with module.procedure(name, DYNAMICS) as f:
         adjoint = f.memory(n_x)
         inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", n_p), ADJOINT: adjoint}
         emission = Emission(f, program, inputs, constants, "%constants")
@@ -271,7 +312,6 @@ def _write_derivatives(module: Module, equations: Equations, constants: Constant
             for number, i in emission.each_number(values["by_p"]):
                 f.store(number, "%by_p", f.whole("add", f.whole("mul", i, n_x), row))
         emission.store(values["x"], "%out")
-    depends = equations.program.dependencies("x")
     return _Structure(
         tuple(copies),
         tuple(tuple(j for j in range(n_x) if ("x", j) in inputs) for inputs in depends),
@@ -362,9 +402,11 @@ class _Lanes:
 class _Simulation(_Lanes):
     """The loop over time of a group of lanes, while it is written."""
 
-    def __init__(self, f: Function, equations: Equations, group: str) -> None:
+    def __init__(
+        self, f: Function, equations: Equations, group: str, *, has_sample_steps: bool = False
+    ) -> None:
         super().__init__(f, group)
-        self.equations = equations
+        self.equations, self._has_sample_steps = equations, has_sample_steps
         n_x, lanes = equations.n_x, f.module.lanes
         n_p = equations.n_p + equations.n_c
         self.x, self.p = f.memory(n_x), f.memory(n_p)
@@ -403,28 +445,37 @@ class _Simulation(_Lanes):
                     measured = _beside(f, bases, i, "%measured")
                     f.store(self.where(truths, measured, simulated), self.x, i)
 
-    def dynamics(self, x: str, out: str) -> None:
+    def dynamics(self, x: str, out: str, name: str = DYNAMIC) -> None:
         """Writes a call of the equations at a state."""
         self.f.call_procedure(
-            "dynamics", DYNAMICS, constants="%constants", x=x, u=self.u, p=self.p, out=out,
+            name, DYNAMICS, constants="%constants", x=x, u=self.u, p=self.p, out=out,
             by_x=self.by_x, by_p=self.by_p,
         )  # fmt: skip
 
     def advance(self, k: str) -> None:
         """Writes the step from a sample to the next."""
         if self.equations.continuous:
+            if self._has_sample_steps:
+                self._step(k, SAMPLE)
             self._integrate(k)
-            return
+        else:
+            self._step(k, DYNAMIC)
+
+    def _step(self, k: str, name: str) -> None:
+        """Writes a discrete step, with the inputs at the sample."""
         f, n_u = self.f, self.equations.n_u
+        # of polynomials, their first coefficients
+        width = f.whole("mul", "%order", n_u) if self.equations.continuous else n_u
+        bases = [f.whole("mul", row, width) for row in self.rows("first")]
         for i in range(n_u):
-            f.store(self.beside(n_u, i, "%drive"), self.u, i)
-        self.dynamics(self.x, self._ahead)
+            f.store(_beside(f, bases, i, "%drive"), self.u, i)
+        self.dynamics(self.x, self._ahead, name)
         running = self._running(k)
         for i in range(self.equations.n_x):
             f.store(self.where(running, f.load(self._ahead, i), f.load(self.x, i)), self.x, i)
-        self.step_tangents(running)
+        self.step_tangents(running, name)
 
-    def step_tangents(self, running: list[str]) -> None:
+    def step_tangents(self, running: list[str], name: str) -> None:
         """Writes the step for derivatives; here there are none."""
 
     def _running(self, k: str) -> list[str]:
@@ -497,12 +548,12 @@ class _Sensitivities(_Simulation):
     """
 
     def __init__(
-        self, f: Function, equations: Equations, structure: _Structure, residual: ResidualFormula,
-        constants: Constants, group: str,
+        self, f: Function, equations: Equations, structures: Mapping[str, _Structure],
+        residual: ResidualFormula, constants: Constants, group: str,
     ) -> None:  # fmt: skip
-        super().__init__(f, equations, group)
+        super().__init__(f, equations, group, has_sample_steps=SAMPLE in structures)
         n_x = equations.n_x
-        self._structure, self._residual, self._constants = structure, residual, constants
+        self._structures, self._residual, self._constants = structures, residual, constants
         self.by_x = f.memory(n_x * n_x)
         self.by_p = f.memory(equations.n_p * n_x)
         self._n_y = residual.n_y
@@ -568,20 +619,20 @@ class _Sensitivities(_Simulation):
                     total = f.fma(x, f.load(self._dx, f.whole("add", other, i)), total)
                 f.store(total, self._products, place)
 
-    def _directional_derivative(self, source: str, d: str, *, by_parameter: bool) -> list[str]:
-        """The derivative of the equations along a direction."""
+    def _directional_derivative(
+        self, source: str, d: str, name: str, *, by_parameter: bool
+    ) -> list[str]:
+        """The derivative of a procedure of the equations along a direction."""
         f, n_x = self.f, self.equations.n_x
         base = f.whole("mul", d, n_x)
         y = [f.load(source, f.whole("add", base, j)) for j in range(n_x)]
-        rows = []
-        for i, (copy, columns) in enumerate(
-            zip(self._structure.copies, self._structure.by_x, strict=True)
-        ):
+        rows, structure = [], self._structures[name]
+        for i, (copy, columns) in enumerate(zip(structure.copies, structure.by_x, strict=True)):
             if copy is not None:
                 rows.append(y[copy])
                 continue
             total: str | None = None
-            if by_parameter and i in self._structure.by_p:
+            if by_parameter and i in structure.by_p:
                 total = f.load(self.by_p, f.whole("add", base, i))
             for j in columns:
                 term = f.apply("fmul", f.load(self.by_x, i * n_x + j), y[j])
@@ -605,16 +656,16 @@ class _Sensitivities(_Simulation):
         source = self._dx if stage == 0 else self._dahead
         memory = self._dx, self._dahead, self._dtotal
         for d, by_parameter in self._each_direction():
-            slopes = self._directional_derivative(source, d, by_parameter=by_parameter)
+            slopes = self._directional_derivative(source, d, DYNAMIC, by_parameter=by_parameter)
             base = self.f.whole("mul", d, self.equations.n_x)
             for j, slope in enumerate(slopes):
                 self._update(stage, scale, slope, memory, self.f.whole("add", base, j))
 
-    def step_tangents(self, running: list[str]) -> None:
-        """Writes a step of a discrete model for all derivatives."""
+    def step_tangents(self, running: list[str], name: str) -> None:
+        """Writes a discrete step for all derivatives."""
         f = self.f
         for d, by_parameter in self._each_direction():
-            ahead = self._directional_derivative(self._dx, d, by_parameter=by_parameter)
+            ahead = self._directional_derivative(self._dx, d, name, by_parameter=by_parameter)
             base = f.whole("mul", d, self.equations.n_x)
             for j, value in enumerate(ahead):
                 place = f.whole("add", base, j)

@@ -115,7 +115,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int = 1) -> Float[np.nd
     Raises:
         InputError: an engine that there is not.
     """
-    return _choose_engine(lambda: equations.program).simulate(equations, runs, substeps)
+    return _choose_engine(lambda: equations.programs).simulate(equations, runs, substeps)
 
 
 def compare(
@@ -139,7 +139,7 @@ def compare(
     Raises:
         InputError: an engine that there is not.
     """
-    engine = _choose_engine(lambda: (equations.program, residual.program))
+    engine = _choose_engine(lambda: (equations.programs, residual.program))
     return engine.compare(equations, residual, runs, substeps, directions, samples)
 
 

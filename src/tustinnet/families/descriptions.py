@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Coordinate, Hold, Input, Kind
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Hold, Input, Kind
 from tustinnet.data.declaration import Declaration, Name, Text, declare
 from tustinnet.errors import InputError
 from tustinnet.families.summaries import CORRECTION, MEMBERS, PHYSICS
@@ -83,6 +83,29 @@ class InputEntry(Entries):
         return self
 
 
+class LoopEntry(Entries):
+    """A loop of a controller, see `channels.PDLoop`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    input: Name
+    coordinate: Name
+    position: Name
+    velocity: Text = ""
+    feedforward: Text = ""
+    kp: float | None = None
+    kd: float | None = None
+
+
+class ControllerEntry(Entries):
+    """A controller in the loop, see `channels.PDController`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    inputs: list[InputEntry]
+    loops: list[LoopEntry]
+
+
 class Description(Entries):
     """Kind and channels of a model, or of a part of one; the rest belongs to its family."""
 
@@ -90,6 +113,22 @@ class Description(Entries):
     coordinates: list[CoordinateEntry] = Field(min_length=1)
     inputs: list[InputEntry]
     dt: float = Field(ge=SHORTEST_DT, le=LONGEST_DT)
+    controller: ControllerEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_controller(self) -> "Description":
+        if self.controller is not None:
+            channels = Channels.from_header(self.model_dump())
+            assert channels.controller is not None
+            channels.controller.require_loops(channels.coordinates, "controller")
+            names = [i.name for i in channels.inputs]
+            computed = {loop.input for loop in channels.controller.loops}
+            others = [i.name for i in channels.controller.inputs if i.name not in computed]
+            points = [name for loop in channels.controller.loops for name in loop.set_points]
+            for name in (*points, *others):
+                if name not in names:
+                    raise ValueError(f"no input '{name}', which the controller requires")
+        return self
 
     @model_validator(mode="after")
     def _check_names(self) -> "Description":
@@ -181,6 +220,7 @@ class EulerLagrangeDescription(Description):
     forces: list[str] = Field(default_factory=list)
     of_forces: list[ParameterRow] = Field(default_factory=list)
     sensors: list[ParameterRow] = Field(default_factory=list)
+    gains: list[ParameterRow] = Field(default_factory=list)
     per: dict[str, str] = Field(default_factory=dict)
     groups: dict[str, list[str]] = Field(default_factory=dict)
 

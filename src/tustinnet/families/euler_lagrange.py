@@ -24,6 +24,7 @@ from tustinnet.families.family import Arrays, Header, IdentifiedFamily, Identifi
 from tustinnet.families.summaries import VALUES
 from tustinnet.models.added import added_parameters, parse_forces, with_forces
 from tustinnet.models.contract import Model
+from tustinnet.models.feedback import with_controller
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import with_sensor_errors
@@ -48,12 +49,13 @@ class EulerLagrangeFamily(IdentifiedFamily):
     title = "Euler-Lagrange"
     hyper = EulerLagrangeHyper
     correctable = True
+    has_feedback = True
     model = LagrangianModel
 
     def describe(self, model: Discretised) -> tuple[Header, Arrays]:
         """The system's name, its parameters, and what its equations give at fixed states."""
         equations = self.equations(model)
-        system = equations.system
+        closed_loop, system = equations.system, equations.system.plant
         # the value that a parameter has for a record's group is one of those of all groups
         by_record = {p.name for p in system.grouped if p.by_group(equations.values)}
         names = sorted(set(equations.values) - by_record)
@@ -71,6 +73,10 @@ class EulerLagrangeFamily(IdentifiedFamily):
             header["of_forces"] = _describe_parameters(system, added_parameters(system))
         if system.sensors:
             header["sensors"] = _describe_parameters(system, system.sensors)
+        if closed_loop.feedback is not None:
+            own = system.nominal()
+            gains = [name for name in closed_loop.nominal() if name not in own]
+            header["gains"] = _describe_parameters(closed_loop, gains)
         if groups := equations.groups:
             header["per"] = {p.name: p.per for p in system.grouped}
             header["groups"] = {name: list(values) for name, values in groups.items()}
@@ -88,11 +94,11 @@ class EulerLagrangeFamily(IdentifiedFamily):
                 f"its file ({file})",
                 f"add --system {file} (in Python: load_model(path, system=...))",
             )
+        channels = Channels.from_header(header)
         if system is not None:
-            channels = Channels.from_header(header)
-            loaded = load_system(system).for_channels(channels.coordinates, channels.inputs, where)
+            plant = channels.plant
+            loaded = load_system(system).plant.for_channels(plant.coordinates, plant.inputs, where)
         elif made := _made_for_records(name):
-            channels = Channels.from_header(header)
             terms = [Parameter(*fields) for fields in header["terms"]]
             loaded = made.restore(channels.coordinates, channels.inputs, terms)
         else:
@@ -106,6 +112,9 @@ class EulerLagrangeFamily(IdentifiedFamily):
         loaded = with_forces(loaded, tuple(header.get("forces", ())), tuple(force_parameters))
         sensors = (Parameter(*fields) for fields in header.get("sensors", ()))
         loaded = with_sensor_errors(loaded, tuple(sensors))
+        loaded = with_controller(
+            loaded, channels, tuple(Parameter(*fields) for fields in header.get("gains", ()))
+        )
         # one by one: JAX compiles a program to take an array apart
         values = dict(zip(header["parameters"], map(jnp.asarray, arrays[VALUES]), strict=True))
         model = loaded.model(values)
@@ -120,9 +129,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
                 where, "parameters that the system does not have", "those of the system"
             )
         _require_same(model, arrays.get(_PROBED), where)
-        return discretise(
-            model, header["dt"], header["substeps"], inputs=Channels.from_header(header).inputs
-        )
+        return discretise(model, header["dt"], header["substeps"], inputs=channels.inputs)
 
     def with_initial_values(
         self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem | None

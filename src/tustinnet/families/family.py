@@ -130,6 +130,7 @@ class Family(ABC):
             others; empty where a recipe may name it.
         needs: what has to be given beside a recipe, a `system` or the `physics` to correct.
         correctable: whether a network may correct its models.
+        has_feedback: whether a controller in the loop of records is a part of its models.
         model: the class of its models, or of what is stepped in them.
     """
 
@@ -142,6 +143,7 @@ class Family(ABC):
     remedy: ClassVar[str] = ""
     needs: ClassVar[frozenset[Requirement]] = frozenset()
     correctable: ClassVar[bool] = False
+    has_feedback: ClassVar[bool] = False
     model: ClassVar[type]
 
     def __init_subclass__(cls, **options: Any) -> None:

@@ -204,6 +204,7 @@ class HybridFamily(TrainedFamily):
     hyper = HybridHyper
     stage = LayeredStage
     needs = frozenset({"physics"})
+    has_feedback = True
     model = HybridModel
 
     def builder(

@@ -14,6 +14,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, assign_roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.registry import FAMILIES
 from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 DEFAULT_RECIPE = "standard"
@@ -165,6 +166,7 @@ def make_task(
             "--physics", f"a model of kind '{family_of(physics).kind}', which is trained already",
             "a model that a network can correct", "identify one with --system first",
         )  # fmt: skip
+    require_feedback(recipe, data)
     _require_members(members, recipe)
     loaded = None if system is None else load_system_or_template(system)
     if origin is not None:
@@ -172,6 +174,18 @@ def make_task(
             require_fit(origin.model, e)
         recipe = begin_with(recipe, origin.model, loaded, data)
     return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
+
+
+def require_feedback(recipe: Recipe, data: DataSet) -> None:
+    """Raises if the kind of a recipe has no use for the controller in the loop of records."""
+    if data.channels.controller is not None and not recipe.family.has_feedback:
+        kinds = [kind for kind in FAMILIES.names() if FAMILIES[kind].has_feedback]
+        raise InputError(
+            f"data set '{data.name}', [controller]",
+            f"not applicable to models of kind '{recipe.family.kind}' (recipe '{recipe.name}')",
+            f"a recipe of kind {' or '.join(kinds)}",
+            "add --recipe grey and --system FILE, or take [controller] out of the card",
+        )  # fmt: skip
 
 
 def begin_with(

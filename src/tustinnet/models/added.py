@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from tustinnet.errors import InputError
+from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.forces import LAWS, ActuatorLag, ForceWithMemory, Friction, Law, Spring
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
 from tustinnet.renamed import FORCES
@@ -102,6 +103,8 @@ def with_forces(
     """
     if not names:
         return system
+    if system.feedback is not None:
+        return with_changed_plant(system, lambda plant: with_forces(plant, names, parameters))
     added = parse_forces(system, names)
     of_system, added_before = system.nominal(), added_parameters(system)
     owners = dict.fromkeys(of_system, f"the system '{system.name}'")

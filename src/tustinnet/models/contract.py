@@ -209,6 +209,19 @@ class ContinuousModel(Stateful):
     def derivative(self, x: State, u: InputVector) -> State:
         """`dx/dt` at a state under an input."""
 
+    def between_samples(
+        self, x: State, u: InputVector
+    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
+        """What holds from a sample to the next: a model, and its inputs by those of this one.
+
+        Only a model with something that is sampled, as a controller, is another one there.
+
+        Args:
+            x: the state at the sample, (n_x,).
+            u: the inputs there, (n_u,).
+        """
+        return self, lambda inputs: inputs
+
 
 AnyModel = TypeVar("AnyModel", bound=Stateful)
 

@@ -127,6 +127,34 @@ def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
     raise TypeError(f"the arguments {signature}; expected {forms}")
 
 
+@dataclass(frozen=True)
+class FeedbackLaw(ABC):
+    """A controller in the loop of a system, see `models.feedback`.
+
+    Attributes:
+        plant: the system without the controller.
+        channels: coordinates and inputs of the closed loop, with the controller.
+        is_sampled: whether what it computes at a sample is held until the next.
+    """
+
+    plant: "LagrangianSystem"
+    channels: Channels
+    is_sampled: bool
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many inputs of the system it computes."""
+
+    @abstractmethod
+    def outputs(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
+        """The inputs that it computes by the inputs `w` of the closed loop, (size,)."""
+
+    @abstractmethod
+    def plant_inputs(self, outputs: Any, w: InputVector) -> Any:
+        """All inputs of the system, (n_u,)."""
+
+
 class ChannelSource(ABC):
     """A file by which a system can be made for coordinates and inputs of any order.
 
@@ -168,6 +196,7 @@ class LagrangianSystem:
             coordinates and inputs in another order; None if its functions know no names.
         limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
             equation of motion knows of them.
+        feedback: the controller in the loop, whose set points are among the inputs; None without.
     """
 
     name: str
@@ -185,6 +214,7 @@ class LagrangianSystem:
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None
     limits: tuple[MotionLimits, ...] = ()
+    feedback: "FeedbackLaw | None" = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -235,7 +265,13 @@ class LagrangianSystem:
     @cached_property
     def channels(self) -> Channels:
         """The coordinates and inputs, in continuous time."""
-        return Channels(self.coordinates, self.inputs)
+        controller = None if self.feedback is None else self.feedback.channels.controller
+        return Channels(self.coordinates, self.inputs, controller=controller)
+
+    @property
+    def plant(self) -> "LagrangianSystem":
+        """The system without a controller in the loop; itself where there is none."""
+        return self if self.feedback is None else self.feedback.plant
 
     @property
     def internal(self) -> tuple[str, ...]:
@@ -276,7 +312,11 @@ class LagrangianSystem:
 
     def without(self, names: Collection[str]) -> "LagrangianSystem":
         """The system without some of its optional parameters."""
-        return replace(self, parameters=tuple(p for p in self.parameters if p.name not in names))
+        kept = tuple(p for p in self.parameters if p.name not in names)
+        feedback = self.feedback and replace(
+            self.feedback, plant=self.feedback.plant.without(names)
+        )
+        return replace(self, parameters=kept, feedback=feedback)
 
     def _require_shapes(self) -> None:
         """Raises unless every function returns the shape that the equations of motion need."""
@@ -499,6 +539,21 @@ class LagrangianModel(ContinuousModel):
                     f"model.for_record(record) takes the values of the record's {p.per}",
                 )
         return _derivative(self, x, u)
+
+    def between_samples(
+        self, x: State, u: InputVector
+    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
+        """The equations of motion until the next sample, see `ContinuousModel`.
+
+        Those of the system with what its controller computed at the sample, if it is sampled.
+        """
+        feedback = self.system.feedback
+        if feedback is None or not feedback.is_sampled:
+            return super().between_samples(x, u)
+        q, v, _ = self._parts(x)
+        held = feedback.outputs(q, v, u, self.values)
+        plant = LagrangianModel(feedback.plant, self.values)
+        return plant, lambda w: feedback.plant_inputs(held, w)
 
     def internal_rate(self, x: State, u: InputVector | None = None) -> Internal:
         """`dz/dt` at a state, (n_z,).

@@ -14,7 +14,7 @@ from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.task import AnyRecipe, resolve_system
+from tustinnet.fitting.task import AnyRecipe, require_feedback, resolve_system
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
@@ -222,6 +222,7 @@ def cross_validate(
     """
     require_float64("cross_validate")
     recipe = options.recipe
+    require_feedback(options.physics or recipe, data)
     timing = determine_recipe_timing(
         data, recipe, options.system, is_repeated=True, on_message=on_message
     )

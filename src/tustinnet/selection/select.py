@@ -52,7 +52,7 @@ from tustinnet.store.specification import (
     require_same_specification,
     write_specification,
 )
-from tustinnet.systems.files import AnySystem
+from tustinnet.systems.files import AnySystem, SystemTemplate
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
@@ -336,11 +336,14 @@ def _applicable_candidates(
     fast = any(scales.is_fast for scales in coordinate_timescales(list(records)).values())
     other = "slow" if fast else "fast"
     omitted: dict[str, str] = {}  # the reason by candidate
+    has_controller = records.channels.controller is not None
     for c in plan.candidates:
         if c.when == other:
             omitted[c.name] = f"only for {other} records"
         elif _adds_lag(c) and not records.channels.inputs:
             omitted[c.name] = "only for records with inputs"
+        elif has_controller and _ignores_controller(c):
+            omitted[c.name] = "without the controller of the data card"
         elif c.when == "no-system" and options.system is not None:
             omitted[c.name] = "only without a system"
         elif _identifies(c) and (options.system or resolve_system(c.content, None)) is None:
@@ -360,6 +363,13 @@ def _applicable_candidates(
 
 def _identifies(candidate: Candidate) -> bool:
     return "system" in candidate.content.family.needs
+
+
+def _ignores_controller(candidate: Candidate) -> bool:
+    """Whether a controller in the loop of records has no use for the models of a candidate."""
+    recipe = candidate.content
+    made_for_records = isinstance(resolve_system(recipe, None), SystemTemplate)
+    return made_for_records or not recipe.family.has_feedback
 
 
 def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:

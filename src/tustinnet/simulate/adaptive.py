@@ -35,8 +35,10 @@ class Adaptive(FromContinuous):
         """The state a period later, in as many steps as the tolerance needs, see `Discretised`."""
         import diffrax
 
+        model, inputs = self.continuous.between_samples(x, input_at(u, 0.0))
+
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:
-            return model.derivative(state, input_at(u, t / period))
+            return model.derivative(state, inputs(input_at(u, t / period)))
 
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(derivative),
@@ -45,7 +47,7 @@ class Adaptive(FromContinuous):
             t1=period,
             dt0=period / 4,
             y0=x,
-            args=self.continuous,
+            args=model,
             saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance),
         )

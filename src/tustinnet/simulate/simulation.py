@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.equations import Equations, Formula
+from tustinnet.engine.equations import Equations, Formula, SampledValues
 from tustinnet.engine.runs import Runs, evaluate, simulate
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
@@ -50,22 +50,39 @@ def system_motion(
         delays: whether the inputs are followed by their derivatives by their delays, and the
             parameters by the delays that the inputs were made with.
     """
-    n_u, n_others = len(system.inputs), len(others)
+    n_u, n_others, channels = len(system.inputs), len(others), system.channels
+    feedback = system.feedback
 
-    def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
+    def model(p: Array, c: Array, own: LagrangianSystem = system) -> LagrangianModel:
         values = {name: p[i] for i, name in enumerate(searched)}
         values |= {name: c[i] for i, name in enumerate(others)}
-        if delays:
-            u = u[:n_u] + u[n_u:] * delay_changes(system, values, c[n_others:])
-        return system.model(values).derivative(x, u)
+        return own.model(values)
 
+    def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
+        equations = model(p, c)
+        if delays:
+            u = u[:n_u] + u[n_u:] * delay_changes(system, equations.values, c[n_others:])
+        return equations.derivative(x, u)
+
+    def compute_outputs(x: Array, u: Array, p: Array, c: Array) -> Array:
+        assert feedback is not None
+        q, v = x[channels.position], x[channels.velocity]
+        return jnp.asarray(feedback.outputs(q, v, u, model(p, c).values))
+
+    def plant_derivative(x: Array, u: Array, p: Array, c: Array, outputs: Array) -> Array:
+        assert feedback is not None
+        plant_inputs = feedback.plant_inputs(outputs, u)
+        return model(p, c, feedback.plant).derivative(x, plant_inputs)
+
+    is_sampled = feedback is not None and feedback.is_sampled
     return Equations(
-        derivative,
-        n_x=system.channels.measured.stop + len(system.internal),
+        plant_derivative if is_sampled else derivative,
+        n_x=channels.measured.stop + len(system.internal),
         n_u=2 * n_u if delays else n_u,
         n_p=len(searched),
         n_c=n_others + (n_u if delays else 0),
         where=f"system '{system.name}'",
+        sampled=SampledValues(compute_outputs, feedback.size) if is_sampled and feedback else None,
     )
 
 

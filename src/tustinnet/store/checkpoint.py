@@ -95,8 +95,9 @@ def feed_model(digest: Any, model: Model) -> None:
 def feed_record(digest: Any, experiment: Experiment) -> None:
     """Adds a record to a digest: its name, its declaration, its samples."""
     e = experiment
-    digest.update(f"{e.name} {e.channels} {e.k_bar}".encode())
-    for array in (e.t, e.q, e.u, e.v):
+    controller = e.channels.controller or ""
+    digest.update(f"{e.name} {e.channels} {e.k_bar}{controller}".encode())
+    for array in (e.t, e.q, e.u, e.v, e.outputs):
         digest.update(b"" if array is None else array.tobytes())
 
 

@@ -1,10 +1,13 @@
 """Records as a folder of CSV files with a data card."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomli_w
 
+from tustinnet.channels import PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
@@ -15,7 +18,8 @@ def write_data_set(
 ) -> Path:
     """Writes records in the layout of the published Qube-Servo 2 logs, and a card that reads them.
 
-    Columns without header: inputs, positions, time, then velocities where the records have them.
+    Columns without header: inputs, positions, time, then velocities where the records have them,
+    and what a controller in the loop computed.
 
     Args:
         data: the records.
@@ -31,20 +35,27 @@ def write_data_set(
     require_outputs([card, *(folder / file for file in files.values())], overwrite=overwrite)
     require_writable_folder(folder)
     for e in data:
-        columns = [e.u, e.q, e.t[:, None], *([] if e.v is None else [e.v])]
+        columns = [e.u, e.q, e.t[:, None], *(x for x in (e.v, e.outputs) if x is not None)]
         lines = [",".join(f"{x:.9g}" for x in row) for row in np.concatenate(columns, axis=1)]
         write_into(folder, files[e.name], "".join(f"{line}\n" for line in lines))
     first, channels = data[0], data.channels
     time = channels.n_u + channels.n_q + 1
+    width = time + (0 if first.v is None else channels.n_q)
+    places = {i.name: k for k, i in enumerate(channels.inputs, 1)}
+    loops = () if channels.controller is None else channels.controller.loops
+    if first.outputs is not None:
+        places |= {loop.input: k for k, loop in enumerate(loops, width + 1)}
+        width += len(loops)
     inputs = [
-        {"name": i.name, "column": k, "unit": i.unit, "hold": i.hold or "zero-order"}
+        {"name": i.name, "unit": i.unit, "hold": i.hold or "zero-order"}
+        | ({"column": places[i.name]} if i.name in places else {})
         | (
             {"delay": "unknown" if i.delay is None else i.delay}
-            if i.delay != 0 or i.is_delay_declared
+            if i.delay != 0 or (i.is_delay_declared and i.name in places)
             else {}
         )
         | ({"limits": list(i.limits)} if i.limits else {})
-        for k, i in enumerate(channels.inputs, 1)
+        for i in channels.plant.inputs
     ]
     coordinates = [
         {"name": c.name, "kind": c.kind, "column": k, "unit": c.unit}
@@ -66,11 +77,25 @@ def write_data_set(
         "name": data.name,
         "description": description,
         "dt": data.dt,
-        "format": {"header": False, "columns": time + (0 if first.v is None else channels.n_q)},
+        "format": {"header": False, "columns": width},
         "time": {"column": time},
         "inputs": inputs,
         "coordinates": coordinates,
         "splits": splits,
     }
+    if loops:
+        content["controller"] = {"kind": "pd", "loops": [_loop_entry(x, places) for x in loops]}
     write_into(folder, CARD_NAME, tomli_w.dumps(content))
     return card
+
+
+def _loop_entry(loop: PDLoop, places: Mapping[str, int]) -> dict[str, Any]:
+    """The entry of a loop in a card, with its columns by the names of inputs."""
+    entry = {"input": loop.input, "coordinate": loop.coordinate}
+    names = {key: getattr(loop, key) for key in ("position", "velocity", "feedforward")}
+    gains = {key: getattr(loop, key) for key in ("kp", "kd")}
+    return (
+        entry
+        | {key: places[name] for key, name in names.items() if name}
+        | {key: gain for key, gain in gains.items() if gain is not None}
+    )

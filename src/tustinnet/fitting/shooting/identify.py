@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
-from tustinnet.channels import Input
+from tustinnet.channels import Channels, Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
@@ -25,6 +25,7 @@ from tustinnet.fitting.shooting.checks import (
     require_mass_matrix,
     require_refit_possible,
 )
+from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
     find_reversed_signs,
@@ -41,6 +42,7 @@ from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
 from tustinnet.models.contract import require_float64
+from tustinnet.models.feedback import with_controller
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.renamed import with_renamed_arguments
@@ -184,13 +186,19 @@ def _make_problem(
     system = task.system
     assert system is not None
     records = list(roles.train)
-    system = system.for_records(records) if isinstance(system, SystemTemplate) else system
-    first = records[0]
-    system = system.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
-    system = _with_open_holds(system, records[0].inputs)
-    system.channels.require_same(
-        records[0].channels, records[0].name, f"the system '{system.name}'"
-    )
+    channels = records[0].channels
+    # first of all the system alone: what acts on it, its sensors, and added forces
+    if isinstance(system, SystemTemplate):
+        if channels.controller is not None:
+            raise InputError(
+                f"system '{system.name}'", "made for records without [controller] in their card",
+                "a system of your own: --system FILE", "or take [controller] out of the card",
+            )  # fmt: skip
+        system = system.for_records(records)
+    first = records[0].without_controller()
+    system = system.plant.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
+    system = _with_open_holds(system, first.inputs)
+    system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
     if recipe.search.part == "transients":
         # records that hardly move are left out
         records = [e[:end] for e in records if (end := transient_end(e)) >= _SHORTEST]
@@ -202,19 +210,34 @@ def _make_problem(
     # forces, and parameters of sensors, that the recipe adds to the system
     begin, fixed = recipe.model.begin, recipe.model.fixed
     numbers = {name: x for name, x in {**begin, **fixed}.items() if not isinstance(x, str)}
-    system = with_added(system, recipe.model.forces, records, numbers)
-    free_sensors = sensor_parameters(system, recipe.model.free, records)
+    plant_records = [e.without_controller() for e in records]
+    system = with_added(system, recipe.model.forces, plant_records, numbers)
+    _require_no_delay_in_loop(recipe.model.free, channels)
+    free_sensors = sensor_parameters(system, recipe.model.free, plant_records)
     system = with_sensor_errors(system, free_sensors)
 
+    gains = gain_parameters(records, compares_inputs=recipe.search.method == "inverse-dynamics")
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
     return Problem(
-        system=system,
+        system=with_controller(system, channels, gains.parameters),
         records=tuple(e.with_timing(inputs) for e in records),
         validation=tuple(e.with_timing(inputs) for e in validation),
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
+        remarks=gains.remarks,
     )
+
+
+def _require_no_delay_in_loop(names: Sequence[str], channels: Channels) -> None:
+    """Raises if a delay of an input that a controller in the loop computes is to be free."""
+    loops = () if channels.controller is None else channels.controller.loops
+    for loop in loops:
+        if (name := f"{loop.input}.delay") in names:
+            raise InputError(
+                "model.free", f"'{name}', of an input that the controller computes",
+                "a delay of another input", "feedback is simulated without a delay",
+            )  # fmt: skip
 
 
 def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> SearchState:
@@ -238,7 +261,8 @@ def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> Searc
         batch = [problem.records[i] for i in rows]
         require_mass_matrix(model, batch)
         require_finite_terms(model, batch)
-    return SearchState(space, vector, horizons=problem.recipe_horizons or {})
+    horizons = problem.recipe_horizons or {}
+    return SearchState(space, vector, horizons=horizons, remarks=problem.remarks)
 
 
 def _find_suspect_signs(

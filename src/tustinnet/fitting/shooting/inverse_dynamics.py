@@ -107,21 +107,23 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
 
     Every coordinate's equation is weighed by what it leaves at the end; the prior of each parameter
     counts as one measurement of its nominal value, so directions that the records know nothing of
-    stay there.
+    stay there. Of a closed loop the system alone is identified, by what its controller computed as
+    recorded.
 
     Args:
         problem: the problem.
         state: the initial values.
 
     Raises:
-        InputError: a system with internal states, a record that is too short, or a force that is
-            not finite.
+        InputError: a system with internal states, inputs that were not recorded, a record that is
+            too short, or a force that is not finite.
 
     References:
         Gautier, Khalil (1990), Direct calculation of minimum set of inertial parameters of serial
         robots. Swevers, Verdonck, De Schutter (2007), Dynamic model identification for industrial
         robots, IEEE Control Systems 27(5).
     """
+    closed_loop, problem = problem, problem.plant
     system = problem.system
     if system.internal or problem.delays:
         what = "internal states" if system.internal else "delays"
@@ -129,11 +131,24 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             "search.method", f"inverse-dynamics, of a system with {what}", "one without",
             "identify it by simulation: --recipe grey",
         )  # fmt: skip
+    for e in closed_loop.records:
+        if e.channels.controller is not None and e.outputs is None:
+            raise InputError(
+                "search.method", "inverse-dynamics, without the inputs that the controller "
+                "computed", "their columns in the data card",
+                "add them, or identify by simulation: --recipe grey",
+            )  # fmt: skip
+    values = state.space.to_values(state.vector)
+    if closed_loop.system.feedback is not None:
+        # no force of the system says anything of the controller's gains
+        known = closed_loop.system.nominal().keys() - system.nominal().keys()
+        space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
+        state = replace(state, space=space, vector=space.to_vector(values))
+    space = state.space
     cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
-    space, equations = state.space, system_equations(system, state.space.names)
+    equations = system_equations(system, space.names)
     formula = missing_forces(equations)
-    values = space.to_values(state.vector)
     unit = _force_sizes(formula, equations, problem, train, values)
     prior = Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
@@ -166,8 +181,8 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             break
     held_out = [filter_record(e, cutoff) for e in problem.validation]
     return _make_identification(
-        problem, replace(state, vector=point.vector), formula, equations, prior, train, held_out,
-        point, iterations, status, cutoff,
+        closed_loop, replace(state, vector=point.vector), formula, equations, prior, train,
+        held_out, point, iterations, status, cutoff,
     )  # fmt: skip
 
 
@@ -395,7 +410,7 @@ def _force_errors(
 
 
 def _make_identification(
-    problem: Problem,
+    closed_loop: Problem,
     state: SearchState,
     formula: Formula,
     equations: SystemEquations,
@@ -407,7 +422,11 @@ def _make_identification(
     status: str,
     cutoff: float,
 ) -> Identification:
-    """The result, with errors of parameters and of forces."""
+    """The result, with errors of parameters and of forces.
+
+    Forces are those of the system alone; simulated is the closed loop, if there is one.
+    """
+    problem = closed_loop.plant
     space, records = state.space, problem.records
     values = space.to_values_in_range(point.vector)
     covariance, trust, quantile = _covariance(point, prior, space)
@@ -415,8 +434,8 @@ def _make_identification(
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviations, deviations)
     # values in range that a simulation can begin with, and its period's steps
-    state = choose_substeps(problem, update_horizons(problem, state))
-    model = make_model(problem, state)
+    state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
+    model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
     errors = []
     trained, size = _force_errors(formula, equations, problem, train, values)
@@ -429,6 +448,7 @@ def _make_identification(
     estimates = _estimates(point, space, deviations, quantile)
     informed = deviations < _INFORMED * prior.spread
     sentences = [
+        *state.remarks,
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
@@ -440,7 +460,7 @@ def _make_identification(
     converged = status in ("converged", "stalled")
     left = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in point.residuals]
     return Identification(
-        system=problem.system,
+        system=closed_loop.system,
         model=model,
         estimates=estimates,
         fixed=dict(space.fixed_values),
@@ -462,9 +482,9 @@ def _make_identification(
         disagreements=(),
         initial="not simulated",
         initial_states={},
-        start=problem.scoring_start(state.shortest_horizon).name,
+        start=closed_loop.scoring_start(state.shortest_horizon).name,
         horizons=horizons,
-        validation_rmse=score_validation(problem, state) if problem.validation else None,
+        validation_rmse=score_validation(closed_loop, state) if problem.validation else None,
         substeps=model.substeps,
         iterations=iterations,
         force_errors=tuple(errors),

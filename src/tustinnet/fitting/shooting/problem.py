@@ -6,7 +6,7 @@ what several modules need: the cost function, the model, and the score on the va
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.start_rules import DerivedStart, FittedStart, Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
+_HELD_HORIZON = 0.25  # s, of free runs of a system that a controller of unknown kind held
 _INITIAL_VARIANCE = 1e-4  # of residuals, before any are known
 
 
@@ -45,6 +46,7 @@ class Problem:
         search: the options of the search, as the recipe has them.
         listener: gets every iteration and every stage.
         should_stop: asked before every stage and every step of one, as for a time limit.
+        remarks: findings about the records, before the search, as sentences.
     """
 
     system: LagrangianSystem
@@ -53,6 +55,17 @@ class Problem:
     search: SearchRecipe
     listener: Listener = SILENT
     should_stop: ShouldStopSearch = never_stop_search
+    remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def plant(self) -> "Problem":
+        """The problem of the system alone, without a controller in the loop."""
+        return replace(
+            self,
+            system=self.system.plant,
+            records=tuple(e.without_controller() for e in self.records),
+            validation=tuple(e.without_controller() for e in self.validation),
+        )
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -88,10 +101,13 @@ class Problem:
         """The start of the free runs that are scored, over a horizon in steps or as a whole.
 
         What errs in a velocity that was read from a few samples grows over a horizon to more
-        than any model misses; a state fitted through the model has no such error.
+        than any model misses; a state fitted through the model has no such error. A controller in
+        the loop leaves nothing of an error, and later samples say little of the state before them.
         """
         fitted = start_named(FittedStart.usual_name())
-        return self.default_start if horizon is None or horizon < fitted.samples else fitted
+        if horizon is None or horizon < fitted.samples or self.system.feedback is not None:
+            return self.default_start
+        return fitted
 
     @cached_property
     def refit_start(self) -> Start | None:
@@ -101,11 +117,15 @@ class Problem:
 
     @cached_property
     def recipe_horizons(self) -> dict[str, int] | None:
-        """Horizons in steps by record, where the recipe has a horizon; else None."""
-        records = (*self.records, *self.validation)
-        samples = horizon_samples(
-            self.search.horizon, records, self.measured_start, "search.horizon"
-        )
+        """Horizons in steps by record, where the recipe has a horizon; else None.
+
+        Forces are compared where a controller holds a system that no free run follows for long.
+        """
+        records, horizon = (*self.records, *self.validation), self.search.horizon
+        is_open = self.system.feedback is None
+        if horizon is None and is_open and self.search.method == "inverse-dynamics":
+            horizon = _HELD_HORIZON
+        samples = horizon_samples(horizon, records, self.measured_start, "search.horizon")
         return None if samples is None else {e.name: samples for e in records if len(e) > samples}
 
     @property
