@@ -483,7 +483,7 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
         (
             f"<worldbody>{BODY.format('')}</worldbody><equality><connect "
             'body1="b" body2="world" anchor="0 0 0"/></equality>',
-            "a loop: a <connect>",
+            "number 1, without a name (connect)",
         ),
         (
             '<worldbody><body name="b"><joint name="j"/></body></worldbody>',
