@@ -49,6 +49,7 @@ _INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
 _FEWEST = 20  # samples that must be left of a record
 _REWEIGHTINGS = 3  # each after the iteration has converged
 _EXPLAINED = 0.67  # share of the missing forces that a friction curve leaves, to be worth a word
+_QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
 _INFORMED = 0.5  # share of a prior's standard deviation below which records decide
 
 
@@ -100,6 +101,38 @@ class _Point:
     matrices: Float[np.ndarray, "n_r n_p n_p"]
     gradients: Float[np.ndarray, "n_r n_p"]
     residuals: tuple[Float[np.ndarray, "_ n_q"], ...]
+
+
+class _Errors(NamedTuple):
+    """Errors of the estimates, NaN of those at a bound.
+
+    Intervals are the larger of two: of the noise of the residuals, and of how records disagree.
+
+    Attributes:
+        noise: covariance by the noise of the residuals, (n_p, n_p).
+        between: covariance by how the records disagree, as wide as normal errors whose intervals
+            are those of so many records; None where too few can be left out.
+    """
+
+    noise: Float[np.ndarray, "n_p n_p"]
+    between: Float[np.ndarray, "n_p n_p"] | None
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "n_p n_p"]:
+        """Covariance of normal errors with these intervals."""
+        if self.between is None:
+            return self.noise
+        with np.errstate(invalid="ignore"):
+            # rank is at most the number of records: in other directions the noise has to say it
+            scale = np.sqrt(np.maximum(np.diag(self.between) / np.diag(self.noise), 1.0))
+        return self.noise * np.outer(scale, scale)
+
+    def deviation(self, row: Float[np.ndarray, " n_p"]) -> float:
+        """Standard deviation of a combination of the estimates."""
+        some = np.flatnonzero(row)
+        kept, place = row[some], np.ix_(some, some)
+        matrices = [m for m in (self.noise, self.between) if m is not None]
+        return float(np.sqrt(max(kept @ matrix[place] @ kept for matrix in matrices)))
 
 
 def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification:
@@ -429,7 +462,12 @@ def _make_identification(
     problem = closed_loop.plant
     space, records = state.space, problem.records
     values = space.to_values_in_range(point.vector)
-    covariance, trust, quantile = _covariance(point, prior, space)
+    indices = problem.group_indices(records)
+    is_alone = np.array([
+        bool(indices.shape[1] and np.min(np.sum(indices == row, axis=0)) == 1) for row in indices
+    ])  # fmt: skip
+    found_errors = _errors(point, prior, space, is_alone)
+    covariance = found_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviations, deviations)
@@ -445,7 +483,7 @@ def _make_identification(
         errors.append(ForceError(
             c.name, "N m" if c.kind == "angular" else "N", float(size[k]), float(trained[k]), held
         ))  # fmt: skip
-    estimates = _estimates(point, space, deviations, quantile)
+    estimates = _estimates(point, space, deviations)
     informed = deviations < _INFORMED * prior.spread
     sentences = [
         *state.remarks,
@@ -453,7 +491,7 @@ def _make_identification(
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
         *_describe_curves(formula, equations, problem, train, held_out, values),
-        *_describe_carried(space, point, covariance, quantile),
+        *_describe_carried(space, point, found_errors),
     ]
     matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
@@ -476,7 +514,7 @@ def _make_identification(
         ),
         reversed_signs=(),
         findings=tuple(sentences),
-        trust=trust,
+        trust="residuals" if found_errors.between is None else "records",
         rmse={part.record.name: x for part, x in zip(train, left, strict=True)},
         autocorrelation=(),
         disagreements=(),
@@ -535,8 +573,7 @@ def _describe_curves(
 def _describe_carried(
     space: SearchSpace,
     point: _Point,
-    covariance: Float[np.ndarray, "n_p n_p"],
-    quantile: float,
+    errors: _Errors,
 ) -> list[str]:
     """Sentences on what links carry in groups of records beside what they do in the lightest one.
 
@@ -545,7 +582,6 @@ def _describe_carried(
     """
     values = space.to_values_in_range(point.vector)
     slopes = np.abs(space.derivatives(point.vector))
-    linear = covariance * np.outer(slopes, slopes)
     groups: dict[str, list[str]] = {}  # by link, the ends of its names: "[1kg]"
     for name in space.names:
         link, is_mass, group = name.partition(f".{INERTIAL[0]}[")
@@ -563,9 +599,10 @@ def _describe_carried(
 
             def half(slope: Mapping[str, float]) -> float:
                 """Half the interval of a quantity with these derivatives."""
-                places = [space.names.index(name) for name in slope]
-                row = np.array([*slope.values()])
-                return quantile * float(np.sqrt(row @ linear[np.ix_(places, places)] @ row))
+                row = np.zeros(len(space.names))
+                for name, value in slope.items():
+                    row[space.names.index(name)] = value
+                return _QUANTILE * errors.deviation(row * slopes)
 
             width = half({f"{link}.mass{end}": 1.0, f"{link}.mass{lightest}": -1.0})
             centers = []
@@ -592,48 +629,46 @@ def _rank(point: _Point, prior: Prior) -> int:
     return int(np.sum(eigenvalues > 1e-10 * eigenvalues[-1]))
 
 
-def _covariance(
-    point: _Point, prior: Prior, space: SearchSpace
-) -> tuple[Float[np.ndarray, "n_p n_p"], str, float]:
-    """Covariance of the estimates, NaN at a bound; what it is from; errors of half an interval.
+def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarray) -> _Errors:
+    """Errors of the estimates by the noise, and by the jackknife over records.
 
-    Intervals are the larger of two: of how the records disagree (the jackknife over records, where
-    there are enough of them), and of the noise of the residuals. The covariance is that of normal
-    errors with such intervals.
+    Args:
+        point: the estimates.
+        prior: the priors.
+        space: the search space.
+        is_alone: which records are the only ones of a group, (n_r,). Without such a record nothing
+            is known of the group, so they are not left out.
     """
     inside, n_p = space.inside(point.vector), len(point.vector)
     both = np.ix_(inside, inside)
     precision = np.diag(1 / prior.spread**2)
     whole = (point.matrices.sum(axis=0) + precision)[both]
-    inverse = np.linalg.inv(whole)
-    covariance = np.full((n_p, n_p), np.nan)
-    covariance[both] = inverse
-    n, quantile = len(point.matrices), float(scipy.special.ndtri((1 + CONFIDENCE) / 2))
+    noise = np.full((n_p, n_p), np.nan)
+    noise[both] = inverse = np.linalg.inv(whole)
+    left_out = np.flatnonzero(~is_alone)
+    n = len(left_out)
     if n < FEWEST_RECORDS:
-        return covariance, "residuals", quantile
+        return _Errors(noise, None)
     steps = np.stack([
-        np.linalg.solve(whole - m[both], g[inside])
-        for m, g in zip(point.matrices, point.gradients, strict=True)
+        np.linalg.solve(whole - point.matrices[k][both], point.gradients[k][inside])
+        for k in left_out
     ])  # fmt: skip
     steps -= steps.mean(axis=0)
     clustered = (n - 1) / n * steps.T @ steps + inverse @ precision[both] @ inverse
-    # rank is at most the number of records: in other directions the noise has to say it
-    wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / quantile
-    scale = np.maximum(wider * np.sqrt(np.diag(clustered) / np.diag(inverse)), 1.0)
-    covariance[both] = inverse * np.outer(scale, scale)
-    return covariance, "records", quantile
+    wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / _QUANTILE
+    between = np.full((n_p, n_p), np.nan)
+    between[both] = wider**2 * clustered
+    return _Errors(noise, between)
 
 
-def _estimates(
-    point: _Point, space: SearchSpace, deviations: np.ndarray, quantile: float
-) -> tuple[Estimate, ...]:
+def _estimates(point: _Point, space: SearchSpace, deviations: np.ndarray) -> tuple[Estimate, ...]:
     """Estimates of the free parameters, with errors and intervals of those not at a bound."""
     bounds, values = space.active_bounds(point.vector), space.to_values_in_range(point.vector)
     derivatives, lower, upper = space.derivatives(point.vector), space.lower, space.upper
     estimates = []
     for i, p in enumerate(space.free_parameters):
         has_error = p.name not in bounds and bool(np.isfinite(deviations[i]))
-        error, half = deviations[i] * abs(derivatives[i]), quantile * deviations[i]
+        error, half = deviations[i] * abs(derivatives[i]), _QUANTILE * deviations[i]
         edges = np.clip([point.vector[i] - half, point.vector[i] + half], lower[i], upper[i])
         interval = np.exp(edges) if p.positive else edges * derivatives[i]
         estimates.append(Estimate(
