@@ -76,6 +76,12 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
         lambda p, out: ("compare", p.model, p.other, p.logs, "--figures", out),
         ["fall3.png", "noise2.png"],
     ),
+    "next-record": (
+        lambda p, out: ("next-record", "--design", "--system", "duffing", "--out", out,
+                        "--within", "deflection=-1:1", "--within", "deflection_dot=-1:1",
+                        "--limits", "voltage=-5:5"),
+        ["motion.csv", "design.json"],
+    ),
     "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
     "control": (
         lambda p, out: ("control", p.model, "--at", "angle=0", "--out", out),

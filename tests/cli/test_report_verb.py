@@ -59,7 +59,14 @@ def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsy
     assert not page.exists()
     assert tustinnet(capsys, *command)[0] == 0
     assert numbers_in(page)["links"] == [
-        {"coordinate": 0, "axis": [0, -1, 0], "reach": [0, 0, -0.3], "parent": None, "at": None}
+        {
+            "coordinate": 0,
+            "axis": [0, -1, 0],
+            "reach": [0, 0, -0.3],
+            "parent": None,
+            "at": None,
+            "shape": "rod",
+        }
     ]
 
 

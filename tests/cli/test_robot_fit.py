@@ -112,6 +112,25 @@ def test_a_python_file_with_options_is_kept_with_its_robot(logs, tmp_path, capsy
     assert f"{other}: another file than {code_file.parent / 'cart.xml'}" in err
 
 
+def test_links_without_inertias_get_those_of_their_shapes(logs, tmp_path, capsys):
+    bare = tmp_path / "cart.urdf"
+    bare.write_text("""<robot name="cart"><link name="rail"/>
+      <link name="cart"><collision><geometry><box size="0.1 0.1 0.05"/></geometry></collision>
+      </link>
+      <link name="rod"><visual><origin xyz="0 0 -0.2"/><geometry><cylinder radius="0.01"
+        length="0.4"/></geometry></visual></link>
+      <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/></joint>
+      <joint name="pole" type="continuous"><parent link="cart"/><child link="rod"/>
+        <axis xyz="0 1 0"/></joint></robot>""")
+    fit = ("fit", logs, "--recipe", "inverse-dynamics", "--no-report", "--out", tmp_path / "run")
+    code, _, err = tustinnet(capsys, *fit, "--system", bare)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "--default-density" in err
+    code, _, err = tustinnet(capsys, *fit, "--system", "cart-pole", "--default-density", "2700")
+    assert code == 1
+    assert "--default-density: not applicable without the file of a robot" in err
+
+
 @pytest.mark.parametrize(
     ("file", "text", "words"),
     [

@@ -312,7 +312,7 @@ def test_links_that_form_a_tree_are_drawn_and_dragged(browser, models, records, 
     page = found.page
     places = page.evaluate("Object.keys(JSON.parse(document.getElementById('data').textContent)"
                            ".links[1]).sort().join()")  # fmt: skip
-    assert places == "at,axis,coordinate,parent,reach"
+    assert places == "at,axis,coordinate,parent,reach,shape"
     before = drawn(page, "stage")
     page.get_by_label("Time in the record").fill("1")
     assert drawn(page, "stage") != before
