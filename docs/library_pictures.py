@@ -27,7 +27,7 @@ MOMENTS = {
     "ball_and_beam": 0.56, "reaction_wheel": 1.2, "propeller_pendulum": 1.2,
     "positioning_axis": 0.8, "duffing": 1.2,
 }  # fmt: skip
-VIEW = {"width": 460, "height": 1200}
+WIDTH, HEIGHT = 460, 1200  # of the window
 MARGIN = 12  # pixels around what is drawn
 COLOURS = 16
 
@@ -43,7 +43,9 @@ def main() -> None:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"))
         for name, moment in MOMENTS.items():
             twin = import_module(f"tustinnet.systems.library.{name}").TWIN
-            tab = browser.new_page(viewport=VIEW, color_scheme="light")
+            tab = browser.new_page(
+                viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="light"
+            )
             tab.goto(write_page(twin, Path(folder) / f"{name}.html").as_uri())
             picture = mechanism_at(tab, moment)
             picture.quantize(COLOURS, dither=Image.Dither.NONE).save(
