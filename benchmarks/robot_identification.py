@@ -1,7 +1,7 @@
 """Identification of a simulated arm by this package, by least squares and by mujoco.sysid.
 
     python benchmarks/robot_identification.py ols [COUNT [FRICTION ...]]
-    python benchmarks/robot_identification.py mujoco [COUNT]
+    python benchmarks/robot_identification.py mujoco [COUNT [ITERATIONS]]
 
 `ols`: 10 records of 10 s and one that is held out, of an arm of 7 joints with the friction of these
 names beside the viscous and the Coulomb one (`stribeck`, `load`; see `tn.load_robot`). Missing
@@ -13,9 +13,9 @@ friction, with the names, and with a friction curve. Of all joints the mean is p
 `mujoco`: an arm that MuJoCo simulates with its own friction in the loop of a PD controller: three
 records of 5 s and one that is held out. `mujoco.sysid` gets them in pieces of 0.5 s with positions
 and velocities, log-Cholesky inertias, armature, damping and frictionloss of all joints, in the
-ranges of this package, and stops as its defaults say. Both results are judged by MuJoCo: torques
-along the held-out record against those that it has and those of the true parameters, and motion
-over pieces of 0.25 s. Needs the extras `bench` and `robots`.
+ranges of this package, and stops as its defaults say (200 iterations at most), or after fewer. Both
+results are judged by MuJoCo: torques along the held-out record against those that it has and those
+of the true parameters, and motion over pieces of 0.25 s. Needs the extras `bench` and `robots`.
 """
 
 import jax
@@ -224,7 +224,10 @@ def pieces(positions: np.ndarray, torques: np.ndarray, length: int) -> list[tupl
 
 
 def fit_by_mujoco(
-    mujoco: Any, system: LagrangianSystem, records: Sequence[tuple[np.ndarray, np.ndarray]]
+    mujoco: Any,
+    system: LagrangianSystem,
+    records: Sequence[tuple[np.ndarray, np.ndarray]],
+    iterations: int | None,
 ) -> Any:
     """The model that `mujoco.sysid` identifies: from the file's values, in the system's ranges."""
     sysid = import_module("mujoco.sysid")
@@ -285,7 +288,8 @@ def fit_by_mujoco(
         return compiled[key]
 
     residuals = sysid.build_residual_fn(models_sequences=[sequences], build_model=build)
-    found, _ = sysid.optimize(parameters, residuals, verbose=False)
+    limit = {} if iterations is None else {"max_iters": iterations}
+    found, _ = sysid.optimize(parameters, residuals, verbose=False, **limit)
     return sysid.apply_param_modifiers(found, spec.copy())
 
 
@@ -312,7 +316,7 @@ def motion_error(mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray])
     return float(np.sqrt(np.mean(squares)))
 
 
-def compare_to_mujoco(count: int) -> None:
+def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
     """Prints errors and seconds of both for each arm, and medians."""
     mujoco = import_module("mujoco")
     system = tn.load_robot(ARM)
@@ -344,7 +348,7 @@ def compare_to_mujoco(count: int) -> None:
                 result = tn.identify(data, system, "inverse-dynamics", fixed=offsets)
                 model = arm_for_mujoco(mujoco, result.values).compile()
             else:
-                model = fit_by_mujoco(mujoco, system, records)
+                model = fit_by_mujoco(mujoco, system, records, iterations)
             seconds = time.perf_counter() - begun
             own = torques_along(mujoco, model, motion)
             missing, off = (
