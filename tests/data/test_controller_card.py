@@ -34,6 +34,8 @@ def test_set_points_are_the_inputs_and_the_voltage_is_kept(columns):
         ("voltage_feedforward", "V", "zero-order"),
     ]
     np.testing.assert_array_equal(e.u[:, 0], columns["wanted"])
+    assert e.outputs is not None
+    assert e.channels.controller is not None
     np.testing.assert_array_equal(e.outputs[:, 0], columns["volts"])
     (loop,) = e.channels.controller.loops
     assert (loop.kp, loop.kd) == (KP, KD)
@@ -41,8 +43,11 @@ def test_set_points_are_the_inputs_and_the_voltage_is_kept(columns):
     assert [i.name for i in alone.inputs] == ["voltage"]
     np.testing.assert_array_equal(alone.u[:, 0], columns["volts"])
     # parts and resampled records keep both
-    assert len(e[10:20].outputs) == 10
-    assert e.resample(e.dt / 2).outputs.shape == (2 * len(e) - 1, 1)
+    part, finer = e[10:20].outputs, e.resample(e.dt / 2).outputs
+    assert part is not None
+    assert finer is not None
+    assert len(part) == 10
+    assert finer.shape == (2 * len(e) - 1, 1)
 
 
 def test_set_points_have_sign_zero_and_unit_of_the_coordinate(columns):
@@ -102,9 +107,13 @@ def test_a_written_folder_reads_the_same(tmp_path):
     data = held_swings(2, kp=None)
     path = write_data_set(data, tmp_path, "Held")
     again = load_folder(tmp_path, read_declaration(path, Card))
+    assert again.channels.controller is not None
+    assert data.channels.controller is not None
     assert again.channels.controller.loops == data.channels.controller.loops
     assert again.channels.controller.inputs[0].limits == (-LIMIT, LIMIT)
     for e, other in zip(data, again, strict=True):
+        assert e.outputs is not None
+        assert other.outputs is not None
         np.testing.assert_allclose(other.u, e.u, rtol=1e-8)
         np.testing.assert_allclose(other.outputs, e.outputs, rtol=1e-8, atol=1e-8)
 

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from held_swings import KD, KP, held_swings
 from robot_twins import record_in_loop, true_values
@@ -77,7 +78,7 @@ def test_a_gain_of_the_wrong_sign_names_the_key():
     channels = records.channels
     turned = tn.DataSet("turned", tuple(
         tn.Experiment(
-            e.name, e.t, e.q, e.u, channels, split=e.split, outputs=-e.outputs
+            e.name, e.t, e.q, e.u, channels, split=e.split, outputs=-np.asarray(e.outputs)
         ) for e in records
     ))  # fmt: skip
     with pytest.raises(InputError, match=r"kp is found to be -.*check the key `sign`"):
@@ -109,10 +110,13 @@ def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
         assert first.values[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
     assert plain.horizons
     assert not first.horizons, "in the loop records are simulated as a whole"
+    assert first.validation_rmse is not None
     assert first.validation_rmse < 2e-3
     assert "are compared with those that the motion needs" in first.findings[0]
     begin = {name: first.values[name] for name in plain.values}
     result = tn.identify(in_loop, system, begin=begin)
+    assert result.validation_rmse is not None
+    assert in_loop.channels.controller is not None
     assert result.validation_rmse < 0.7 * first.validation_rmse
     for loop in in_loop.channels.controller.loops:
         name = f"{loop.coordinate}.kp"
