@@ -426,20 +426,22 @@ def _force_sizes(
     return np.where(by_input > 0, by_input, np.maximum(by_motion, 1e-12))
 
 
-def _force_errors(
+def _missing_along(
     formula: Formula,
     equations: SystemEquations,
     problem: Problem,
     parts: Sequence[MeasuredForces],
     values: Mapping[str, float],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square of missing forces of each coordinate, and of its actuators' forces."""
-    residuals = [
+) -> Float[np.ndarray, "k n_q"]:
+    """Missing forces of each coordinate along filtered records, one after the other [N m or N]."""
+    return np.concatenate([
         part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
         for part in parts
-    ]
-    size = _force_sizes(formula, equations, problem, parts, values)
-    return np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), size
+    ])  # fmt: skip
+
+
+def _root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> list[float]:
+    return np.sqrt(np.mean(forces**2, axis=0)).tolist()
 
 
 def _make_identification(
@@ -466,8 +468,8 @@ def _make_identification(
     is_alone = np.array([
         bool(indices.shape[1] and np.min(np.sum(indices == row, axis=0)) == 1) for row in indices
     ])  # fmt: skip
-    found_errors = _errors(point, prior, space, is_alone)
-    covariance = found_errors.covariance
+    parameter_errors = _errors(point, prior, space, is_alone)
+    covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviations, deviations)
@@ -475,14 +477,20 @@ def _make_identification(
     state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    errors = []
-    trained, size = _force_errors(formula, equations, problem, train, values)
-    kept = _force_errors(formula, equations, problem, held_out, values)[0] if held_out else None
-    for k, c in enumerate(problem.system.coordinates):
-        held = None if kept is None else float(kept[k])
-        errors.append(ForceError(
-            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), float(trained[k]), held
-        ))  # fmt: skip
+    size = _force_sizes(formula, equations, problem, train, values)
+    missing = _missing_along(formula, equations, problem, train, values)
+    missing_held_out = (
+        _missing_along(formula, equations, problem, held_out, values) if held_out else None
+    )
+    rms = _root_mean_square(missing)
+    rms_held_out = None if missing_held_out is None else _root_mean_square(missing_held_out)
+    errors = [
+        ForceError(
+            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), rms[k],
+            None if rms_held_out is None else rms_held_out[k],
+        )
+        for k, c in enumerate(problem.system.coordinates)
+    ]  # fmt: skip
     estimates = _estimates(point, space, deviations)
     informed = deviations < _INFORMED * prior.spread
     sentences = [
@@ -490,13 +498,13 @@ def _make_identification(
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
-        *_describe_curves(formula, equations, problem, train, held_out, values),
-        *_describe_carried(space, point, found_errors),
+        *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
+        *_describe_carried(space, point, parameter_errors),
     ]
     matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
     converged = status in ("converged", "stalled")
-    left = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in point.residuals]
+    by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in point.residuals]
     return Identification(
         system=closed_loop.system,
         model=model,
@@ -514,8 +522,8 @@ def _make_identification(
         ),
         reversed_signs=(),
         findings=tuple(sentences),
-        trust="residuals" if found_errors.between is None else "records",
-        rmse={part.record.name: x for part, x in zip(train, left, strict=True)},
+        trust="residuals" if parameter_errors.between is None else "records",
+        rmse={part.record.name: x for part, x in zip(train, by_record, strict=True)},
         autocorrelation=(),
         disagreements=(),
         initial="not simulated",
@@ -530,11 +538,11 @@ def _make_identification(
 
 
 def _describe_curves(
-    formula: Formula,
-    equations: SystemEquations,
     problem: Problem,
     train: Sequence[MeasuredForces],
     held_out: Sequence[MeasuredForces],
+    missing: Float[np.ndarray, "_ n_q"],
+    missing_held_out: Float[np.ndarray, "_ n_q"] | None,
     values: Mapping[str, float],
 ) -> list[str]:
     """Sentence on the joints of a robot whose missing forces are a curve over the speed.
@@ -543,16 +551,9 @@ def _describe_curves(
     is missing in the held-out ones.
     """
     robot = problem.system.source
-    if not isinstance(robot, RobotFile) or "curve" in robot.friction or not held_out:
+    if not isinstance(robot, RobotFile) or "curve" in robot.friction or missing_held_out is None:
         return []
     n, names = len(problem.system.coordinates), []
-    train_missing, held_missing = (
-        [
-            part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
-            for part in parts
-        ]
-        for parts in (train, held_out)
-    )
     for k, c in enumerate(problem.system.coordinates):
         width = values[f"{c.name}.coulomb_speed"]
         regressors, others = (
@@ -562,10 +563,9 @@ def _describe_curves(
             ])
             for parts in (train, held_out)
         )  # fmt: skip
-        missing = np.concatenate(train_missing)[:, k]
-        weights = np.linalg.lstsq(regressors, missing, rcond=1e-8)[0]
-        held = np.concatenate(held_missing)[:, k]
-        if np.sum((held - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(held**2):
+        weights = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
+        force = missing_held_out[:, k]
+        if np.sum((force - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(force**2):
             names.append(c.name)
     return findings.describe_curves(names, robot.path.name) if names else []
 
