@@ -278,7 +278,7 @@ class DesignProgress(NamedTuple):
 
 
 def prior_knowledge(system: LagrangianSystem, groups: Mapping[str, str]) -> Knowledge:
-    """What the declaration of a system, or a robot's file, says of its parameters.
+    """Knowledge about the parameters of a system by its declaration, or by a robot's file.
 
     Args:
         system: the system.
@@ -297,7 +297,7 @@ def prior_knowledge(system: LagrangianSystem, groups: Mapping[str, str]) -> Know
 def fitted_knowledge(
     model: LagrangianModel, identification: Mapping[str, Any] | None, groups: Mapping[str, str]
 ) -> Knowledge:
-    """What a fit says of the parameters of a system, and of the forces that it has not explained.
+    """Knowledge about the parameters of a system by a fit, and the forces that this left.
 
     Args:
         model: the equations of motion.
@@ -454,7 +454,8 @@ def design_record(
     known = _information(knowledge, dynamics)
     weights = count / len(judged) / noise**2
     problem = _Problem(dynamics, shapes, box, known, weights, options.iterations, judged)
-    first = problem.information(starts[0])[0]
+    by_start = [problem.information(x) for x in starts]
+    first = by_start[0][0]
     results, stopped = [], False
     for k, x in enumerate(starts):
         remaining = np.inf
@@ -470,23 +471,22 @@ def design_record(
         reached = _shrink(found, dynamics, shapes, box, every)
         results.append(x if reached is None else reached)
         stopped = stopped or is_late
-    information = [problem.information(x)[0] for x in results]
-    best = results[int(np.argmax(information))]
-    combinations = _find_combinations(dynamics, shapes, noise, rng)
+    by_result = [problem.information(x) for x in results]
+    best = int(np.argmax([logarithm for logarithm, _ in by_result]))
+    combinations, pivots = _find_combinations(dynamics, shapes, noise, rng)
     file = _errors(combinations, np.eye(len(known)))
     before = None if knowledge.covariance is None else _errors(combinations, known)
-    expected = _errors(combinations, problem.information(best)[1])
+    expected = _errors(combinations, by_result[best][1])
     ratios = [
-        np.exp(np.mean(np.log(_errors(combinations, problem.information(x)[1]) / expected)))
-        for x in starts
+        np.exp(np.mean(np.log(_errors(combinations, matrix) / expected))) for _, matrix in by_start
     ]
-    motion = shapes.motion(best)
+    motion = shapes.motion(results[best])
     q, v, a = motion.sample(t)
     u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
     channels = replace(system.channels, dt=options.dt)
     return RecordDesign(
         channels, options, limits, motion, t, q, v, a, u, force, noise,
-        _base_parameters(dynamics, combinations, file, before, expected),
+        _base_parameters(dynamics, combinations, pivots, file, before, expected),
         float(np.median(ratios)), stopped,
     )  # fmt: skip
 
@@ -707,7 +707,7 @@ class _Problem:
     def cost(
         self, x: Float[np.ndarray, "count n_q"], penalty: float
     ) -> tuple[float, Float[np.ndarray, " size"]]:
-        """What is minimised and its derivatives: the penalty less the information.
+        """The cost of a motion and its derivatives: the penalty less the information.
 
         Derivatives by the points are central differences, for a point costs a microsecond.
         """
@@ -811,10 +811,9 @@ def _random_motion(
         if found is not None:
             return found
         x[1:] = 0.0
-        points = shapes.points(x, t[:1])
-        shares = box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))[0]
-        if np.abs(shares).max() < nearest.max():
-            nearest = np.abs(shares)
+        shares = np.abs(_limit_shares(x, dynamics, shapes, box, t[:1])[0])
+        if shares.max() < nearest.max():
+            nearest = shares
     k = int(np.argmax(nearest))
     n = len(system.coordinates)
     what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
@@ -824,6 +823,18 @@ def _random_motion(
         f"the {what} limit of '{name}' at rest", "poses that actuators can hold",
         "check the limits, or give others by --within and --limits",
     )  # fmt: skip
+
+
+def _limit_shares(
+    x: Float[np.ndarray, "count n_q"],
+    dynamics: _Dynamics,
+    shapes: _Shapes,
+    box: _Box,
+    t: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n m"]:
+    """Points and actuation of a motion at times by the limits, see `_Box.shares`."""
+    points = shapes.points(x, t)
+    return box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))
 
 
 def _shrink(
@@ -839,9 +850,8 @@ def _shrink(
         return np.concatenate([x[:1], size * x[1:]])
 
     def is_within(size: float) -> bool:
-        points = shapes.points(scaled(size), t)
-        values = np.concatenate([points, dynamics.actuation(points)], axis=1)
-        return bool((np.abs(box.shares(values)) <= 1).all())
+        shares = _limit_shares(scaled(size), dynamics, shapes, box, t)
+        return bool((np.abs(shares) <= 1).all())
 
     if is_within(1.0):
         return x
@@ -920,11 +930,14 @@ def _find_combinations(
     shapes: _Shapes,
     noise: Float[np.ndarray, " n_q"],
     rng: np.random.Generator,
-) -> Float[np.ndarray, "n_b n_p"]:
+) -> tuple[Float[np.ndarray, "n_b n_p"], list[int]]:
     """The base parameters by the parameters, in standard deviations of their priors.
 
     Each is a parameter, with the factor 1, and what others count beside it. Found by a QR
     factorisation with pivoting of the derivatives of forces at random points.
+
+    Returns:
+        The base parameters, and the parameter that each is named after: it counts in no other one.
     """
     import scipy.linalg
 
@@ -940,7 +953,8 @@ def _find_combinations(
     combinations = np.zeros((rank, rows.shape[1]))
     combinations[:, order] = np.concatenate([np.eye(rank), beside], axis=1)
     # named in the order of the parameters
-    return combinations[np.argsort(order[:rank])]
+    by_name = np.argsort(order[:rank])
+    return combinations[by_name], order[by_name].tolist()
 
 
 def _errors(
@@ -954,15 +968,14 @@ def _errors(
 def _base_parameters(
     dynamics: _Dynamics,
     combinations: Float[np.ndarray, "n_b n_p"],
+    pivots: Sequence[int],
     file: Float[np.ndarray, " n_b"],
     known: Float[np.ndarray, " n_b"] | None,
     expected: Float[np.ndarray, " n_b"],
 ) -> tuple[BaseParameter, ...]:
     """The base parameters with their errors, the best determined one first."""
     names, found = dynamics.space.names, []
-    pivots = _pivots(combinations)
-    for b, row in enumerate(combinations):
-        i = pivots[b]
+    for b, (i, row) in enumerate(zip(pivots, combinations, strict=True)):
         unit = dynamics.units[i]
         terms = {
             names[j]: float(row[j] * unit / dynamics.units[j])
@@ -974,9 +987,3 @@ def _base_parameters(
             None if known is None else float(unit * known[b]), float(unit * expected[b]),
         ))  # fmt: skip
     return tuple(sorted(found, key=lambda parameter: parameter.remaining))
-
-
-def _pivots(combinations: Float[np.ndarray, "n_b n_p"]) -> list[int]:
-    """The parameter that each base parameter is named after: it counts in no other one."""
-    is_alone = np.sum(combinations != 0, axis=0) == 1
-    return [int(np.flatnonzero((row == 1) & is_alone)[0]) for row in combinations]
