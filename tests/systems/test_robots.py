@@ -316,6 +316,16 @@ def test_a_link_without_inertia_gets_that_of_its_shape(shape, tmp_path):
     np.testing.assert_allclose(matrix, full, rtol=1e-9)
 
 
+def test_a_mass_of_zero_is_no_inertia_however_it_is_written(tmp_path):
+    """A link that the reader takes for one without inertia is completed."""
+    none = '<inertial><mass value="0.00"/><inertia/></inertial><collision>'
+    (file := tmp_path / "arm.urdf").write_text(
+        SHAPES.format('<sphere radius="0.1"/>').replace("<collision>", none)
+    )
+    mass = tn.load_robot(file, default_density=1000.0).nominal()["a.mass"]
+    assert mass == pytest.approx(1000.0 * 4 / 3 * np.pi * 0.1**3)
+
+
 def test_the_inertia_of_a_mesh_is_not_that_of_a_shape(tmp_path):
     (file := tmp_path / "arm.urdf").write_text(SHAPES.format('<mesh filename="a.stl"/>'))
     with pytest.raises(InputError, match="link 'a': no inertia, and the shape is a <mesh>"):

@@ -9,7 +9,7 @@ from tustinnet.errors import InputError
 from tustinnet.systems.files import SystemFile
 from tustinnet.systems.robot import LinkInertia, join_inertias, parse_xml
 from tustinnet.systems.robot_writing import write_urdf
-from tustinnet.systems.urdf import read_numbers, read_origin
+from tustinnet.systems.urdf import read_link, read_numbers, read_origin
 
 _SHAPES = ("box", "cylinder", "sphere", "capsule")
 _DENSEST = 3e4  # kg/m^3; osmium has 2.3e4
@@ -40,25 +40,20 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
         )
     root = parse_xml(file.text, where, "a URDF file")
     carried = {end.get("link") for end in root.iterfind("joint/child")}
-    found: dict[str, LinkInertia | None] = {}
+    inertias: dict[str, LinkInertia | None] = {}
     for link in root.findall("link"):
-        name = link.get("name", "")
-        shapes = link.findall("collision") or link.findall("visual")
-        if name in carried and shapes and not _has_mass(link):
-            place = f"{where}, link '{name}'"
-            found[name] = join_inertias([_inertia_of(s, density, place) for s in shapes])
-    if not found:
+        own = read_link(link, where)
+        if own.name in carried and own.inertia is None and not own.is_frame:
+            shapes = link.findall("collision") or link.findall("visual")
+            place = f"{where}, link '{own.name}'"
+            inertias[own.name] = join_inertias([_inertia_of(s, density, place) for s in shapes])
+    if not inertias:
         raise InputError(
             "default density", f"not applicable to {where.name}",
             "a link that a joint carries, with a shape and without an inertia",
             "leave it out: every link has its inertia",
         )  # fmt: skip
-    return replace(file, text=write_urdf(file.text, found, {}))
-
-
-def _has_mass(link: ET.Element) -> bool:
-    mass = link.find("inertial/mass")
-    return mass is not None and mass.get("value", "").strip() not in ("", "0", "0.0")
+    return replace(file, text=write_urdf(file.text, inertias, {}))
 
 
 def _inertia_of(element: ET.Element, density: float, place: str) -> LinkInertia:

@@ -50,7 +50,7 @@ def read_urdf(text: str, where: object) -> Robot:
         raise InputError(where, "macros of xacro", _EXPECTED, f"run xacro {where} > arm.urdf")
     links: dict[str, RobotLink] = {}
     for element in root.findall("link"):
-        link = _read_link(element, where)
+        link = read_link(element, where)
         if link.name in links:
             raise InputError(where, f"two links '{link.name}'", "names that differ")
         links[link.name] = link
@@ -114,7 +114,16 @@ def _sort_tree(
     return tuple(ordered)
 
 
-def _read_link(element: ET.Element, where: object) -> RobotLink:
+def read_link(element: ET.Element, where: object) -> RobotLink:
+    """The link of an element of a URDF.
+
+    Args:
+        element: the element.
+        where: the file, for messages.
+
+    Raises:
+        InputError: a link without a name, an inertia that is not whole, a number that is none.
+    """
     name = _name(element, where)
     place, inertial = f"{where}, link '{name}'", element.find("inertial")
     is_frame = element.find("visual") is None and element.find("collision") is None
