@@ -10,9 +10,9 @@ from tustinnet.export.source import Source
 from tustinnet.export.target import Files, Stepper, Target
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.models.physical_values import equations_in, with_values
+from tustinnet.models.physical_values import with_values
 from tustinnet.program.numbers import run
-from tustinnet.systems.robots import RobotFile
+from tustinnet.systems.robots import RobotFile, robot_in
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RobotTarget(Target):
         return {self._file_name: text}
 
     def notes(self, source: Source) -> tuple[str, ...]:
-        """What the file does not hold."""
+        """Remarks on what the file does not hold."""
         _, lacking = self._written(source)
         notes = []
         if lacking:
@@ -75,19 +75,19 @@ class RobotTarget(Target):
 
     def _robot(self, source: Source) -> tuple[LagrangianModel, RobotFile]:
         """The equations of the robot, and the file from which they were made."""
-        equations = equations_in(source.model)
-        file = None if equations is None else equations.system.source
-        if equations is None or not isinstance(file, RobotFile):
+        robot = robot_in(source.model)
+        if robot is None:
             raise InputError(
                 f"--to {self.name}", "not applicable to a model that was not made from the file of "
                 "a robot", "one that was", "fit with --system arm.urdf or robot.xml",
             )  # fmt: skip
-        if file.path.suffix not in self.endings:
+        path = robot[1].path
+        if path.suffix not in self.endings:
             raise InputError(
-                f"--to {self.name}", f"the robot was made from {file.path.name}",
+                f"--to {self.name}", f"the robot was made from {path.name}",
                 f"--to {'mjcf' if self.name == 'urdf' else 'urdf'}",
             )  # fmt: skip
-        return equations, file
+        return robot
 
 
 URDF = RobotTarget("urdf", (".urdf",), "a URDF")

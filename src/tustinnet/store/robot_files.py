@@ -4,9 +4,8 @@ from pathlib import Path
 
 from tustinnet.errors import InputError
 from tustinnet.models.contract import ContinuousModel, Model
-from tustinnet.models.physical_values import equations_in
 from tustinnet.store.files import require_outputs, write_into
-from tustinnet.systems.robots import RobotFile
+from tustinnet.systems.robots import robot_in
 
 
 def write_robot(
@@ -30,13 +29,13 @@ def write_robot(
         InputError: a model without such a file, another ending, a file that is there, or an inertia
             that no body has.
     """
-    equations, path = equations_in(model), Path(path)
-    source = None if equations is None else equations.system.source
-    if equations is None or not isinstance(source, RobotFile):
+    robot, path = robot_in(model), Path(path)
+    if robot is None:
         raise InputError(
             "write_robot", "a model that was not made from a robot's file", "one that was",
             "fit with --system arm.urdf",
         )  # fmt: skip
+    equations, source = robot
     if path.suffix != source.path.suffix:
         raise InputError(path, f"ending '{path.suffix}'", f"'{source.path.suffix}' as of the robot")
     require_outputs([path], overwrite=overwrite, read=[source.path])

@@ -56,9 +56,11 @@ class SystemFile:
         """Whether it is Python code, which is run; a robot file is only read."""
         return self.path.suffix not in ROBOT_ENDINGS
 
-    @property
+    @functools.cached_property
     def robots(self) -> tuple["SystemFile", ...]:
         """Files of robots that the code names and that are there, as `load_robot` finds them.
+
+        They are read once, as the code was.
 
         Raises:
             InputError: one of them cannot be read.

@@ -178,7 +178,7 @@ class RobotEquations:
         places = jnp.array(self.elastic)
         return jnp.concatenate([q[places] + jnp.stack(twists), v[places]])
 
-    def _rigid(self, total: list[Any] | Any) -> Any:
+    def _rigid(self, total: Any) -> Any:
         """Forces on the links: those on motors behind elastic gears do not act there."""
         kept = [0.0 if k in self.elastic else 1.0 for k in range(len(self.joints))]
         return total * jnp.array(kept) if self.elastic else total

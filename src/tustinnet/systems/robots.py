@@ -21,9 +21,16 @@ from tustinnet.models.chains import (
     body_inertia,
     inertial_parameters,
 )
+from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.kinematics import BASE, Link
-from tustinnet.models.lagrangian import ChannelSource, LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import (
+    ChannelSource,
+    LagrangianModel,
+    LagrangianSystem,
+    Parameter,
+)
 from tustinnet.models.motion_limits import MotionLimits
+from tustinnet.models.physical_values import equations_in
 from tustinnet.systems.files import ROBOT_ENDINGS, find_robot_path, find_system
 from tustinnet.systems.mjcf import read_mjcf
 from tustinnet.systems.robot import (
@@ -221,6 +228,14 @@ class RobotFile(ChannelSource):
             read(self.text, self.path), self.path, dict(self.locked), constants, per, self.friction,
             dict(self.elastic), dict(self.backlash),
         )  # fmt: skip
+
+
+def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile] | None:
+    """The equations of the robot in a model, and its file; None in a model of no robot."""
+    equations = equations_in(model)
+    if equations is None or not isinstance(equations.system.source, RobotFile):
+        return None
+    return equations, equations.system.source
 
 
 class _Assembly:
@@ -629,12 +644,11 @@ class _Assembly:
                 Parameter(weight, kind, 0.0, -effort, effort, prior=_SHARE * effort)
                 for weight in curve_names(name)
             ]
-        per = "N m/rad" if joint.kind == "angular" else "N/m"
         if (stiffness := self.elastic.get(name)) is not None:
             damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))
             parameters += [
-                Parameter(f"{name}.gear_stiffness", per, stiffness, stiffness / _GEAR,
-                          stiffness * _GEAR),
+                Parameter(f"{name}.gear_stiffness", _stiffness_unit(joint), stiffness,
+                          stiffness / _GEAR, stiffness * _GEAR),
                 Parameter(f"{name}.gear_damping", f"{kind} {per_speed}", damping, 0.0,
                           10 * damping / _LIGHTLY),
             ]  # fmt: skip
@@ -644,9 +658,8 @@ class _Assembly:
             ))  # fmt: skip
         for j, _ in own:
             if j.stiffness:
-                per = "N m/rad" if j.kind == "angular" else "N/m"
                 parameters.append(Parameter(
-                    f"{j.name}.stiffness", per, j.stiffness, j.stiffness / _MASS,
+                    f"{j.name}.stiffness", _stiffness_unit(j), j.stiffness, j.stiffness / _MASS,
                     j.stiffness * _MASS, prior=_SHARE * j.stiffness,
                 ))  # fmt: skip
         return parameters
@@ -860,6 +873,10 @@ def _joints(names: Sequence[str]) -> str:
 
 def _force_unit(joint: RobotJoint) -> str:
     return "N m" if joint.kind == "angular" else "N"
+
+
+def _stiffness_unit(joint: RobotJoint) -> str:
+    return "N m/rad" if joint.kind == "angular" else "N/m"
 
 
 def _vector(numbers: np.ndarray) -> Vector3:
