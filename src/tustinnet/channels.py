@@ -93,6 +93,9 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
+GAINS = ("kp", "kd")  # of a loop
+
+
 @dataclass(frozen=True)
 class PDLoop:
     """The loop by which a controller computes an input from a coordinate and its set points.
@@ -156,7 +159,7 @@ class PDController:
                 if name in names[:k]:
                     raise InputError(where, f"two loops of the {kind} '{name}'", "one")
         for loop in self.loops:
-            for gain in ("kp", "kd"):
+            for gain in GAINS:
                 value = getattr(loop, gain)
                 if value is not None and not 0 <= value < np.inf:
                     raise InputError(

@@ -77,7 +77,7 @@ def _unit_of_all(
     regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, angles: list[int],
     plain: float,
 ) -> Iterator[Finding]:  # fmt: skip
-    """All angles in one other unit, where that explains more than another unit of one alone."""
+    """Findings that all angles are in another unit, where one alone explains less."""
     shares = {name: _scaled_share(regressors, views, q, angles, _SCALES[name]) for name in _UNITS}
     best = min(shares, key=lambda name: shares[name])
     if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
@@ -103,7 +103,7 @@ def _scaled_share(
     regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, which: list[int],
     scale: float,
 ) -> float:  # fmt: skip
-    """What the model leaves of the accelerations where some angles have another scale."""
+    """Share of the accelerations that the model leaves where some angles have another scale."""
     scales = np.ones(q.shape[1])
     scales[which] = scale
     held = regressors.held.copy()

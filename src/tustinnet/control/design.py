@@ -198,21 +198,20 @@ def design_controller(
                 f"recorded {low:.4g} to {high:.4g}",
                 "record such motions, limit it (--within, --limits), or add --trust-beyond",
             )  # fmt: skip
-        final = feedback
-        if task.integral:
-            # along the plan errors are not integrated; from its end on they are
-            final = lqr(
-                model, point.x, point.u, deviations=own, range=range, delay=task.delay,
+
+        def proportional_feedback(at: OperatingPoint) -> Feedback:
+            return lqr(
+                model, at.x, at.u, deviations=own, range=range, delay=task.delay,
                 limits=task.limits,
             )  # fmt: skip
+
+        # along the plan errors are not integrated; from its end on they are
+        final = proportional_feedback(point) if task.integral else feedback
         settle = None
         if point.is_unstable and not start.is_unstable:
             # only from a start where it comes to rest by itself a motion can begin again
             with suppress(InputError):  # a mode there that the inputs do not move
-                settle = lqr(
-                    model, start.x, start.u, deviations=own, range=range, delay=task.delay,
-                    limits=task.limits,
-                )  # fmt: skip
+                settle = proportional_feedback(start)
         gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
         gains = replace(gains, final=feedback)
     on_message("estimator")

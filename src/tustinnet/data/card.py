@@ -185,7 +185,7 @@ class CoordinateCard(Declaration):
         if unit == "counts":
             return float(self.count or np.nan)
         if unit is None:
-            return self.scale
+            return scale
         factor, si_unit = convert_to_si(unit)
         if si_unit != self.si_unit:
             raise ValueError(f"unit '{unit}' of a set point of '{self.name}'; {self.si_unit}")

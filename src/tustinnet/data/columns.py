@@ -19,6 +19,13 @@ _SIGNAL = re.compile(r"(?P<export>.*)\.signals\(\d+\)\.", re.DOTALL)
 NUMBERED = "column "  # columns without a name are called "column 1", ...
 
 
+def find_column(names: Sequence[str], key: int | str) -> str | None:
+    """The name of a column that a card names, or numbers from 1 on; None where there is none."""
+    if isinstance(key, int):
+        return names[key - 1] if 1 <= key <= len(names) else None
+    return key if key in names else None
+
+
 @dataclass(frozen=True)
 class Listing:
     """The names of the columns of a file, and what else is known of them without their numbers.

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tustinnet.data.card import FormatCard, JoinCard, TimeCard
-from tustinnet.data.columns import NUMBERED, Column, Columns
+from tustinnet.data.columns import Column, Columns, find_column
 from tustinnet.data.readers import read_columns
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
@@ -105,10 +105,8 @@ def join_columns(
 
 def _column_name(columns: Columns, key: int | str, where: object) -> str:
     """The name of a column that a card names, or numbers."""
-    name = f"{NUMBERED}{key}" if isinstance(key, int) else key
-    if isinstance(key, int) and 1 <= key <= len(columns.names):
-        name = columns.names[key - 1]
-    if name not in columns.names:
+    name = find_column(columns.names, key)
+    if name is None:
         raise InputError(
             where, f"no column '{key}' of times", f"one of: {', '.join(columns.names[:12])}"
         )

@@ -14,7 +14,7 @@ from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.alignment import align_columns
 from tustinnet.data.card import Card, ColumnKey, FileCard, JoinCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
-from tustinnet.data.columns import NUMBERED, Column, Columns, frame_columns
+from tustinnet.data.columns import NUMBERED, Column, Columns, find_column, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.drafting.logs import find_clock_of
@@ -306,17 +306,15 @@ class _ColumnReader:
     def name(self, key: ColumnKey) -> str:
         """The name of a column in the file."""
         names = self.columns.names
+        if (column := find_column(names, key)) is not None:
+            return column
         if isinstance(key, int):
-            if not 1 <= key <= len(names):
-                raise InputError(
-                    self.where,
-                    counted(len(names), "column"),
-                    f"a column {key} as in the card",
-                    "columns count from 1",
-                )
-            return names[key - 1]
-        if key in names:
-            return key
+            raise InputError(
+                self.where,
+                counted(len(names), "column"),
+                f"a column {key} as in the card",
+                "columns count from 1",
+            )
         expected = f"one of: {', '.join(names[:12])}" + (", ..." if len(names) > 12 else "")
         others = self.columns.others
         for name, text in others.items():

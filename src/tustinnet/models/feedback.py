@@ -18,8 +18,6 @@ from tustinnet.models.lagrangian import (
     takes_inputs,
 )
 
-GAINS = ("kp", "kd")
-
 
 def gain_name(loop: PDLoop, gain: str) -> str:
     """The name of the parameter of a gain: `elbow.kp`."""
@@ -44,7 +42,7 @@ class PDFeedback(FeedbackLaw):
 
     @property
     def size(self) -> int:
-        """How many inputs are computed."""
+        """Number of inputs that are computed."""
         return len(self.controller.loops)
 
     def outputs(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " loops"]:

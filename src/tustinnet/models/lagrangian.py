@@ -144,7 +144,7 @@ class FeedbackLaw(ABC):
     @property
     @abstractmethod
     def size(self) -> int:
-        """How many inputs of the system it computes."""
+        """Number of inputs of the system that it computes."""
 
     @abstractmethod
     def outputs(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:

@@ -183,7 +183,7 @@ def sentences(design: ControlDesign) -> list[str]:
 
 
 def _recovery(design: ControlDesign) -> str:
-    """What follows where the goal is lost."""
+    """Clause on the recovery: the course of things where the goal is lost."""
     recovery = design.recovery
     if recovery is None:
         return "the motion does not begin again, feedback about the goal goes on"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from tustinnet.channels import PDLoop
+from tustinnet.channels import GAINS, PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
@@ -93,7 +93,7 @@ def _loop_entry(loop: PDLoop, places: Mapping[str, int]) -> dict[str, Any]:
     """The entry of a loop in a card, with its columns by the names of inputs."""
     entry = {"input": loop.input, "coordinate": loop.coordinate}
     names = {key: getattr(loop, key) for key in ("position", "velocity", "feedforward")}
-    gains = {key: getattr(loop, key) for key in ("kp", "kd")}
+    gains = {key: getattr(loop, key) for key in GAINS}
     return (
         entry
         | {key: places[name] for key, name in names.items() if name}

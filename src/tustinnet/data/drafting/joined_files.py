@@ -148,8 +148,7 @@ def _start_together(
     for a, b in pairs.values():
         s, t = _seconds(a, first), _seconds(b, other)
         spans = s[-1] - s[0], t[-1] - t[0]
-        common = min(s[-1], t[-1]) - max(s[0], t[0])
-        overlap.append(common > _OVERLAP * min(spans))
+        overlap.append(_overlap(s, t))
         alike.append(abs(spans[0] - spans[1]) < _SAME_LENGTH * max(spans))
     return False if all(overlap) else True if all(alike) else None
 
@@ -162,11 +161,15 @@ def _pair_by_dates(first: _Kind, other: _Kind) -> dict[Key, tuple[Log, Log]]:
     for key, log in first.logs.items():
         t = _seconds(log, first.clock)
         for part in other.logs.values():
-            s = _seconds(part, other.clock)
-            common = min(s[-1], t[-1]) - max(s[0], t[0])
-            if t[0] > _EPOCH and common > _OVERLAP * min(s[-1] - s[0], t[-1] - t[0]):
+            if t[0] > _EPOCH and _overlap(_seconds(part, other.clock), t):
                 pairs[key] = log, part
     return pairs if len({part.file for _, part in pairs.values()}) == len(pairs) else {}
+
+
+def _overlap(s: Values, t: Values) -> bool:
+    """Whether two clocks have most of the shorter record in common."""
+    common = min(s[-1], t[-1]) - max(s[0], t[0])
+    return bool(common > _OVERLAP * min(s[-1] - s[0], t[-1] - t[0]))
 
 
 def _seconds(log: Log, clock: Clock) -> Values:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Input, PDLoop
+from tustinnet.channels import GAINS, Input, PDLoop
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.models.feedback import GAINS, gain_name
+from tustinnet.models.feedback import gain_name
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.signals.low_pass import low_pass, occupied_band
 
