@@ -34,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.inverse_dynamics import filter_record
+from tustinnet.fitting.shooting.inverse_dynamics import cutoff_for, filter_record
 from tustinnet.models.chains import BodyInertia, Chain, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.low_pass import low_pass, occupied_band
@@ -56,6 +56,7 @@ def regressor(system: LagrangianSystem, part: Any) -> np.ndarray:
 
     Ten of each body; then of each joint armature, viscous and Coulomb friction, and an offset.
     """
+    # the kinetic energy of a robot is a method of its chain, which a system does not name
     chain = system.kinetic.__self__  # pyright: ignore[reportFunctionMemberAccess]
     assert isinstance(chain, Chain)
     n, bodies = len(system.coordinates), len(chain.bodies)
@@ -91,7 +92,7 @@ def missing_by_least_squares(
     """Missing torques on the held-out record by those that it has, (n_q,)."""
     n = len(system.coordinates)
     train, held = data.split("train"), data.split("validation")
-    cutoff = 3 * max(occupied_band(e.q, e.dt) for e in train)
+    cutoff = cutoff_for(max(occupied_band(e.q, e.dt) for e in train), train[0].dt)
     found = []
     for records in (train, held):
         parts = [filter_record(e, cutoff) for e in records]
@@ -167,6 +168,7 @@ def arm_for_mujoco(mujoco: Any, values: Mapping[str, float]) -> Any:
     for body in spec.bodies:
         if f"{body.name}.mass" not in values:
             continue
+        # of a body only name and anchor count
         own = body_inertia(SimpleNamespace(name=body.name, anchor=np.zeros(3)), values)  # pyright: ignore[reportArgumentType]
         set_inertia(body, float(own.mass), np.asarray(own.moment), np.asarray(own.tensor))
     return spec
@@ -337,7 +339,7 @@ def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
             )
             for k, (q, u) in enumerate(records)
         ))  # fmt: skip
-        cutoff = 3 * occupied_band(held[0], _STEP)
+        cutoff = cutoff_for(occupied_band(held[0], _STEP), _STEP)
         motion = [low_pass(held[0], _STEP, 3 * cutoff, k) for k in range(3)]
         measured, true = held[1], torques_along(mujoco, true_model, motion)
         edge = slice(round(1 / (cutoff * _STEP)), -round(1 / (cutoff * _STEP)))

@@ -116,6 +116,7 @@ def test_a_beam_reaches_to_both_sides_and_a_ball_rests_on_it():
 def test_an_unknown_shape_is_refused():
     told = "link of 'a': the shape 'disc'; expected one of rod, rope, beam, wheel"
     with pytest.raises(tn.InputError, match=told):
+        # a wrong shape on purpose
         tn.Link("a", (0, 1, 0), (0, 0, 1), shape="disc")  # pyright: ignore[reportArgumentType]
 
 

@@ -25,6 +25,7 @@ class RobotTarget(Target):
         description: the format in words.
     """
 
+    # of each instance, as one class serves both formats
     name: str  # pyright: ignore[reportIncompatibleVariableOverride]
     endings: tuple[str, ...]
     description: str
