@@ -1,7 +1,7 @@
 """Identification of a simulated arm by this package, by least squares and by mujoco.sysid.
 
     python benchmarks/robot_identification.py ols [COUNT [FRICTION ...]]
-    python benchmarks/robot_identification.py mujoco [COUNT [ITERATIONS]]
+    python benchmarks/robot_identification.py mujoco [COUNT [ITERATIONS [STEPS]]]
 
 `ols`: 10 records of 10 s and one that is held out, of an arm of 7 joints with the friction of these
 names beside the viscous and the Coulomb one (`stribeck`, `load`; see `tn.load_robot`). Missing
@@ -11,7 +11,9 @@ filtered and thinned out as this package does it; and by `inverse-dynamics` with
 friction, with the names, and with a friction curve. Of all joints the mean is printed.
 
 `mujoco`: an arm that MuJoCo simulates with its own friction in the loop of a PD controller: three
-records of 5 s and one that is held out. `mujoco.sysid` gets them in pieces of 0.5 s with positions
+records of 5 s and one that is held out, with this number of steps by sample (default 10: a machine
+moves between samples; with 1 the records are those of the model that `mujoco.sysid` integrates,
+errors of its steps included). `mujoco.sysid` gets them in pieces of 0.5 s with positions
 and velocities, log-Cholesky inertias, armature, damping and frictionloss of all joints, in the
 ranges of this package, and stops as its defaults say (200 iterations at most), or after fewer. Both
 results are judged by MuJoCo: torques along the held-out record against those that it has and those
@@ -140,13 +142,13 @@ def compare_to_least_squares(count: int, friction: Sequence[str]) -> None:
         print(f"{name}: {share:.0%} of ordinary least squares")
 
 
-def arm_for_mujoco(mujoco: Any, values: Mapping[str, float]) -> Any:
-    """The arm in MuJoCo with values of parameters, motors and sensors."""
+def arm_for_mujoco(mujoco: Any, values: Mapping[str, float], steps: int = 1) -> Any:
+    """The arm in MuJoCo with values of parameters, motors and sensors; steps by sample."""
     spec = mujoco.MjSpec.from_string(ARM.read_text())
     for geom in spec.geoms:
         spec.delete(geom)
     spec.delete(spec.body("tool"))  # a part of the flange here
-    spec.option.timestep = _STEP
+    spec.option.timestep = _STEP / steps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     for joint in spec.joints:
@@ -184,11 +186,12 @@ def set_inertia(body: Any, mass: float, moment: np.ndarray, tensor: np.ndarray) 
 
 
 def record_by_mujoco(
-    mujoco: Any, model: Any, count: int, seconds: float, seed: int
+    mujoco: Any, model: Any, count: int, seconds: float, seed: int, steps: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Positions by encoders, (n, n_q), and noisy torques, (n, n_q), in the loop of a PD controller.
 
-    Set points are sums of sines, as those of the twins of `robot_twins`.
+    Set points are sums of sines, as those of the twins of `robot_twins`. Torques end at the effort
+    of the joints, as MuJoCo has it, too.
     """
     rng, t, n = np.random.default_rng(seed), np.arange(0, seconds, _STEP), model.nv
     data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -208,9 +211,10 @@ def record_by_mujoco(
         positions, torques = np.empty((len(t), n)), np.empty((len(t), n))
         for i in range(len(t)):
             positions[i] = data.qpos
-            torques[i] = stiffness * (wanted[i] - data.qpos) + damping * (speed[i] - data.qvel)
+            asked = stiffness * (wanted[i] - data.qpos) + damping * (speed[i] - data.qvel)
+            torques[i] = np.clip(asked, *model.jnt_actfrcrange.T)
             data.ctrl[:] = torques[i]
-            mujoco.mj_step(model, data)
+            mujoco.mj_step(model, data, steps)
         noisy = torques + _NOISE * torques.std(axis=0) * rng.normal(size=torques.shape)
         records.append((np.round(positions / _ENCODER) * _ENCODER, noisy))
     return records
@@ -305,7 +309,9 @@ def torques_along(mujoco: Any, model: Any, motion: Sequence[np.ndarray]) -> np.n
     return found
 
 
-def motion_error(mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray]) -> float:
+def motion_error(
+    mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray], steps: int
+) -> float:
     """Root mean square error of positions over pieces of a record [rad]."""
     data, squares = mujoco.MjData(model), []
     for positions, speeds, torques in pieces(*record, _HORIZON):
@@ -313,13 +319,19 @@ def motion_error(mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray])
         data.qpos[:], data.qvel[:] = positions[0], speeds[0]
         for torque, wanted in zip(torques[:-1], positions[1:], strict=True):
             data.ctrl[:] = torque
-            mujoco.mj_step(model, data)
+            mujoco.mj_step(model, data, steps)
             squares.append((data.qpos - wanted) ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
-def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
-    """Prints errors and seconds of both for each arm, and medians."""
+def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10) -> None:
+    """Prints errors and seconds of both for each arm, and medians.
+
+    Args:
+        count: number of arms.
+        iterations: of `mujoco.sysid` at most; None for its default.
+        steps: of the simulation by sample.
+    """
     mujoco = import_module("mujoco")
     system = tn.load_robot(ARM)
     offsets = {f"{c.name}.offset": 0.0 for c in system.coordinates}  # MuJoCo has none
@@ -327,8 +339,8 @@ def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
     rows: dict[str, list[list[float]]] = {"tustinnet": [], "mujoco.sysid": []}
     for seed in range(count):
         truth = true_values(system, seed) | offsets
-        true_model = arm_for_mujoco(mujoco, truth).compile()
-        *records, held = record_by_mujoco(mujoco, true_model, 4, 5.0, seed)
+        true_model = arm_for_mujoco(mujoco, truth, steps).compile()
+        *records, held = record_by_mujoco(mujoco, true_model, 4, 5.0, seed, steps)
         data = tn.DataSet("arm", tuple(
             tn.from_arrays(
                 q, u, dt=_STEP,
@@ -351,13 +363,15 @@ def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
                 model = arm_for_mujoco(mujoco, result.values).compile()
             else:
                 model = fit_by_mujoco(mujoco, system, records, iterations)
+            # it has integrated with a step by sample; both are judged with those of the truth
+            model.opt.timestep = _STEP / steps
             seconds = time.perf_counter() - begun
             own = torques_along(mujoco, model, motion)
             missing, off = (
                 100 * np.sqrt(np.mean(low_pass(own - x, _STEP, cutoff)[edge] ** 2, axis=0)) / size
                 for x in (measured, true)
             )
-            error = 1000 * motion_error(mujoco, model, held)
+            error = 1000 * motion_error(mujoco, model, held, steps)
             row = [float(missing.mean()), float(off.mean()), error, seconds]
             rows[name].append(row)
             print(f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | "

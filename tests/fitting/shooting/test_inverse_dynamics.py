@@ -11,6 +11,7 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.shooting.findings import describe_force_limits
 from tustinnet.fitting.shooting.inverse_dynamics import filter_record
 from tustinnet.models.forces import LAWS
 from tustinnet.signals.low_pass import low_pass
@@ -48,6 +49,17 @@ def test_forces_are_explained_on_records_that_were_held_out(result):
         assert e.held_out < 0.03 * e.size
     assert "forces that are missing on the validation records, up to" in result.findings[0]
     assert result.as_plain()["force_errors"][0]["coordinate"] == "shoulder"
+
+
+def test_forces_that_no_actuator_of_the_file_has_are_named(result, system):
+    assert not [f for f in result.findings if "beyond the limits" in f]
+    weaker = [replace(own, force=None) for own in system.limits]
+    weaker[1] = replace(weaker[1], force=2.0)
+    (finding,) = describe_force_limits(
+        replace(system, limits=tuple(weaker)), np.array([10.0, 2.5, 10.0, 10.0])
+    )
+    assert "beyond the limits of the system's file: elbow 2.5 of 2 N m;" in finding
+    assert not describe_force_limits(replace(system, limits=()), np.full(4, 1e9))
 
 
 def test_friction_is_found_and_intervals_are_true(result, truth):

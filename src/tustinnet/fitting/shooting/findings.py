@@ -20,12 +20,14 @@ from tustinnet.fitting.report import (
 )
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.wording import counted
 
 _POOR_CONDITION = 1e3
 _AT_NOISE = 1.5  # times the rms error of rounding to counts: residuals that show no more
 _MOST_STRETCHES = 5  # that are listed in a sentence
 _MOST_NAMES = 12
+_ABOVE_LIMIT = 1.05  # of a force by its limit, that is no noise
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -200,6 +202,27 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
     )
     where = "the validation records" if is_held_out else "the training records"
     return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
+
+
+def describe_force_limits(
+    system: LagrangianSystem, largest: Float[np.ndarray, " n_q"]
+) -> list[str]:
+    """Sentence on recorded forces of actuators that are beyond what the system's file allows.
+
+    Args:
+        system: the system.
+        largest: largest force of the actuators on each coordinate [N m or N].
+    """
+    listed = [
+        f"{c.name} {force:.3g} of {limits.force:.3g} {'N m' if c.kind == 'angular' else 'N'}"
+        for c, limits, force in zip(system.coordinates, system.limits, largest, strict=False)
+        if limits.force is not None and force > _ABOVE_LIMIT * limits.force
+    ]
+    return [
+        f"the records have forces beyond the limits of the system's file: {', '.join(listed)}; an "
+        "actuator that gives no more moves otherwise than it was asked to: give the columns of "
+        "what it gave, or correct the limits"
+    ] if listed else []  # fmt: skip
 
 
 def describe_curves(names: Sequence[str], file: str) -> list[str]:

@@ -182,7 +182,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
     formula = missing_forces(equations)
-    unit = _force_sizes(formula, equations, problem, train, values)
+    unit = _force_sizes(*_forces_along(formula, equations, problem, train, values))
     prior = Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
     if not np.isfinite(point.cost):
@@ -400,17 +400,14 @@ def _with_parameters(
     return np.concatenate([part.points, equations.parameter_rows(values, indices)], axis=1)
 
 
-def _force_sizes(
+def _forces_along(
     formula: Formula,
     equations: SystemEquations,
     problem: Problem,
     parts: Sequence[MeasuredForces],
     values: Mapping[str, float],
-) -> Float[np.ndarray, " n_q"]:
-    """Root mean square of the actuators' forces on each coordinate [N m or N].
-
-    Of a coordinate without an actuator that of the forces that its motion needs.
-    """
+) -> tuple[Float[np.ndarray, "k n_q"], Float[np.ndarray, "k n_q"]]:
+    """Forces of the actuators on each coordinate, and what the motion needs [N m or N]."""
     n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
     inputs, needs = [], []
     for part in parts:
@@ -420,9 +417,21 @@ def _force_sizes(
         need = part.compare(evaluate(formula, without))
         inputs.append(need - part.compare(evaluate(formula, points)))
         needs.append(need)
-    by_input, by_motion = (
-        np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (inputs, needs)
-    )
+    return np.concatenate(inputs), np.concatenate(needs)
+
+
+def _force_sizes(
+    inputs: Float[np.ndarray, "k n_q"], needs: Float[np.ndarray, "k n_q"]
+) -> Float[np.ndarray, " n_q"]:
+    """Root mean square of the actuators' forces on each coordinate [N m or N].
+
+    Of a coordinate without an actuator that of the forces that its motion needs.
+
+    Args:
+        inputs: forces of the actuators.
+        needs: what the motion needs.
+    """
+    by_input, by_motion = (np.sqrt(np.mean(x**2, axis=0)) for x in (inputs, needs))
     return np.where(by_input > 0, by_input, np.maximum(by_motion, 1e-12))
 
 
@@ -477,7 +486,8 @@ def _make_identification(
     state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    size = _force_sizes(formula, equations, problem, train, values)
+    applied, needed = _forces_along(formula, equations, problem, train, values)
+    size = _force_sizes(applied, needed)
     missing = _missing_along(formula, equations, problem, train, values)
     missing_held_out = (
         _missing_along(formula, equations, problem, held_out, values) if held_out else None
@@ -496,6 +506,7 @@ def _make_identification(
     sentences = [
         *state.remarks,
         findings.describe_forces(errors, cutoff),
+        *findings.describe_force_limits(problem.system, np.max(np.abs(applied), axis=0)),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
         *findings.describe_bounds(estimates, np.inf),
         *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
