@@ -15,9 +15,11 @@ records of 5 s and one that is held out, with this number of steps by sample (de
 moves between samples; with 1 the records are those of the model that `mujoco.sysid` integrates,
 errors of its steps included). `mujoco.sysid` gets them in pieces of 0.5 s with positions
 and velocities, log-Cholesky inertias, armature, damping and frictionloss of all joints, in the
-ranges of this package, and stops as its defaults say (200 iterations at most), or after fewer. Both
-results are judged by MuJoCo: torques along the held-out record against those that it has and those
-of the true parameters, and motion over pieces of 0.25 s. Needs the extras `bench` and `robots`.
+ranges of this package, and stops as its defaults say (200 iterations at most), or after fewer. This
+package identifies by inverse dynamics (`forces`), and from there by simulation over pieces as long
+(`simulated`, seconds of both together). All results are judged by MuJoCo: torques along the
+held-out record against those that it has and those of the true parameters, and motion over pieces
+of 0.25 s. Needs the extras `bench` and `robots`.
 """
 
 import jax
@@ -51,6 +53,11 @@ _ENCODER = 2 * np.pi / 2**16  # [rad]
 _NOISE = 0.02  # of torques, by their root mean square
 _STEP = 0.002  # of MuJoCo and its records [s]
 _PIECE, _HORIZON = 250, 125  # samples of a piece that is fitted, and of one that is judged
+_SIMULATED = {
+    "name": "pieces",
+    "model": {"kind": "euler-lagrange"},
+    "search": {"horizon": _PIECE * _STEP},
+}
 
 
 def regressor(system: LagrangianSystem, part: Any) -> np.ndarray:
@@ -336,7 +343,7 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
     system = tn.load_robot(ARM)
     offsets = {f"{c.name}.offset": 0.0 for c in system.coordinates}  # MuJoCo has none
     print("| arm | by | torques that are missing [%] | off the true ones [%] | motion [mrad] | s |")
-    rows: dict[str, list[list[float]]] = {"tustinnet": [], "mujoco.sysid": []}
+    rows: dict[str, list[list[float]]] = {name: [] for name in ("forces", "simulated", "sysid")}
     for seed in range(count):
         truth = true_values(system, seed) | offsets
         true_model = arm_for_mujoco(mujoco, truth, steps).compile()
@@ -356,16 +363,18 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
         measured, true = held[1], torques_along(mujoco, true_model, motion)
         edge = slice(round(1 / (cutoff * _STEP)), -round(1 / (cutoff * _STEP)))
         size = np.sqrt(np.mean(measured**2, axis=0))
+        values, seconds = offsets, 0.0
         for name in rows:
             begun = time.perf_counter()
-            if name == "tustinnet":
-                result = tn.identify(data, system, "inverse-dynamics", fixed=offsets)
-                model = arm_for_mujoco(mujoco, result.values).compile()
+            if name == "sysid":
+                model, seconds = fit_by_mujoco(mujoco, system, records, iterations), 0.0
             else:
-                model = fit_by_mujoco(mujoco, system, records, iterations)
-            # it has integrated with a step by sample; both are judged with those of the truth
+                recipe = "inverse-dynamics" if name == "forces" else _SIMULATED
+                values = tn.identify(data, system, recipe, begin=values, fixed=offsets).values
+                model = arm_for_mujoco(mujoco, values).compile()
+            # it has integrated with a step by sample; all are judged with those of the truth
             model.opt.timestep = _STEP / steps
-            seconds = time.perf_counter() - begun
+            seconds += time.perf_counter() - begun
             own = torques_along(mujoco, model, motion)
             missing, off = (
                 100 * np.sqrt(np.mean(low_pass(own - x, _STEP, cutoff)[edge] ** 2, axis=0)) / size
@@ -376,11 +385,11 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
             rows[name].append(row)
             print(f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | "
                   f"{row[3]:.0f} |", flush=True)  # fmt: skip
-    for name, found in rows.items():
-        a, b, c, d = np.median(found, axis=0)
+    medians = {name: np.median(measured, axis=0) for name, measured in rows.items()}
+    for name, (a, b, c, d) in medians.items():
         print(f"| median | {name} | {a:.2f} | {b:.2f} | {c:.3f} | {d:.0f} |")
-    ours, theirs = (np.median(found, axis=0)[3] for found in rows.values())
-    print(f"{theirs / ours:.0f} times as fast")
+    times = [medians["sysid"][3] / medians[name][3] for name in ("forces", "simulated")]
+    print("{:.0f} and {:.0f} times as fast".format(*times))
 
 
 if __name__ == "__main__":
