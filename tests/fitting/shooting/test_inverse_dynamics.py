@@ -11,6 +11,7 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.shooting.inverse_dynamics import filter_record
 from tustinnet.models.forces import LAWS
 from tustinnet.signals.low_pass import low_pass
@@ -92,6 +93,34 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     # gravity acts along the slide alone, where it does not change: nothing tells it from Coulomb's
     for joint in ("shoulder", "elbow", "roll"):
         assert intervals[f"{joint}.load_friction"] is None
+
+
+def test_a_model_that_was_stopped_on_its_way_is_none(system, twin):
+    steps: list[Iteration] = []
+    with pytest.raises(InputError, match="stopped at its time limit before a stage was finished"):
+        tn.identify(
+            twin, system, "inverse-dynamics", on_iteration=steps.append,
+            should_stop=lambda: len(steps) == 2,
+        )  # fmt: skip
+    assert len(steps) == 2
+
+
+def test_no_record_is_kept_from_the_fit_to_choose_something():
+    assert not tn.read_recipe("inverse-dynamics").needs_validation
+    assert tn.read_recipe("grey").needs_validation
+
+
+def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, truth):
+    data = record_in_loop(system, truth, count=4, seconds=20.0)
+    slow = [
+        tn.from_arrays(
+            e.q[::10], e.u[::10], dt=10 * e.dt, coordinates=list(e.channels.coordinates),
+            inputs=list(e.channels.inputs), name=e.name, split=e.split,
+        )
+        for e in data
+    ]  # fmt: skip
+    result = tn.identify(tn.DataSet("slow", tuple(slow)), system, "inverse-dynamics")
+    assert result.horizon == pytest.approx(6 * 0.05)
 
 
 def test_friction_that_is_explained_needs_no_curve(result):
