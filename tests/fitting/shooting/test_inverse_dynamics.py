@@ -69,12 +69,17 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
-    curve = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
-    # it is suggested where it helps
+    # it is suggested where it helps, as the command has it
     (sentence,) = [s for s in plain.findings if "depends on the speed" in s]
     assert "missing at shoulder" in sentence
-    assert "friction=['curve']" in sentence
+    (forces,) = re.findall("--set '(.*)'", sentence)
+    assert forces.startswith('model.forces=["curve:shoulder", "curve:')
+    by_recipe = tn.read_recipe("inverse-dynamics", [forces])
+    curve = tn.identify(data, tn.load_system(SCARA), by_recipe)
     assert not [s for s in curve.findings if "depends on the speed" in s]
+    assert curve.model.continuous.system.parameter("shoulder.curve_odd1").prior is not None
+    by_option = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
+    assert not [s for s in by_option.findings if "depends on the speed" in s]
     intervals = {e.name: e.interval for e in rich.estimates}
     for joint in ("shoulder", "elbow"):
         missing, by_curve, without = (

@@ -36,12 +36,12 @@ from tustinnet.fitting.shooting.problem import (
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.models.added import parse_forces
 from tustinnet.models.chains import CENTER, INERTIAL
+from tustinnet.models.forces import curve_terms, slow_speed
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sensors import delay_names
 from tustinnet.signals.low_pass import low_pass, noise_bandwidth, occupied_band
-from tustinnet.systems.robot_equations import curve_terms
-from tustinnet.systems.robots import RobotFile
 
 STAGE = "inverse dynamics"
 
@@ -634,17 +634,21 @@ def _describe_curves(
     missing_held_out: Float[np.ndarray, "_ n_q"] | None,
     values: Mapping[str, float],
 ) -> list[str]:
-    """Sentence on the joints of a robot whose missing forces are a curve over the speed.
+    """Sentence on the coordinates whose missing forces are a curve over the speed.
 
     A curve is fitted to what is missing in the training records, and has to explain most of what
     is missing in the held-out ones.
     """
-    robot = problem.system.source
-    if not isinstance(robot, RobotFile) or "curve" in robot.friction or missing_held_out is None:
+    if missing_held_out is None:
         return []
-    n, names = len(problem.system.coordinates), []
-    for k, c in enumerate(problem.system.coordinates):
-        width = values[f"{c.name}.coulomb_speed"]
+    system = problem.system
+    n, of_system, helpful = len(system.coordinates), system.nominal().keys(), []
+    for curve in parse_forces(system, ["curve"]):
+        k, (*weights, width_name) = curve.index, curve.parameter_names
+        speed = float(np.sqrt(np.mean(np.concatenate([x.points[:, n + k] for x in train]) ** 2)))
+        if of_system & {*weights} or speed == 0:
+            continue  # it has one, or is at rest
+        width = values.get(width_name, slow_speed(speed))
         regressors, others = (
             np.concatenate([
                 part.compare(np.asarray(curve_terms(part.points[:, n + k], width)).T)
@@ -652,11 +656,11 @@ def _describe_curves(
             ])
             for parts in (train, held_out)
         )  # fmt: skip
-        weights = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
+        solution = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
         force = missing_held_out[:, k]
-        if np.sum((force - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(force**2):
-            names.append(c.name)
-    return findings.describe_curves(names, robot.path.name) if names else []
+        if np.sum((force - others @ solution) ** 2) < _EXPLAINED**2 * np.sum(force**2):
+            helpful.append(curve)
+    return findings.describe_curves(helpful, system.added) if helpful else []
 
 
 def _describe_carried(
