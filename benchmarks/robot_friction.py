@@ -4,14 +4,16 @@
 
 Records of a simulated SCARA with Stribeck friction in the loop of a PD controller: six of 5 s at
 200 Hz, encoders of 16 bits, torque noise of 0.5 %. Identified by inverse dynamics with viscous and
-Coulomb friction, with Stribeck friction, with friction curves; and a hybrid on top of the first.
-Printed are the missing forces and the errors of free runs on the record that was held out.
+Coulomb friction, with Stribeck friction, with friction curves, each as an option of the robot and
+as a force of the recipe (`model.forces`); and a hybrid on top of the first. Printed are the missing
+forces and the errors of free runs on the record that was held out.
 """
 
 import jax
 
 jax.config.update("jax_enable_x64", True)
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -43,14 +45,19 @@ def main(seeds: int) -> None:
     print("| seed | friction | missing force, mean of joints [%] | RMSE over 0.25 s | 5 s | s |")
     for seed in range(seeds):
         data = record_in_loop(system, true_values(system, seed), 6, 5.0, noise=0.005, seed=seed)
-        for name, friction in (
-            ("viscous, Coulomb", ()), ("and Stribeck", ("stribeck",)), ("and curve", ("curve",))
-        ):  # fmt: skip
+        for name, friction, forces in (
+            ("viscous, Coulomb", (), ()),
+            ("and Stribeck", ("stribeck",), ()),
+            ("and curve", ("curve",), ()),
+            ("and Stribeck, by the recipe", (), ("stribeck",)),
+            ("and curve, by the recipe", (), ("curve",)),
+        ):
             begun = time.perf_counter()
-            result = tn.identify(data, tn.load_robot(SCARA, friction=friction), "inverse-dynamics")
+            recipe = tn.read_recipe("inverse-dynamics", [f"model.forces={json.dumps(forces)}"])
+            result = tn.identify(data, tn.load_robot(SCARA, friction=friction), recipe)
             seconds = time.perf_counter() - begun
             model = result.model
-            if not friction:
+            if not (friction or forces):
                 plain = model
             missing = np.mean([100 * (e.held_out or 0.0) / e.size for e in result.force_errors])
             short, whole = errors_of(model, data)

@@ -1,5 +1,7 @@
 """Forces that are added to a system by name."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,8 @@ from swinging import CART, CREEPING, LAGGING, SWING
 
 import tustinnet as tn
 from tustinnet.models import forces
-from tustinnet.models.added import LAWS, added_parameters, parse_forces, with_forces
+from tustinnet.models.added import parse_forces, with_forces
+from tustinnet.models.forces import LAWS
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 BARE = LagrangianSystem(
@@ -24,6 +27,8 @@ VALUES = {
     "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
     "lag": 0.5, "initial_share": 0.7, "constant": 0.4, "sticking": 0.6, "presliding": 0.4,
     "bristle_damping": 0.3, "hysteresis_shape": 0.8, "hysteresis_exponent": 2.0,
+    "load_friction": 0.2,
+    **{f"curve_{kind}{i}": 0.1 * i for kind in ("odd", "even") for i in (1, 2, 3, 4)},
 }  # fmt: skip
 Z = 0.25  # deflection of a spring that relaxes, or of a friction with memory
 LUGRE_RATE = -1.1 - 1.1 * Z * (0.6 / 0.4) / (0.6 + 0.5 * np.exp(-((1.1 / 0.8) ** 2)))
@@ -31,6 +36,8 @@ AGAINST = {  # what each law does against the motion of the angle
     "coulomb": forces.coulomb(V[1], 0.3, 0.1),
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
     "viscous": 0.2 * V[1],
+    "curve": sum(0.1 * i * (s + s**2) for i in (1, 2, 3, 4) for s in [np.tanh(-11.0 / 3.0**i)]),
+    "load": forces.coulomb(V[1], 0.2 * np.sin(X[1]), 0.1),
     "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,
@@ -40,6 +47,20 @@ AGAINST = {  # what each law does against the motion of the angle
     "lugre": 0.6 * Z / 0.4 + 0.3 * LUGRE_RATE,
     "bouc_wen": 0.6 * Z / 0.4,
 }
+# its bearings have Coulomb friction by parameters of their own
+RUBBING = replace(
+    CART,
+    name="rubbing cart",
+    parameters=(
+        *CART.parameters,
+        Parameter("x.coulomb", "N", 0.4, 0.0, 5.0),
+        Parameter("x.coulomb_speed", "m/s", 0.05, 0.01, 1.0, fixed=True),
+        Parameter("angle.coulomb", "1", 0.4, 0.0, 5.0),
+    ),
+    dissipation=lambda q, v, p: jnp.stack([
+        forces.coulomb(v[0], p["x.coulomb"], p["x.coulomb_speed"]), p["angle.coulomb"] * v[1] ** 3,
+    ]),
+)  # fmt: skip
 WITH_MEMORY = ("maxwell", "dahl", "lugre", "bouc_wen")
 
 
@@ -49,9 +70,7 @@ def declared(names: list[str]) -> tuple[Parameter, ...]:
 
 def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
     """The system with forces whose values are those above."""
-    needs = dict.fromkeys(
-        need for force in parse_forces(system, names) for need in force.parameter_names
-    )
+    needs = dict.fromkeys(need for force in parse_forces(system, names) for need in force.brought)
     return with_forces(system, names, declared(list(needs)))
 
 
@@ -62,6 +81,10 @@ def nominal(system: LagrangianSystem) -> tn.LagrangianModel:
 @pytest.mark.parametrize("base", [CART, BARE], ids=lambda s: s.name)
 @pytest.mark.parametrize("law", AGAINST)
 def test_a_force_acts_on_its_coordinate_alone(base, law):
+    if law == "load" and base is BARE:
+        with pytest.raises(tn.InputError, match="'load:angle': the system 'bare' has no potential"):
+            added(base, f"{law}:angle")
+        return
     system = added(base, f"{law}:angle")
     u = U[: len(base.inputs)]
     with_it, without = nominal(system), nominal(base)
@@ -70,7 +93,7 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
     assert system.internal == ((f"{law}:angle",) if law in WITH_MEMORY else ())
-    assert added_parameters(system) == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
+    assert system.added_parameters == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
 
 
 def test_every_law_at_a_coordinate_is_tried():
@@ -80,7 +103,7 @@ def test_every_law_at_a_coordinate_is_tried():
 def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():
     lagging, plain = nominal(added(CART, "lag")), nominal(CART)
     assert lagging.internal == ("lag:force",)
-    assert added_parameters(lagging.system) == ("force.lag", "force.initial_share")
+    assert lagging.system.added_parameters == ("force.lag", "force.initial_share")
     x, reached = jnp.concatenate([X, V]), jnp.array([0.6])
     found = lagging.derivative(jnp.concatenate([x, reached]), U)
     np.testing.assert_allclose(found[:4], plain.derivative(x, reached), rtol=1e-6)
@@ -141,7 +164,7 @@ def test_a_law_without_a_coordinate_is_one_at_each():
 
 def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
     system = added(SWING, "coulomb", "coulomb_by_position")
-    assert added_parameters(system) == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
+    assert system.added_parameters == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")
     laws = ("coulomb", "coulomb_by_position")
     both, each = nominal(system), [nominal(added(SWING, law)) for law in laws]
     x, u = jnp.array([0.9, 0.05]), jnp.array([1.0])
@@ -158,7 +181,7 @@ def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
 @pytest.mark.parametrize(
     ("names", "told"),
     [
-        (["glue"], "no force 'glue'; expected one of viscous, coulomb, stribeck, spring, cubic"),
+        (["glue"], "no force 'glue'; expected one of viscous, coulomb, stribeck, curve, load"),
         (["cubic:tilt"], "'cubic:tilt': no coordinate 'tilt'; expected one of x, angle"),
         (["cubic:"], "'cubic:': no coordinate ''"),
         (["cubic", "cubic:x"], "'cubic:x' twice"),
@@ -184,6 +207,34 @@ def test_a_force_that_a_system_has_already_is_refused():
     told = "'viscous:angle' brings 'angle.viscous', which the system 'swing' has already"
     with pytest.raises(tn.InputError, match=told):
         added(once, "viscous")
+
+
+def test_friction_adds_to_the_level_that_a_system_has_itself():
+    system = added(RUBBING, "stribeck:x", "curve:x")
+    odd, even = ([f"x.curve_{kind}{i}" for i in (1, 2, 3, 4)] for kind in ("odd", "even"))
+    assert system.added_parameters == ("x.breakaway", "x.stribeck_speed", *odd, *even)
+    assert system.dissipation is not None
+    values = system.nominal()
+    for speed in (0.02, -0.3, 2.0):
+        v = jnp.array([speed, 0.0])
+        stribeck = forces.stribeck(v[0], 0.4, 0.4 + 0.5, 0.8, 0.05)
+        curve = forces.friction_curve(v[0], [values[name] for name in (*odd, *even)], 0.05)
+        found = system.dissipation(X, v, values)
+        np.testing.assert_allclose(found, [stribeck + curve, 0.0], rtol=1e-5)
+    # added to what it has already
+    assert with_forces(RUBBING, system.added, system.parameters[-10:]) is system
+    assert parse_forces(system, system.added) == parse_forces(RUBBING, system.added)
+
+
+def test_what_is_called_a_level_and_is_none_is_refused():
+    told = "'stribeck:angle' adds to a Coulomb friction of the level 'angle.coulomb', and that of"
+    with pytest.raises(tn.InputError, match=told):
+        added(RUBBING, "stribeck:angle")
+    with pytest.raises(tn.InputError, match=r"'coulomb:x' brings 'x\.coulomb', which the system"):
+        added(RUBBING, "coulomb:x")
+    once = added(CART, "coulomb:x")
+    with pytest.raises(tn.InputError, match=r"'stribeck:x' brings 'x\.coulomb', which the system"):
+        added(once, "stribeck:x")
 
 
 def test_the_name_of_an_earlier_version_stands_for_the_same_force():

@@ -104,6 +104,73 @@ def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
     assert used == [f"candidates/better grey/fold-{f}-seeds-0/0" for f in range(3)]
 
 
+BY_FORCES = {"name": "forces", "recipe": "inverse-dynamics", "when": "fully-actuated"}
+
+
+def with_forces(*begins_with: str) -> dict:
+    """The plan with a candidate by forces, second, with which the grey one begins."""
+    grey = {**PLAN["candidates"][1], "begins_with": begins_with}
+    return {**PLAN, "candidates": [PLAN["candidates"][0], BY_FORCES, grey, *PLAN["candidates"][2:]]}
+
+
+@pytest.mark.parametrize("slots", [1, 3])
+def test_a_search_begins_with_what_forces_say_in_its_fold_as_long_as_it_goes_on(slots, monkeypatch):
+    monkeypatch.setitem(QUALITY, "forces", 0.5)
+    executor, (found, _) = Pretended(slots), halving(with_forces("forces"))
+    remaining = found.run(executor)
+    assert {r.name for r in remaining} == {"hybrid", "network", "grey", "forces"}
+    done: list[tuple[str, int]] = []
+    for job in executor.done:
+        if job.candidate == "grey":
+            assert job.origin == f"candidates/forces/fold-{job.fold}-seeds-0/0"
+            assert ("forces", job.fold) in done
+        else:
+            assert job.origin is None
+        done.append((job.candidate, job.fold))
+    # it takes seconds, so it comes first of all
+    assert done[0][0] == "forces" or slots > 1
+
+
+def test_a_search_begins_at_the_values_of_the_system_where_forces_failed(monkeypatch):
+    monkeypatch.setitem(QUALITY, "forces", 0.5)
+    executor = Pretended(of=lambda job: (
+        JobResult(job.candidate, job.fold, 0.1, "failed", why="too short")
+        if job.candidate == "forces" else None
+    ))  # fmt: skip
+    found, said = halving(with_forces("forces"))
+    found.run(executor)
+    assert said[0] == "forces, fold 0: too short"
+    greys = [job for job in executor.done if job.candidate == "grey"]
+    assert [job.origin for job in greys] == [None] * 3
+
+
+def test_the_same_kind_by_forces_does_not_make_a_search_by_simulation_wait(monkeypatch):
+    monkeypatch.setitem(QUALITY, "forces", 0.5)
+    executor, (found, _) = Pretended(), halving(with_forces("forces"), Deadline.after(1000.0))
+    found.run(executor)
+    assert [job.candidate for job in executor.done[:4]] == ["forces", "linear", "grey", "network"]
+
+
+@pytest.mark.parametrize(("unexplained", "error", "hopeless"), [
+    (0.05, math.inf, True), (0.05, 1.2, True), (0.05, 0.8, False), (0.5, 1.2, False),
+])  # fmt: skip
+def test_equations_that_explain_the_forces_and_leave_the_records_end_it_at_once(
+    unexplained, error, hopeless
+):
+    executor = Pretended(of=lambda job: (
+        JobResult("forces", job.fold, 0.1, "done", (FitScore(
+            0, "finished", "m", 0.25, {"model-20": {f"r{job.fold}": error * motion}},
+            {"angle": unexplained},
+        ),))
+        if job.candidate == "forces" else None
+    ))  # fmt: skip
+    found, _ = halving(with_forces("forces"))
+    motion = found._context.motion_within_turns
+    found.run(executor)
+    assert found.hopeless == hopeless
+    assert ({job.candidate for job in executor.done} == {"forces"}) == hopeless
+
+
 def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
     quality = {"grey": 0.01, "better grey": 0.01 - 1e-4}
     other = {"name": "better grey", "recipe": "best-grey"}

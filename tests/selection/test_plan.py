@@ -56,6 +56,21 @@ def test_a_candidate_may_change_its_recipe(tmp_path):
             "corrects 'network' of kind 'tustin-net'",
         ),
         ('corrects = ["grey"]', 'corrects = ["gray"]', "'gray', which is no candidate before it"),
+        (
+            'recipe = "small.toml"',
+            'recipe = "small.toml"\nbegins_with = ["grey"]',
+            "candidate 'network'.*`begins_with` with a recipe of kind 'tustin-net'",
+        ),
+        (
+            'recipe = "grey.toml"',
+            'recipe = "grey.toml"\nbegins_with = ["gray"]',
+            "'grey' begins with 'gray', which is no candidate before it",
+        ),
+        (
+            'recipe = "hybrid.toml"\ncorrects = ["grey"]',
+            'recipe = "grey.toml"\nbegins_with = ["network"]',
+            "begins with 'network' of kind 'tustin-net'.*its own kind, 'euler-lagrange'",
+        ),
         ('name = "network"', 'name = "grey"', "called 'grey'"),
         ('of = ["network", "hybrid"]', 'of = ["network", "gru"]', "'both' is of 'gru'"),
         ('of = ["network", "hybrid"]', 'of = ["network", "network"]', "called 'network'"),

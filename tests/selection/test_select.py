@@ -21,17 +21,14 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import deadline, final_models, halving, jobs, scoring
+from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import combine, score_committee, score_committees
 from tustinnet.selection.deadline import Deadline
-from tustinnet.selection.jobs import Job
+from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.plan import read_plan
-from tustinnet.selection.select import (
-    Reporter,
-    SelectionOptions,
-    _applicable_candidates,
-    select_model,
-)
+from tustinnet.selection.scoring import Scorer
+from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.store.header import read_header
 from tustinnet.store.kept_system import HEADER
 from tustinnet.store.model_file import read_system_name
@@ -180,10 +177,9 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
         tn.from_arrays(np.sin(0.8 * t + i), dt=0.02, coordinates={"a": "angular"}, name=f"r{i}")
         for i in range(3)
     ))  # fmt: skip
-    assert [c.name for c in _applicable_candidates(plan, SelectionOptions(), fast)[0]] == [
-        "fast",
-        "network",
-    ]
+    context = RunContext(fast, Scorer(3, "model-10"))
+    candidates, _ = applicable_candidates(plan, context, None)
+    assert [c.name for c in candidates] == ["fast", "network"]
 
 
 # --- what is written and told ---

@@ -13,6 +13,7 @@ import tustinnet as tn
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
+from tustinnet.models.added import with_forces
 from tustinnet.models.chains import DIAGONAL, inertial_parameters
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -197,6 +198,29 @@ def test_friction_by_name_adds_to_that_of_every_joint():
     weight = np.array([0.0, 0.0, 9.81 * carried, 0.0])
     level = 0.1 * weight + 0.7 * np.exp(-((np.asarray(v) / 0.3) ** 2))
     np.testing.assert_allclose(extra, level * np.tanh(np.asarray(v) / widths), rtol=1e-6, atol=1e-9)
+
+
+def test_friction_by_a_recipe_is_that_of_the_robots_option():
+    robot, names = ROBOTS / "scara.urdf", ("stribeck", "load", "curve")
+    by_option, plain = tn.load_robot(robot, friction=names), tn.load_robot(robot)
+    # both bring the same parameters
+    new = tuple(p for p in by_option.parameters if p.name not in plain.nominal())
+    by_recipe = with_forces(plain, names, new)
+    assert {*by_recipe.added_parameters} == {p.name for p in new}
+    generator = np.random.default_rng(0)
+    values = by_option.nominal() | {p.name: generator.uniform(0.1, 1.0) for p in new}
+    q, v = jnp.asarray(generator.normal(size=(2, 4)))
+    assert by_option.dissipation is not None
+    assert by_recipe.dissipation is not None
+    expected, found = (s.dissipation(q, v, values) for s in (by_option, by_recipe))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    told = "'curve:shoulder' brings 'shoulder.curve_odd1', which the system 'scara' has already"
+    with pytest.raises(InputError, match=told):
+        with_forces(by_option, ("curve",), new)
+    # behind an elastic gear the Coulomb friction is the motor's
+    elastic = tn.load_robot(robot, elastic={"elbow": 100.0})
+    with pytest.raises(InputError, match=r"elastic joint: tn\.load_robot\(friction=\.\.\.\)"):
+        with_forces(elastic, ("stribeck:elbow",), ())
 
 
 def test_a_friction_of_another_name_is_refused():

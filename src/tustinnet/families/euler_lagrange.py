@@ -22,7 +22,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
 from tustinnet.families.summaries import VALUES
-from tustinnet.models.added import added_parameters, parse_forces, with_forces
+from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.feedback import with_controller
 from tustinnet.models.integrate import Discretised, discretise
@@ -65,12 +65,15 @@ class EulerLagrangeFamily(IdentifiedFamily):
             "substeps": model.substeps,
         }
         if _made_for_records(system.name):
-            others = {*added_parameters(system), *system.sensors}
+            others = {*system.added_parameters, *system.sensors}
             terms = [name for name in system.nominal() if name not in others]
             header["terms"] = _describe_parameters(system, terms)
         if system.added:
             header["forces"] = list(system.added)
-            header["of_forces"] = _describe_parameters(system, added_parameters(system))
+            header["of_forces"] = [
+                [*row, prior] if (prior := system.parameter(row[0]).prior) else row
+                for row in _describe_parameters(system, system.added_parameters)
+            ]
         if system.sensors:
             header["sensors"] = _describe_parameters(system, system.sensors)
         if closed_loop.feedback is not None:

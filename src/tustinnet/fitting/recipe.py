@@ -399,7 +399,8 @@ class IdentificationRecipe(Recipe):
     @property
     def needs_validation(self) -> bool:
         """Whether validation records choose how initial states are treated."""
-        return self.search.initial == "choose"
+        simulates = self.search.method != "inverse-dynamics"
+        return simulates and self.search.initial == "choose"
 
     @property
     def longest_run(self) -> float | None:

@@ -51,10 +51,13 @@ class Origin:
     Attributes:
         model: the model.
         provenance: its file and records, as the files of the fit name them.
+        fits_records: whether it was fitted to the records of the fit that begins with it, which
+            then needs no first estimate.
     """
 
     model: Model
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    fits_records: bool = False
 
 
 @dataclass(frozen=True)

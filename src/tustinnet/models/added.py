@@ -1,19 +1,33 @@
 """Forces by name, added to a system, each at a coordinate or, as lags of actuators, an input."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
+from tustinnet.engine.equations import Formula
+from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.feedback import with_changed_plant
-from tustinnet.models.forces import LAWS, ActuatorLag, ForceWithMemory, Friction, Law, Spring
+from tustinnet.models.forces import (
+    LAWS,
+    ActuatorLag,
+    ForceParameter,
+    ForceWithMemory,
+    Friction,
+    Law,
+    LoadFriction,
+    Spring,
+)
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
 from tustinnet.renamed import FORCES
 
 WHERE = "model.forces"
+_FAST = 1e6  # speed at which a Coulomb friction has reached its level [rad/s or m/s]
 
 
 @dataclass(frozen=True)
@@ -24,11 +38,14 @@ class PlacedForce:
         law: its law.
         channel: the name of the coordinate, or of the input.
         index: the coordinate's place in q, or the input's in u.
+        own: parameters of the system, as it is without the force, that take the place of some of
+            its law's.
     """
 
     law: Law
     channel: str
     index: int
+    own: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.law.name}:{self.channel}"
@@ -36,11 +53,38 @@ class PlacedForce:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The names of its parameters, in the order of its law."""
-        return tuple(f"{self.channel}.{p.name}" for p in self.law.parameters)
+        names = []
+        for p in self.law.parameters:
+            of_system = f"{self.channel}.{p.own}"
+            names.append(of_system if of_system in self.own else f"{self.channel}.{p.name}")
+        return tuple(names)
+
+    @property
+    def brought(self) -> dict[str, ForceParameter]:
+        """The parameters that it brings to the system, by name."""
+        named = zip(self.parameter_names, self.law.parameters, strict=True)
+        return {name: p for name, p in named if name not in self.own}
 
     def values(self, p: Values) -> list[Any]:
-        """The values of its parameters, in the order of its law."""
-        return [p[name] for name in self.parameter_names]
+        """The values of its parameters, in the order of its law.
+
+        Of a level that the system has itself 0: its friction is there already.
+        """
+        named = zip(self.parameter_names, self.law.parameters, strict=True)
+        return [0.0 if need.is_level and name in self.own else p[name] for name, need in named]
+
+
+def place_force(law: Law, channel: str, index: int, of_system: Collection[str]) -> PlacedForce:
+    """A force at a coordinate or at an input of a system.
+
+    Args:
+        law: its law.
+        channel: the name of the coordinate, or of the input.
+        index: its place in q or in u.
+        of_system: names of the parameters that the system has itself.
+    """
+    own = (f"{channel}.{p.own}" for p in law.parameters if p.own)
+    return PlacedForce(law, channel, index, tuple(name for name in own if name in of_system))
 
 
 def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[PlacedForce, ...]:
@@ -57,6 +101,7 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
     """
     coordinates = [c.name for c in system.coordinates]
     inputs = [i.name for i in system.inputs]
+    of_system = system.nominal().keys() - {*system.added_parameters}
     forces: list[PlacedForce] = []
     for name in names:
         law, colon, channel = name.partition(":")
@@ -71,17 +116,11 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
                 WHERE, f"'{name}': no {kind} '{channel}'", f"one of {', '.join(channels)}"
             )
         for place in [channel] if colon else channels:
-            force = PlacedForce(LAWS[law], place, channels.index(place))
+            force = place_force(LAWS[law], place, channels.index(place), of_system)
             if force in forces:
                 raise InputError(WHERE, f"'{force}' twice", "once")
             forces.append(force)
     return tuple(forces)
-
-
-def added_parameters(system: LagrangianSystem) -> tuple[str, ...]:
-    """The names of the parameters of a system's added forces."""
-    added = parse_forces(system, system.added)
-    return tuple(dict.fromkeys(name for force in added for name in force.parameter_names))
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
@@ -90,45 +129,33 @@ def with_forces(
 ) -> LagrangianSystem:
     """The system with further forces, their values among its parameters.
 
-    Internal states come after those that the system has.
+    Internal states come after those that the system has. Where a system has a parameter of a law
+    itself, the law takes this one (see `ForceParameter.own`).
 
     Args:
         system: the system.
         names: `LAW:COORDINATE` each, see `parse_forces`; none leaves the system as it is.
-        parameters: the parameters of the forces, as `theta.coulomb`.
+        parameters: the parameters that the forces bring, as `theta.coulomb`.
 
     Raises:
-        InputError: a force that `parse_forces` refuses, or a parameter that the system or another
-            of the forces has already.
+        InputError: a force that `parse_forces` refuses, a parameter that the system or another of
+            the forces has already, or a load without a potential energy.
     """
     if not names:
         return system
     if system.feedback is not None:
         return with_changed_plant(system, lambda plant: with_forces(plant, names, parameters))
     added = parse_forces(system, names)
-    of_system, added_before = system.nominal(), added_parameters(system)
-    owners = dict.fromkeys(of_system, f"the system '{system.name}'")
-    for force in added:
-        for parameter, name in zip(force.law.parameters, force.parameter_names, strict=True):
-            is_shared = parameter.shared and (name in added_before or name not in of_system)
-            if name in owners and not is_shared:
-                raise InputError(
-                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
-                    "forces that differ", "leave it out, or call the other one otherwise",
-                )  # fmt: skip
-            owners[name] = f"'{force}'"
+    _require_fit(system, added)
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
-    frictions = [(force, law) for force in added if isinstance(law := force.law, Friction)]
+    frictions = [force for force in added if isinstance(force.law, Friction | LoadFriction)]
     # those that depend on a deflection are added last, in whatever order the names stand
-    frictions.sort(key=lambda pair: pair[1].needs_limited_travel)
+    frictions.sort(key=lambda force: force.law.needs_limited_travel)
     with_states = tuple(f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag))
     is_lagging = any(isinstance(force.law, ActuatorLag) for force in added)
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
-        acting = [
-            (f.index, law.force(q[f.index], v[f.index], *f.values(p))) for f, law in frictions
-        ]
-        total = _sum_by_coordinate(v, acting)
+        total = compute_friction(frictions, system.potential, q, v, p)
         return total + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else total
 
     def potential(q: Any, p: Values) -> Any:
@@ -144,7 +171,88 @@ def with_forces(
         input_map=None if is_lagging else system.input_map,
         memory=_ExtendedMemory(system, with_states).memory if with_states else system.memory,
         added=(*system.added, *map(str, added)),
+        added_parameters=(*system.added_parameters, *(p.name for p in parameters)),
     )
+
+
+def _require_fit(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
+    """Raises if a system cannot have some forces, see `with_forces`."""
+    of_system = system.nominal()
+    owners = dict.fromkeys(of_system, f"the system '{system.name}'")
+    for force in added:
+        if isinstance(force.law, LoadFriction) and system.potential is None:
+            raise InputError(
+                WHERE, f"'{force}': the system '{system.name}' has no potential energy",
+                "a load, as of gravity",
+            )  # fmt: skip
+        for name, parameter in force.brought.items():
+            is_before = name in system.added_parameters or name not in of_system
+            if name in owners and not (parameter.shared and is_before):
+                raise InputError(
+                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
+                    "forces that differ", "leave it out, or call the other one otherwise",
+                )  # fmt: skip
+            owners[name] = f"'{force}'"
+        for name, parameter in zip(force.parameter_names, force.law.parameters, strict=True):
+            if not (name in force.own and parameter.is_level):
+                continue
+            if not _is_level(system, name, force.index):
+                raise InputError(
+                    WHERE, f"'{force}' adds to a Coulomb friction of the level '{name}', and that "
+                    f"of the system '{system.name}' is none at the coordinate",
+                    f"p['{name}'] * jnp.tanh(v / w) in its dissipation",
+                    "call the parameter otherwise; of a robot's elastic joint: "
+                    "tn.load_robot(friction=...)",
+                )  # fmt: skip
+
+
+def _is_level(system: LagrangianSystem, name: str, index: int) -> bool:
+    """Whether a parameter of a system is the level of a Coulomb friction at a coordinate.
+
+    So it is if the dissipation at high speed grows by as much as the parameter, at this coordinate
+    alone, and against the motion.
+    """
+    if system.dissipation is None:
+        return False
+    dissipation, nominal, n = system.dissipation, system.nominal(), len(system.coordinates)
+
+    def by_level(v: Any) -> Any:
+        def at(level: Any) -> Any:
+            return jnp.asarray(dissipation(jnp.zeros_like(v), v, nominal | {name: level}))
+
+        one = jnp.ones((), v.dtype)
+        return jax.jvp(at, (nominal[name] * one,), (one,))[1]
+
+    both = np.eye(n)[[index]] * np.array([[1.0], [-1.0]])
+    slopes = evaluate(Formula(by_level, n, where=f"system '{system.name}'"), _FAST * both)
+    return np.allclose(slopes, both, atol=1e-3)
+
+
+def compute_friction(
+    frictions: Sequence[PlacedForce],
+    potential: Callable[..., Any] | None,
+    q: Any,
+    v: Any,
+    p: Values,
+) -> Any:
+    """The sum of frictions at each coordinate, against the motion, (n_q,) [N m or N].
+
+    Args:
+        frictions: the frictions.
+        potential: the energy `V(q, p)` [J] whose forces are the load; needed by a `LoadFriction`.
+        q: positions, (n_q,).
+        v: velocities, (n_q,).
+        p: values of parameters by name.
+    """
+    load = None
+    if potential is not None and any(isinstance(f.law, LoadFriction) for f in frictions):
+        load = jax.grad(potential)(q, p)
+    acting = []
+    for f in frictions:
+        assert isinstance(f.law, Friction | LoadFriction)
+        cause = load if isinstance(f.law, LoadFriction) else q
+        acting.append((f.index, f.law.force(cause[f.index], v[f.index], *f.values(p))))
+    return _sum_by_coordinate(v, acting)
 
 
 def _sum_by_coordinate(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:

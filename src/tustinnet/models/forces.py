@@ -9,8 +9,8 @@ package knows of it stands in its entry: messages, ranges, the table in `docs/re
 and the springs of the system `mechanism` follow from it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -21,6 +21,9 @@ from tustinnet.models.parameters import Parameter
 from tustinnet.renamed import FORCES, current_name
 
 Value = Float[Array, "..."] | float
+
+CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # of a friction curve, by the width of the smoothed sign
+LARGEST_LOAD_SHARE = 0.5  # of a load, as friction
 
 if not TYPE_CHECKING:
 
@@ -84,6 +87,44 @@ def coulomb_by_position(q: Value, v: Value, growth: Value, speed: Value) -> Any:
         speed: w, the speed at which 76 % of it are reached [rad/s or m/s].
     """
     return coulomb(v, growth * jnp.abs(q), speed)
+
+
+def coulomb_by_load(load: Value, v: Value, share: Value, speed: Value) -> Any:
+    """Coulomb friction that grows with the load: `s |f| tanh(v / w)` [N m or N].
+
+    Args:
+        load: f, the force that bearings and gears carry, as that of gravity [N m or N].
+        v: velocity [rad/s or m/s].
+        share: s, friction at speed by the load [1].
+        speed: w, the speed at which 76 % of it are reached [rad/s or m/s].
+
+    References:
+        Hamon, Gautier, Garrec (2010), Dynamic identification of robots with a dry friction model
+        depending on load and velocity, IROS; there the whole load, of which accelerations are a
+        part.
+    """
+    return coulomb(v, share * jnp.abs(load), speed)
+
+
+def friction_curve(v: Value, weights: Sequence[Value], speed: Value) -> Any:
+    """Friction of any dependence on the speed: `sum a_i tanh(v / w_i) + b_i tanh(v / w_i)^2`.
+
+    A network with one hidden layer whose hidden weights are fixed, so that forces are linear in
+    its parameters. The even terms are friction that differs between directions.
+
+    Args:
+        v: velocity [rad/s or m/s].
+        weights: a_i, then b_i [N m or N].
+        speed: w, width of the smoothed sign of a Coulomb friction; w_i are `CURVE_SPEEDS` times it
+            [rad/s or m/s].
+    """
+    return sum(a * term for a, term in zip(weights, curve_terms(v, speed), strict=True))
+
+
+def curve_terms(v: Value, speed: Value) -> list[Any]:
+    """The terms of a friction curve, of which each has a weight, see `friction_curve`."""
+    odd = [jnp.tanh(v / (by_width * speed)) for by_width in CURVE_SPEEDS]
+    return [*odd, *(term**2 for term in odd)]
 
 
 def linear_spring(q: Value, stiffness: Value) -> Any:
@@ -326,7 +367,16 @@ class Motion:
     @property
     def slow(self) -> float:
         """The width of the smoothed sign of a dry friction [rad/s or m/s]: 2 % of the speed."""
-        return 0.02 * self.speed
+        return slow_speed(self.speed)
+
+
+def slow_speed(speed: float) -> float:
+    """The width of the smoothed sign of a dry friction [rad/s or m/s]: 2 % of the speed.
+
+    Args:
+        speed: that of the motion, root mean square [rad/s or m/s].
+    """
+    return 0.02 * speed
 
 
 SearchRange = tuple[float, float, float]  # initial value, lower and upper end
@@ -343,6 +393,11 @@ class ForceParameter:
         range: initial value, lower and upper end of the search, from the motion in the records.
         fixed: whether the search leaves it at its initial value.
         shared: whether the laws of a coordinate share one parameter of this name.
+        own: name of a parameter that takes its place in a system that has it, `theta.OWN`; "" where
+            the law brings it always.
+        is_level: whether it is the level of a Coulomb friction. A system that has this parameter
+            has this friction, too: the law adds what is beyond it.
+        prior: standard deviation of what is known of it, from the motion; None for none.
     """
 
     name: str
@@ -351,13 +406,17 @@ class ForceParameter:
     range: Callable[[Motion], SearchRange]
     fixed: bool = False
     shared: bool = False
+    own: str = ""
+    is_level: bool = False
+    prior: Callable[[Motion], float] | None = None
 
     def for_coordinate(self, coordinate: Coordinate, motion: Motion) -> Parameter:
         """The parameter of the law at a coordinate that moves in some way."""
         force = {"rad": "N m", "m": "N"}.get(coordinate.unit, f"J/{coordinate.unit}")
         unit = self.unit.format(force=force, position=coordinate.unit)
+        prior = None if self.prior is None else self.prior(motion)
         return Parameter(
-            f"{coordinate.name}.{self.name}", unit, *self.range(motion), fixed=self.fixed
+            f"{coordinate.name}.{self.name}", unit, *self.range(motion), self.fixed, prior
         )
 
     def for_input(self, channel: Input, motion: Motion) -> Parameter:
@@ -395,6 +454,17 @@ class Friction(Law):
 
     Attributes:
         force: `force(q, v, *values)` [N m or N].
+    """
+
+    force: Callable[..., Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadFriction(Law):
+    """A friction that depends on the load, the force of the system's potential energy.
+
+    Attributes:
+        force: `force(load, v, *values)` [N m or N].
     """
 
     force: Callable[..., Any]
@@ -483,12 +553,16 @@ def _time_constants(motion: Motion) -> SearchRange:
     return 2 * motion.dt, motion.dt / 4, max(motion.longest / 4, 4 * motion.dt)
 
 
-_COULOMB = ForceParameter("coulomb", "c", "{force}", _from_zero(lambda m: m.largest_force))
+_COULOMB = ForceParameter(
+    "coulomb", "c", "{force}", _from_zero(lambda m: m.largest_force), is_level=True
+)
 # over a whole record the search would make up for other errors by it, so it is fixed
 _SMOOTH_SPEED = ForceParameter(
     "smooth_speed", "w", "{position}/s", lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
     fixed=True, shared=True,
 )  # fmt: skip
+_OWN_COULOMB = replace(_COULOMB, own="coulomb")
+_OWN_SMOOTH_SPEED = replace(_SMOOTH_SPEED, own="coulomb_speed")
 _BREAKAWAY = ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force))
 _STRIBECK_SPEED = ForceParameter(
     "stribeck_speed", "v_s", "{position}/s",
@@ -496,6 +570,20 @@ _STRIBECK_SPEED = ForceParameter(
 )  # fmt: skip
 _STICKING = ForceParameter("sticking", "c", "{force}", _sticking_forces)
 _PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflections)
+
+
+_CURVE_WEIGHTS = tuple(
+    ForceParameter(
+        f"curve_{kind}{i}", f"{letter}_{i}", "{force}", _either_sign(lambda m: m.largest_force),
+        prior=lambda m: m.force,
+    )
+    for kind, letter in (("odd", "a"), ("even", "b"))
+    for i in range(1, len(CURVE_SPEEDS) + 1)
+)  # fmt: skip
+_LOAD_SHARE = ForceParameter(
+    "load_friction", "s", "1", _from_zero(lambda m: LARGEST_LOAD_SHARE),
+    prior=lambda m: 0.3 * LARGEST_LOAD_SHARE,
+)  # fmt: skip
 
 
 def _undeflected(q: Value, *values: Value) -> Any:
@@ -532,15 +620,25 @@ _LAWS: tuple[Law, ...] = (
     Friction(
         name="stribeck",
         help="Stribeck friction, `(c + b exp(-(v / v_s)²)) tanh(v / w)` against the motion",
-        parameters=(
-            _COULOMB,
-            _BREAKAWAY,
-            _STRIBECK_SPEED,
-            _SMOOTH_SPEED,
-        ),
+        parameters=(_OWN_COULOMB, _BREAKAWAY, _STRIBECK_SPEED, _OWN_SMOOTH_SPEED),
         force=lambda q, v, level, more, stribeck_speed, speed: stribeck(
             v, level, level + more, stribeck_speed, speed
         ),
+    ),
+    Friction(
+        name="curve",
+        help="friction of any dependence on the speed, the sum of `a_i tanh(v / w_i)` and "
+        f"`b_i tanh(v / w_i)²` with `w_i` = {', '.join(f'{x:g}' for x in CURVE_SPEEDS)} times w; "
+        "b_i where it differs by direction",
+        parameters=(*_CURVE_WEIGHTS, _OWN_SMOOTH_SPEED),
+        force=lambda q, v, *values: friction_curve(v, values[:-1], values[-1]),
+    ),
+    LoadFriction(
+        name="load",
+        help="Coulomb friction that grows with the load, `s abs(f) tanh(v / w)` against the motion;"
+        " f is the force of the system's potential energy, as of gravity",
+        parameters=(_LOAD_SHARE, _OWN_SMOOTH_SPEED),
+        force=coulomb_by_load,
     ),
     Spring(
         name="spring",

@@ -189,6 +189,7 @@ class LagrangianSystem:
         memory: forces with internal states, if any.
         sensors: names of parameters of sensor errors, see `models.sensors.with_sensor_errors`.
         added: names of forces that were added, see `models.added.with_forces`.
+        added_parameters: names of the parameters that they brought.
         links: its links, by which it is drawn; none if unknown.
         inertia: mass matrix and Coriolis forces of `kinetic` by a recursion, which must agree with
             it; None to derive them from it.
@@ -210,6 +211,7 @@ class LagrangianSystem:
     memory: Memory | None = None
     sensors: tuple[str, ...] = ()
     added: tuple[str, ...] = ()
+    added_parameters: tuple[str, ...] = ()
     links: tuple[Link, ...] = ()
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None

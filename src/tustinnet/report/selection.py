@@ -3,6 +3,8 @@
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.shown_records import choose_shown_records
@@ -25,7 +27,12 @@ def candidates_table(choice: Choice) -> Table:
     def cell(mean: float, error: float) -> str:
         return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
 
-    rows = []
+    def unexplained(s: CandidateResult) -> str:
+        """Mean over the coordinates of the force that is not explained, empty where not known."""
+        shares = list(s.unexplained.values())
+        return f"{100 * float(np.mean(shares)):.2g}" if shares else ""
+
+    rows, by_forces = [], any(s.unexplained for s in results)
     for s in results:
         difference, count = paired_difference(s, best), len(s.rmse())
         against = ""
@@ -38,6 +45,7 @@ def candidates_table(choice: Choice) -> Table:
             s.name,
             *["" if mean is None else cell(*mean) for mean in means[s.name]],
             against,
+            *[unexplained(s)] * by_forces,
             str(count),
             str(len(s.fits_by_fold)),
             str(len({fit.seed for fit in s.fits})),
@@ -45,7 +53,8 @@ def candidates_table(choice: Choice) -> Table:
         ])  # fmt: skip
     unit = choice.unit
     columns = ["candidate", *[f"RMSE [{unit}], {start}" for start in starts],
-               f"worse than {best.name} by", "records", "folds", "seeds", "seconds"]  # fmt: skip
+               f"worse than {best.name} by", *["unexplained force [%]"] * by_forces,
+               "records", "folds", "seeds", "seconds"]  # fmt: skip
     title = "free runs of records that a model was not fitted to, mean ± standard error"
     return Table(columns, rows, title=title)
 

@@ -120,6 +120,9 @@ class Choice:
             f"{mean:.3g}{spread} {unit}, {of_motion if share < 1 else 'more than the motion'}; "
             f"worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
+        if best.unexplained:
+            shares = ", ".join(f"{name} {_percent(x)} %" for name, x in best.unexplained.items())
+            sentences.append(f"forces along these records that it does not explain: {shares}")
         sentences += self._expectation
         if share > _POOR:
             remedies = ["look at them (inspect)"]
@@ -300,6 +303,7 @@ class Choice:
             "shares": None if committee is None else dict(committee.shares),
             "folds": sorted(result.fits_by_fold),
             "seeds": sorted({fit.seed for fit in result.fits}),
+            **({"unexplained": result.unexplained} if result.unexplained else {}),
             "starts": {
                 start: dict(
                     zip(("mean", "standard_error"), mean_and_error(rmse.values()), strict=True)

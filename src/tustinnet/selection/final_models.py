@@ -14,7 +14,6 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
-from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, combine, member_weights
 from tustinnet.selection.deadline import NEVER, Deadline
@@ -135,11 +134,10 @@ def _possible_models(
     scores: list[Sequence[FitScore]] = [r.fits for r, _ in members]
     fits = [fit for member in scores for fit in member]
     single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
-    recipe = candidates.plan.candidate(members[0][0].name).content
+    recipe = context.recipe_of(candidates.plan.candidate(members[0][0].name))
     averages, why = len(members) > 1 or recipe.family.averages_folds, ""
     if not averages and make_job_listener is not None:
-        origin = context.load_model(single[0].model)
-        job = Job(result.name, recipe, fold=0, origin=Origin(origin), is_final=True)
+        job = Job(result.name, recipe, fold=0, origin=single[0].model, is_final=True)
         made = _identify_from_all(job, context, make_job_listener(job), deadline)
         if isinstance(made, FinalModel):
             yield made

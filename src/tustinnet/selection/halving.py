@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import Job, JobResult, RunContext
@@ -20,6 +22,7 @@ _LEAST_SHARE = 0.25  # of a short time, that least
 # a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
 _AGAIN = 1.5
 _QUICK = 0.02  # share of the time, an identification that is quick: others of its kind may follow
+_EXPLAINED = 0.2  # of the inputs' force, that is unexplained by equations that explain it
 _FAR = 0.3  # of the motion within turns, an error of whole records that says little of a model
 NO_TIME = "no time was left for it"
 _FEWEST = 2  # candidates that go on, where there are as many
@@ -42,7 +45,9 @@ class Halving:
         plan: the plan.
         results: of each candidate, by name, from the simplest on.
         hopeless: whether free runs of whole records were far off for all candidates, as where a
-            plant is unstable, turns over or only integrates: then no further round was begun.
+            plant is unstable, turns over or only integrates, or left the records for equations that
+            explain the forces, as of a robot that a controller held: then nothing further was
+            begun.
     """
 
     def __init__(
@@ -59,10 +64,11 @@ class Halving:
         self._folds, self._on_message = context.scoring.folds, on_message
         self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
         self._expected: dict[str, float] = {}  # seconds a seed takes on a fold
-        # one of each kind is tried before others of it
-        kinds = [c.content.family.kind for c in candidates]
+        # one of each kind is tried before others of it; forces are compared in seconds
+        simulated = [c for c in candidates if not c.is_by_forces]
+        kinds = [c.content.family.kind for c in simulated]
         self._last = {c.name for c in candidates if c.last} - {*promising}
-        self._late = {c.name for i, c in enumerate(candidates) if kinds[i] in kinds[:i]}
+        self._late = {c.name for i, c in enumerate(simulated) if kinds[i] in kinds[:i]}
         self._late = self._last | (self._late - {*promising})
         self._begun: dict[tuple[str, int], Job] = {}  # the last job of a candidate and fold
         self._stopped: list[Job] = []  # jobs that their share of the time stopped
@@ -81,6 +87,10 @@ class Halving:
             share = self._deadline.remaining / max(len(jobs), 1)
             jobs.sort(key=lambda job: self._expected.get(job.candidate, 0.0) > share)
             self._omitted = self._results = 0
+            if not number:
+                jobs = self._compare_forces(jobs, executor)
+                if self.hopeless:
+                    break
             if not number and not math.isinf(self._time):
                 jobs = self._try_physics(jobs, executor)
             self._run_jobs(jobs, executor)
@@ -93,11 +103,12 @@ class Halving:
             last = number + 1 == len(self.plan.rounds)
             kinds = ranking if last else self._best_of_kinds(ranking)
             count = len(kinds) if last else max(_FEWEST, math.ceil(stage.keep * len(kinds)))
-            # candidates that go on, and the best that each of them corrects
+            # candidates that go on, and the best that each of them corrects or begins with
             kept = {r.name for r in kinds[:count]}
-            for c in alive:
-                corrected = self._corrected(c) if c.name in kept else None
-                kept |= {corrected.name} if corrected else set()
+            for c in reversed(alive):
+                if c.name in kept:
+                    needed = (self._best_of(c.corrects), self._best_of(c.begins_with))
+                    kept |= {result.name for result in needed if result}
             alive = tuple(c for c in alive if c.name in kept)
             self._report(number, ranking, len(alive))
             if ranking and self._context.scoring.horizon is None:
@@ -116,22 +127,45 @@ class Halving:
             order = [r.name for r in rank([self.results[c.name] for c in alive])]
             ordered = sorted(alive, key=lambda c: order.index(c.name))
         else:
-            ordered = sorted(alive, key=lambda c: (c.name in self._last, c.name in self._late))
+            ordered = sorted(
+                alive,
+                key=lambda c: (c.name in self._last, c.name in self._late, not c.is_by_forces),
+            )
             late = self._last if math.isinf(self._time) else self._late
         jobs = []
         for fold in range(min(stage.folds, self._folds)):
             for c in ordered:
                 seeds = c.content.family.select_seeds(range(stage.seeds))
                 done = {s.seed for s in self.results[c.name].fits_by_fold.get(fold, ())}
-                waits_for = tuple(name for name in c.corrects if name not in late)
+                waits_for = (*c.corrects, *c.begins_with)
+                waits_for = tuple(name for name in waits_for if name not in late)
                 if missing := tuple(seed for seed in seeds if seed not in done):
-                    jobs.append(Job(c.name, c.content, fold, missing, waits_for=waits_for))
+                    recipe = self._context.recipe_of(c)
+                    jobs.append(Job(c.name, recipe, fold, missing, waits_for=waits_for))
         return jobs
 
     def _run_jobs(self, jobs: Sequence[Job], executor: Executor, later: Sequence[Job] = ()) -> None:
         """Runs jobs; those that come `later` have shares of the time, too."""
         self._pending = [*jobs, *later]
         run_jobs(jobs, executor, self._deadline, prepare=self._prepare, on_result=self._add_result)
+
+    def _compare_forces(self, jobs: Sequence[Job], executor: Executor) -> list[Job]:
+        """Runs the jobs that compare forces, which take seconds; returns the others.
+
+        Where equations that explain the forces leave the records when they are simulated, free runs
+        of whole records say little of any model.
+        """
+        names = [c.name for c in self._candidates if c.is_by_forces]
+        others = [job for job in jobs if job.candidate not in names]
+        self._run_jobs([job for job in jobs if job.candidate in names], executor, later=others)
+        motion = self._context.motion_within_turns
+        self.hopeless = self._context.scoring.horizon is None and any(
+            np.mean(list(result.unexplained.values())) < _EXPLAINED
+            and not mean_and_error(result.rmse().values())[0] <= motion
+            for result in (self.results[name] for name in names)
+            if result.unexplained
+        )
+        return others
 
     def _try_physics(self, jobs: Sequence[Job], executor: Executor) -> list[Job]:
         """Runs the first jobs up to the last identification; returns the others in a new order.
@@ -150,6 +184,7 @@ class Halving:
             job.recipe.family.kind
             for job in first
             if is_first_identification(job)
+            and not self.plan.candidate(job.candidate).is_by_forces
             and self._expected.get(job.candidate, math.inf) < _QUICK * self._time
         }
         soon = {
@@ -180,35 +215,41 @@ class Halving:
             for results in by_kind.values()
         ]
 
-    def _corrected(self, by: Candidate, fold: int | None = None) -> CandidateResult | None:
-        """The candidate to correct, in a fold or anywhere: the simplest as good as the best."""
-        results = [self.results[name] for name in by.corrects if name in self.results]
+    def _best_of(self, names: Sequence[str], fold: int | None = None) -> CandidateResult | None:
+        """The simplest of some candidates that is as good as their best, in a fold or anywhere.
+
+        None where none of them has a score.
+        """
+        results = [self.results[name] for name in names if name in self.results]
         scored = [
             r for r in results if (r.fits_by_fold if fold is None else fold in r.fits_by_fold)
         ]
         return find_simplest(scored, rank(scored)[0]) if scored else None
 
     def _prepare(self, job: Job) -> Job | None:
-        """The job with what it corrects and its share of the time.
+        """The job with what it corrects, what it begins with, and its share of the time.
 
         None where it has nothing to correct, or no time is left for it.
         """
-        candidate, physics = self.plan.candidate(job.candidate), job.physics
+        candidate, physics, origin = self.plan.candidate(job.candidate), job.physics, job.origin
         limit = self._limit(job, candidate)
         self._pending.remove(job)
         if candidate.corrects and not job.continues:
-            corrected = self._corrected(candidate, job.fold)
+            corrected = self._best_of(candidate.corrects, job.fold)
             if corrected is None:
                 names = [name for name in candidate.corrects if name in self.results]
                 return self._omit(job, "nothing to correct: " + ", ".join(names))
             physics = corrected.fits_by_fold[job.fold][0].model
+        first = self._best_of(candidate.begins_with, job.fold)
+        if first is not None and not job.continues:
+            origin = first.fits_by_fold[job.fold][0].model
         scores = self._context.folder / job.folder / SCORES
         is_done = scores.is_file() and not self._context.resume and not job.continues
         if limit is None and not is_done:
             if job.continues:
                 return None
             return self._omit(job, NO_TIME)
-        job = replace(job, physics=physics, limit=limit or math.inf)
+        job = replace(job, physics=physics, origin=origin, limit=limit or math.inf)
         self._begun[job.candidate, job.fold] = job
         return job
 

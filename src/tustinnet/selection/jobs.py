@@ -10,8 +10,8 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -20,18 +20,20 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.errors import error_message
+from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
+from tustinnet.fitting.shooting.inverse_dynamics import find_obstacle, unexplained_forces
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
 from tustinnet.selection.folds import FoldSplit, split_into_folds
+from tustinnet.selection.plan import Candidate
 from tustinnet.selection.scoring import RmseByStart, Scorer
 from tustinnet.store.checkpoint import fingerprint
 from tustinnet.store.files import (
@@ -62,7 +64,7 @@ class Job:
         fold: the fold whose records it is scored on, an index of the run's splits.
         seeds: those that train together; an identification has the seed 0.
         physics: the model that a network corrects, as `FitScore.model` names it, or None.
-        origin: the model that the fit begins with, or None.
+        origin: the model that the fit begins with, as `FitScore.model` names it, or None.
         waits_for: candidates whose jobs of this fold come first, where there are any.
         limit: how long it may take [s]; what is done by then is scored.
         continues: whether it goes on from where it was stopped before.
@@ -74,7 +76,7 @@ class Job:
     fold: int
     seeds: tuple[int, ...] = (0,)
     physics: str | None = None
-    origin: Origin | None = None
+    origin: str | None = None
     waits_for: tuple[str, ...] = ()
     limit: float = math.inf
     continues: bool = False
@@ -111,6 +113,8 @@ class FitScore:
         model: the model file, below the run's folder.
         horizon: over how long its fit compared [s], None for whole records.
         rmse: of every record left out, by start [rad or m].
+        unexplained: share of the inputs' force at each coordinate that equations of motion do not
+            explain along these records; of other models, and where forces tell nothing, none.
     """
 
     seed: int
@@ -118,6 +122,7 @@ class FitScore:
     model: str
     horizon: float | None
     rmse: RmseByStart
+    unexplained: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_out_of_time(self) -> bool:
@@ -167,6 +172,8 @@ class RunContext:
         system: the system that is given, or None.
         resume: whether to go on from checkpoints of jobs that were not finished.
         drawn: the splits that jobs are fitted to; None for the folds of the records.
+        cutoff: frequency up to which forces of equations of motion are compared beside free runs
+            [Hz]; None where they are not.
     """
 
     data: DataSet
@@ -176,6 +183,7 @@ class RunContext:
     system: AnySystem | SystemTemplate | None = None
     resume: bool = False
     drawn: tuple[FoldSplit, ...] | None = None
+    cutoff: float | None = None
 
     @cached_property
     def splits(self) -> tuple[FoldSplit, ...]:
@@ -203,6 +211,17 @@ class RunContext:
         # programs are kept by the system: another copy of it would be compiled anew
         vars(other)["loaded_system"] = self.loaded_system
         return other
+
+    def recipe_of(self, candidate: Candidate) -> Recipe:
+        """The recipe by which a candidate is fitted to these records.
+
+        Where forces are compared, and pieces of records scored, a search that begins with what
+        forces say is over these.
+        """
+        horizon = self.scoring.horizon
+        if horizon is None or self.cutoff is None:
+            return candidate.content
+        return candidate.recipe_over(horizon)
 
     @cached_property
     def motion_within_turns(self) -> float:
@@ -329,7 +348,12 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
     """The task of jobs of one candidate; all folds are in it, so that each compiles alike."""
     first = jobs[0]
     by_fold = {
-        job.fold: (None if job.physics is None else context.load_model(job.physics), job.origin)
+        job.fold: (
+            None if job.physics is None else context.load_model(job.physics),
+            None
+            if job.origin is None
+            else Origin(context.load_model(job.origin), fits_records=not job.is_final),
+        )
         for job in jobs
     }
     folds = tuple(
@@ -338,9 +362,9 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
     )
     members = tuple(Member(seed, fold=job.fold) for job in jobs for seed in job.seeds)
     system = context.system_for(first.recipe)
-    recipe = first.recipe
-    if first.origin is not None:
-        recipe = begin_with(recipe, first.origin.model, system, context.data)
+    recipe, origin = first.recipe, by_fold[first.fold][1]
+    if origin is not None:
+        recipe = begin_with(recipe, origin.model, system, context.data)
     return Task(recipe, folds, members, system)
 
 
@@ -417,13 +441,26 @@ def _score_fits(
                 **context.system_header(fit.model),
             }
             save(fit.model, context.folder / model, **header)
-        scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse))
+        unexplained = _unexplained_forces(job, fit, context)
+        scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse, unexplained))
     ended: Ended = "out of time" if any(f.is_out_of_time for f in fits) else "done"
     if ended == "done":
         return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores))
     scored = "best weights so far are" if job.recipe.family.resumable else "last finished stage is"
     why = f"{SPENT}: its {scored} scored" if scores else SPENT
     return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores), why)
+
+
+def _unexplained_forces(job: Job, fit: FitResult, context: RunContext) -> Mapping[str, float]:
+    """Shares of forces along the records left out that the equations of a fit do not explain."""
+    equations = None if fit.identification is None else family_of(fit.model).equations(fit.model)
+    records = context.splits[job.fold].scored
+    if context.cutoff is None or equations is None or find_obstacle(equations.system, records):
+        return {}
+    try:
+        return unexplained_forces(equations, records, context.cutoff)
+    except InputError:  # records too short for it: free runs decide anyway
+        return {}
 
 
 def _has_useful_model(fit: FitResult) -> bool:

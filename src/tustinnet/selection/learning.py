@@ -22,7 +22,7 @@ from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import AnyRecipe, Origin
+from tustinnet.fitting.task import AnyRecipe
 from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -359,15 +359,17 @@ class DrawFitter:
         models: dict[str, Model] = {}
         jobs = []
         for i, draw in enumerate(draws):
-            name, corrected = None, None if physics is None else physics[i]
-            if corrected is not None:
-                name = f"physics {i}"
-                models[name] = corrected
-            origin = None if origins is None else origins[i]
+            names: dict[str, str] = {}
+            for role, given in (("physics", physics), ("origin", origins)):
+                model = None if given is None else given[i]
+                if model is not None:
+                    names[role] = f"{role} {i}"
+                    models[names[role]] = model
+            seeds = (draw.number,) if together else (0,)
             jobs.append(
                 Job(
-                    recipe.name, recipe, i, (draw.number,) if together else (0,), physics=name,
-                    origin=None if origin is None else Origin(origin),
+                    recipe.name, recipe, i, seeds, physics=names.get("physics"),
+                    origin=names.get("origin"),
                 )
             )  # fmt: skip
         context = RunContext(

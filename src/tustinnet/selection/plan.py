@@ -16,7 +16,7 @@ from tustinnet.data.declaration import (
     read_packaged,
 )
 from tustinnet.errors import InputError
-from tustinnet.fitting.recipe import Horizon, Recipe
+from tustinnet.fitting.recipe import Horizon, IdentificationRecipe, Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.simulate.starts import start_named
 
@@ -35,19 +35,23 @@ class Candidate(Declaration):
         set: changes of the recipe, `KEY=VALUE` as the command takes them.
         corrects: candidates whose models are what a recipe that corrects physics corrects: in
             every fold the one of them that is best so far.
+        begins_with: candidates at whose values an identification begins: in every fold at those of
+            the one of them that is best so far; where there is none, at the system's.
         when: `always`, or only for records that are `fast` or `slow`: where a coordinate has few
             samples in a period of its dominant frequency, or none has; or only where `no-system` is
-            given.
+            given; or only for systems that are `fully-actuated`: whose inputs drive all
+            coordinates, so that inverse dynamics tells all forces.
         last: whether it is tried for the first time after all others, where time is left; what
             corrects it does not wait for it then.
     """
 
     name: Name
     recipe: str
-    when: Literal["always", "fast", "slow", "no-system"] = "always"
+    when: Literal["always", "fast", "slow", "no-system", "fully-actuated"] = "always"
     last: bool = False
     set: tuple[str, ...] = ()
     corrects: tuple[str, ...] = ()
+    begins_with: tuple[str, ...] = ()
 
     @cached_property
     def content(self) -> Recipe:
@@ -57,6 +61,27 @@ class Candidate(Declaration):
             InputError: no such recipe, or changes that it does not take.
         """
         return read_recipe(self.recipe, self.set)
+
+    @property
+    def is_by_forces(self) -> bool:
+        """Whether it compares forces along the measured motion, and simulates nothing."""
+        recipe = self.content
+        by_forces = "inverse-dynamics"
+        return isinstance(recipe, IdentificationRecipe) and recipe.search.method == by_forces
+
+    def recipe_over(self, horizon: float) -> Recipe:
+        """The recipe, a search that begins with other candidates over a horizon [s].
+
+        Unless it has a horizon of its own. What forces say of a machine that a controller held is
+        lost in a search over whole records.
+        """
+        recipe = self.content
+        if not (self.begins_with and isinstance(recipe, IdentificationRecipe)):
+            return recipe
+        search = recipe.search
+        if search.horizon is None:
+            search = search.model_copy(update={"horizon": horizon})
+        return recipe.model_copy(update={"search": search})
 
 
 class Average(Declaration):
@@ -145,6 +170,8 @@ class SelectionPlan(Declaration):
         require_unique(names, "candidates or committees")
         for i, candidate in enumerate(self.candidates):
             require_earlier(candidate.corrects, candidates[:i], f"'{candidate.name}' corrects")
+            who = f"'{candidate.name}' begins with"
+            require_earlier(candidate.begins_with, candidates[:i], who)
         for committee in self.committees:
             require_unique(committee.of, f"members of '{committee.name}'")
             require_earlier(committee.of, candidates, f"'{committee.name}' is of")
@@ -210,3 +237,11 @@ def _check(candidate: Candidate, plan: SelectionPlan) -> None:
         if not family.correctable:
             raise InputError(where, f"corrects '{name}' of kind '{family.kind}'",
                              "a candidate whose models a network can correct")  # fmt: skip
+    if candidate.begins_with and not isinstance(recipe, IdentificationRecipe):
+        raise InputError(where, f"`begins_with` with a recipe of kind '{recipe.family.kind}'",
+                         "a recipe that identifies a system")  # fmt: skip
+    for name in candidate.begins_with:
+        kind = plan.candidate(name).content.family.kind
+        if kind != recipe.family.kind:
+            raise InputError(where, f"begins with '{name}' of kind '{kind}'",
+                             f"a candidate of its own kind, '{recipe.family.kind}'")  # fmt: skip

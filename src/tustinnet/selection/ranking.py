@@ -82,6 +82,18 @@ class CandidateResult:
                     by_record.setdefault(record, []).append(value)
         return {record: float(np.mean(values)) for record, values in by_record.items()}
 
+    @property
+    def unexplained(self) -> dict[str, float]:
+        """Share of the force at each coordinate that equations of motion do not explain.
+
+        Mean over the fits that have one, on the records that each was not fitted to.
+        """
+        shares: dict[str, list[float]] = {}
+        for fit in self.fits:
+            for coordinate, share in fit.unexplained.items():
+                shares.setdefault(coordinate, []).append(share)
+        return {coordinate: float(np.mean(values)) for coordinate, values in shares.items()}
+
 
 def paired_difference(
     one: CandidateResult, other: CandidateResult, without: str = ""

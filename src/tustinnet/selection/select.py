@@ -1,6 +1,5 @@
 """Selection: tries a plan's candidates within a budget and writes the best model."""
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.task import resolve_system
+from tustinnet.fitting.shooting.inverse_dynamics import choose_cutoff
 from tustinnet.models.contract import require_float64
+from tustinnet.selection.applicability import adds_lag, applicable_candidates
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
@@ -24,12 +23,12 @@ from tustinnet.selection.final_models import FinalModel, SelectionResults, make_
 from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import NO_STAGE, SPENT, MakeJobListener, RunContext
-from tustinnet.selection.plan import USUAL, Candidate, SelectionPlan, read_plan
+from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.spoiled import leave_out_spoiled
-from tustinnet.selection.timing import LAG, determine_timing
+from tustinnet.selection.timing import determine_timing
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
@@ -52,7 +51,7 @@ from tustinnet.store.specification import (
     require_same_specification,
     write_specification,
 )
-from tustinnet.systems.files import AnySystem, SystemTemplate
+from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
@@ -146,19 +145,7 @@ def select_model(
         timing_end = Deadline.after(_TIMING * budget)
     # what cannot be done is said before time is spent
     records, cut = prepare_for_folds(data)
-    candidates, omitted = _applicable_candidates(plan, options, records)
-    if earlier == "refuse":
-        _require_no_earlier(folder)
     horizon = effective_horizon(plan.horizon, list(records))
-    long = (
-        f"no record is longer than the plan's horizon of {plan.horizon:g} s: judged over whole "
-        "records"
-        if plan.horizon is not None and horizon is None
-        else ""
-    )
-    before = [note for note in (cut, long, *omitted) if note]
-    for note in before:
-        reporter.on_message(note)
     context = RunContext(
         records,
         Scorer(min(plan.folds, len(records)), plan.start, horizon),
@@ -166,10 +153,28 @@ def select_model(
         system=options.system,
         resume=earlier == "resume",
     )
+    candidates, omitted = applicable_candidates(plan, context, budget)
+    if earlier == "refuse":
+        _require_no_earlier(folder)
+    long = (
+        f"no record is longer than the plan's horizon of {plan.horizon:g} s: judged over whole "
+        "records"
+        if plan.horizon is not None and horizon is None
+        else ""
+    )
+    in_loop = (
+        "judged by free runs in the loop of the controller in the data card: set points go in, "
+        "motion comes out"
+        if records.channels.controller is not None
+        else ""
+    )
+    before = [note for note in (cut, long, in_loop, *omitted) if note]
+    for note in before:
+        reporter.on_message(note)
     specification = _make_specification(plan, context)
     stopwatch.end("records")
     timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
-    promising = [c.name for c in candidates if timing.lags and _adds_lag(c)]
+    promising = [c.name for c in candidates if timing.lags and adds_lag(c)]
     for note in timing.sentences:
         reporter.on_message(note)
     stopwatch.end("holds and delays")
@@ -183,7 +188,11 @@ def select_model(
             reporter.on_message(note)
     context = context.with_changes(data=prepare_for_folds(usable)[0])
     folds = min(context.scoring.folds, len(context.data))
-    context = context.with_changes(scoring=replace(context.scoring, folds=folds))
+    by_forces = any(c.is_by_forces for c in candidates)
+    context = context.with_changes(
+        scoring=replace(context.scoring, folds=folds),
+        cutoff=choose_cutoff(records_without_test(context.data)) if by_forces else None,
+    )
     if options.leave_out_spoiled:
         stopwatch.end("parts left out")
     notes = (*timing.sentences, *left_out, *before)
@@ -215,12 +224,6 @@ def select_model(
     return choice
 
 
-def _adds_lag(candidate: Candidate) -> bool:
-    """Whether the recipe of a candidate adds the lag of an actuator."""
-    forces = getattr(candidate.content.model, "forces", ())
-    return any(force.partition(":")[0] == LAG for force in forces)
-
-
 def _make_say_once(reporter: Reporter) -> Callable[[str], None]:
     """A function that reports a sentence unless it did before, as rounds that are repeated do."""
     reported = set[str]()
@@ -240,12 +243,20 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
     usual = _TENTH * float(np.median([len(e) for e in context.data])) * dt
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
+    is_held = context.cutoff is not None and context.data.channels.controller is None
+    remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
+    remedy += "records be judged in its loop"
     note = (
         "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
+        f"{remedy * is_held}"
     )
     scoring = replace(context.scoring, horizon=horizon)
-    return context.with_changes(scoring=scoring, resume=False), note
+    # what this run has fitted is scored again, not gone on with
+    tried = [name for name, result in halving.results.items() if result.fits_by_fold]
+    is_begun = not all(halving.plan.candidate(name).is_by_forces for name in tried)
+    resume = context.resume and not is_begun
+    return context.with_changes(scoring=scoring, resume=resume), note
 
 
 def _choose(
@@ -322,54 +333,6 @@ def _find_spoiled(
     if not identified:
         return ()
     return find_spoiled(models[identified[0]].model, records_without_test(context.data))
-
-
-def _applicable_candidates(
-    plan: SelectionPlan, options: SelectionOptions, records: DataSet
-) -> tuple[list[Candidate], list[str]]:
-    """The candidates for which everything is given, and sentences on those for which not."""
-    if options.budget is not None and not 0 < options.budget < math.inf:
-        raise InputError("--budget", f"{options.budget:g} s", "a time above 0")
-    if options.system is not None and not any(_identifies(c) for c in plan.candidates):
-        raise InputError("--system", f"not applicable to the plan '{plan.name}'",
-                         "a plan with a candidate that identifies a system")  # fmt: skip
-    fast = any(scales.is_fast for scales in coordinate_timescales(list(records)).values())
-    other = "slow" if fast else "fast"
-    omitted: dict[str, str] = {}  # the reason by candidate
-    has_controller = records.channels.controller is not None
-    for c in plan.candidates:
-        if c.when == other:
-            omitted[c.name] = f"only for {other} records"
-        elif _adds_lag(c) and not records.channels.inputs:
-            omitted[c.name] = "only for records with inputs"
-        elif has_controller and _ignores_controller(c):
-            omitted[c.name] = "without the controller of the data card"
-        elif c.when == "no-system" and options.system is not None:
-            omitted[c.name] = "only without a system"
-        elif _identifies(c) and (options.system or resolve_system(c.content, None)) is None:
-            omitted[c.name] = "requires a system (--system)"
-        elif c.corrects and omitted.keys() >= set(c.corrects):
-            omitted[c.name] = omitted[c.corrects[0]]
-    sentences = []
-    for why in dict.fromkeys(omitted.values()):
-        names = ", ".join(name for name, reason in omitted.items() if reason == why)
-        sentences.append(f"left out, {why}: {names}")
-    candidates = [c for c in plan.candidates if c.name not in omitted]
-    if not candidates:
-        where, expected = f"plan '{plan.name}'", "a candidate that can take part"
-        raise InputError(where, "; ".join(sentences), expected)
-    return candidates, sentences
-
-
-def _identifies(candidate: Candidate) -> bool:
-    return "system" in candidate.content.family.needs
-
-
-def _ignores_controller(candidate: Candidate) -> bool:
-    """Whether a controller in the loop of records has no use for the models of a candidate."""
-    recipe = candidate.content
-    made_for_records = isinstance(resolve_system(recipe, None), SystemTemplate)
-    return made_for_records or not recipe.family.has_feedback
 
 
 def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:

@@ -1,45 +1,14 @@
 """Energies, friction, actuators and elastic gears of a robot, as functions of a system."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from tustinnet.models import forces
+from tustinnet.models.added import PlacedForce, compute_friction
 from tustinnet.models.chains import Chain
 from tustinnet.models.lagrangian import Memory
-
-CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # by the width of the smoothed sign
-
-
-def curve_names(joint: str) -> list[str]:
-    """Names of the parameters of a joint's friction curve: odd in the speed, then even."""
-    return [
-        f"{joint}.curve_{kind}{i + 1}" for kind in ("odd", "even") for i in range(len(CURVE_SPEEDS))
-    ]
-
-
-def friction_curve(v: Any, weights: Sequence[Any], width: Any) -> Any:
-    """Friction of any dependence on the speed: `sum a_i tanh(v / w_i) + b_i tanh(v / w_i)^2`.
-
-    A network with one hidden layer whose hidden weights are fixed, so that forces are linear in
-    its parameters. The even terms are friction that differs between directions.
-
-    Args:
-        v: velocity [rad/s or m/s].
-        weights: a_i, then b_i [N m or N].
-        width: width of the smoothed sign in the Coulomb friction; w_i are `CURVE_SPEEDS` times it
-            [rad/s or m/s].
-    """
-    return sum(a * term for a, term in zip(weights, curve_terms(v, width), strict=True))
-
-
-def curve_terms(v: Any, width: Any) -> list[Any]:
-    """The terms of a friction curve, of which each has a weight, see `friction_curve`."""
-    odd = [jnp.tanh(v / (speed * width)) for speed in CURVE_SPEEDS]
-    return [*odd, *(term**2 for term in odd)]
 
 
 @dataclass(frozen=True)
@@ -112,7 +81,7 @@ class RobotEquations:
     joints: tuple[str, ...]
     drives: tuple[Drive, ...]
     springs: tuple[Spring, ...]
-    friction: tuple[str, ...] = ()
+    friction: tuple[PlacedForce, ...] = ()
     elastic: tuple[int, ...] = ()
     backlash: tuple[int, ...] = ()
 
@@ -186,25 +155,15 @@ class RobotEquations:
     def _friction(self, q: Any, v: Any, p: Any) -> Any:
         """Friction and an offset against the motion, (n_q,) [N m or N].
 
-        Load-dependent friction is a share of the torque or force of gravity, as in Hamon, Gautier,
-        Garrec (2010), Dynamic identification of robots with a dry friction model depending on load
-        and velocity, IROS: there of the whole load, which accelerations are a part of.
+        Load is the torque or force of gravity.
         """
-        by_gravity = jax.grad(self.chain.potential)(q, p) if "load" in self.friction else None
         total = []
         for k, name in enumerate(self.joints):
-            level, width = p[f"{name}.coulomb"], p[f"{name}.coulomb_speed"]
-            if by_gravity is not None:
-                level = level + p[f"{name}.load_friction"] * jnp.abs(by_gravity[k])
-            if "stribeck" in self.friction:
-                breakaway = level + p[f"{name}.breakaway"]
-                dry = forces.stribeck(v[k], level, breakaway, p[f"{name}.stribeck_speed"], width)
-            else:
-                dry = forces.coulomb(v[k], level, width)
-            if "curve" in self.friction:
-                dry = dry + friction_curve(v[k], [p[n] for n in curve_names(name)], width)
+            dry = forces.coulomb(v[k], p[f"{name}.coulomb"], p[f"{name}.coulomb_speed"])
             total.append(forces.viscous(v[k], p[f"{name}.viscous"]) + dry + p[f"{name}.offset"])
-        return jnp.stack(total)
+        if not self.friction:
+            return jnp.stack(total)
+        return jnp.stack(total) + compute_friction(self.friction, self.chain.potential, q, v, p)
 
     def _actuator_forces(self, q: Any, v: Any, u: Any, p: Any) -> Any:
         """Forces of the actuators at positions and speeds of the motors, (n_q,) [N m or N]."""

@@ -10,6 +10,7 @@ import numpy as np
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.units import convert_to_si
 from tustinnet.errors import InputError
+from tustinnet.models.added import PlacedForce, place_force
 from tustinnet.models.chains import (
     CENTER,
     DIAGONAL,
@@ -22,6 +23,7 @@ from tustinnet.models.chains import (
     inertial_parameters,
 )
 from tustinnet.models.contract import ContinuousModel, Model
+from tustinnet.models.forces import LARGEST_LOAD_SHARE, LAWS, Law
 from tustinnet.models.kinematics import BASE, Link
 from tustinnet.models.lagrangian import (
     ChannelSource,
@@ -41,12 +43,12 @@ from tustinnet.systems.robot import (
     join_inertias,
     rotation_about,
 )
-from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring, curve_names
+from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
 from tustinnet.systems.robot_shapes import with_inertias
 from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
 from tustinnet.systems.urdf import read_urdf
 
-FRICTIONS = ("stribeck", "load", "curve")  # beside viscous and Coulomb friction
+FRICTIONS = ("stribeck", "load", "curve")  # laws beside viscous and Coulomb friction
 ANY_UNIT = "1"  # of an input with a gain of the file: whatever the card says
 _G = 9.81  # [m/s^2], for ranges
 _MASS = 5.0  # factor by which a mass or a spread may differ from the file's
@@ -57,7 +59,6 @@ _DAMPING = 10.0  # largest damping by inertia [1/s]
 _SPEED = 0.02  # speed at which 76 % of the Coulomb friction are reached [rad/s or m/s]
 _STRIBECK = 5.0  # Stribeck speed by that speed: where its search begins
 _STRIBECK_RANGE = 5.0  # factor by which it may differ
-_LARGEST_LOAD_SHARE = 0.5  # of the torque or force of gravity, as friction
 _GEAR = 10.0  # factor by which the stiffness and the play of a gear may differ from what is said
 _LIGHTLY = 0.1  # damping of a gear by that of an oscillation without overshoot, to begin with
 _LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
@@ -554,8 +555,8 @@ class _Assembly:
             for names in (self.elastic, self.backlash)
         )
         equations = RobotEquations(
-            chain, tuple(self.free), tuple(self.drives), self._springs(), self.friction, elastic,
-            backlash,
+            chain, tuple(self.free), tuple(self.drives), self._springs(), self._frictions(),
+            elastic, backlash,
         )  # fmt: skip
         return LagrangianSystem(
             name=self.robot.name,
@@ -638,11 +639,11 @@ class _Assembly:
                           slow * _STRIBECK_RANGE, prior=slow),
             ]  # fmt: skip
         if "load" in self.friction:
-            parameters.append(_weak(f"{name}.load_friction", "1", 0.0, _LARGEST_LOAD_SHARE))
+            parameters.append(_weak(f"{name}.load_friction", "1", 0.0, LARGEST_LOAD_SHARE))
         if "curve" in self.friction:
             parameters += [
                 Parameter(weight, kind, 0.0, -effort, effort, prior=_SHARE * effort)
-                for weight in curve_names(name)
+                for weight in self._place(LAWS["curve"], k).brought
             ]
         if (stiffness := self.elastic.get(name)) is not None:
             damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))
@@ -714,6 +715,17 @@ class _Assembly:
             inertia += mass if is_linear else mass * (lever**2 + float(spread @ spread))
             force += mass * _G * (1.0 if is_linear else lever + float(spread.max()))
         return inertia, force
+
+    def _frictions(self) -> tuple[PlacedForce, ...]:
+        """Frictions of the chosen laws at every coordinate, beside its own Coulomb friction."""
+        return tuple(
+            self._place(LAWS[name], k) for name in self.friction for k in range(len(self.free))
+        )
+
+    def _place(self, law: Law, k: int) -> PlacedForce:
+        """A friction at a coordinate."""
+        own = (f"{self.free[k]}.coulomb", f"{self.free[k]}.coulomb_speed")
+        return place_force(law, self.free[k], k, own)
 
     def _springs(self) -> tuple[Spring, ...]:
         return tuple(

@@ -11,6 +11,7 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.shooting.findings import describe_force_limits
 from tustinnet.fitting.shooting.inverse_dynamics import filter_record
 from tustinnet.models.forces import LAWS
@@ -80,12 +81,17 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
-    curve = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
-    # it is suggested where it helps
+    # it is suggested where it helps, as the command has it
     (sentence,) = [s for s in plain.findings if "depends on the speed" in s]
     assert "missing at shoulder" in sentence
-    assert "friction=['curve']" in sentence
+    (forces,) = re.findall("--set '(.*)'", sentence)
+    assert forces.startswith('model.forces=["curve:shoulder", "curve:')
+    by_recipe = tn.read_recipe("inverse-dynamics", [forces])
+    curve = tn.identify(data, tn.load_system(SCARA), by_recipe)
     assert not [s for s in curve.findings if "depends on the speed" in s]
+    assert curve.model.continuous.system.parameter("shoulder.curve_odd1").prior is not None
+    by_option = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
+    assert not [s for s in by_option.findings if "depends on the speed" in s]
     intervals = {e.name: e.interval for e in rich.estimates}
     for joint in ("shoulder", "elbow"):
         missing, by_curve, without = (
@@ -104,6 +110,34 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     # gravity acts along the slide alone, where it does not change: nothing tells it from Coulomb's
     for joint in ("shoulder", "elbow", "roll"):
         assert intervals[f"{joint}.load_friction"] is None
+
+
+def test_a_model_that_was_stopped_on_its_way_is_none(system, twin):
+    steps: list[Iteration] = []
+    with pytest.raises(InputError, match="stopped at its time limit before a stage was finished"):
+        tn.identify(
+            twin, system, "inverse-dynamics", on_iteration=steps.append,
+            should_stop=lambda: len(steps) == 2,
+        )  # fmt: skip
+    assert len(steps) == 2
+
+
+def test_no_record_is_kept_from_the_fit_to_choose_something():
+    assert not tn.read_recipe("inverse-dynamics").needs_validation
+    assert tn.read_recipe("grey").needs_validation
+
+
+def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, truth):
+    data = record_in_loop(system, truth, count=4, seconds=20.0)
+    slow = [
+        tn.from_arrays(
+            e.q[::10], e.u[::10], dt=10 * e.dt, coordinates=list(e.channels.coordinates),
+            inputs=list(e.channels.inputs), name=e.name, split=e.split,
+        )
+        for e in data
+    ]  # fmt: skip
+    result = tn.identify(tn.DataSet("slow", tuple(slow)), system, "inverse-dynamics")
+    assert result.horizon == pytest.approx(6 * 0.05)
 
 
 def test_friction_that_is_explained_needs_no_curve(result):

@@ -11,7 +11,7 @@ from tustinnet.data.inspection import rotating_coordinates
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.models.added import WHERE, added_parameters, parse_forces, with_forces
+from tustinnet.models.added import WHERE, parse_forces, with_forces
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter, current_force
@@ -68,10 +68,10 @@ def with_added(
                 "a coordinate that moves", "name those that do, as LAW:COORDINATE",
             )  # fmt: skip
         coordinate = system.coordinates[force.index]
-        every = [need.for_coordinate(coordinate, motion) for need in force.law.parameters]
+        every = [need.for_coordinate(coordinate, motion) for need in force.brought.values()]
         parameters |= {p.name: p for p in every}
-    shared = set(added_parameters(system))  # of forces that were added before
-    new = tuple(p for name, p in parameters.items() if name not in shared)
+    # frictions that were added before share some
+    new = tuple(p for name, p in parameters.items() if name not in system.added_parameters)
     return with_forces(system, tuple(map(str, added)), new)
 
 

@@ -4,6 +4,7 @@ Each function describes one thing: why the search ended, signs, horizons, disagr
 corrupted samples, condition, errors. `results` puts them together.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,6 +21,7 @@ from tustinnet.fitting.report import (
 )
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.models.added import PlacedForce
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.wording import counted
 
@@ -225,17 +227,18 @@ def describe_force_limits(
     ] if listed else []  # fmt: skip
 
 
-def describe_curves(names: Sequence[str], file: str) -> list[str]:
-    """Sentence on the joints whose missing forces depend on their speeds.
+def describe_curves(curves: Sequence[PlacedForce], added: Sequence[str]) -> list[str]:
+    """Sentence on the coordinates whose missing forces depend on their speeds.
 
     Args:
-        names: the joints.
-        file: the robot's file.
+        curves: friction curves that explain them.
+        added: the names of the forces that were added to the system, which the recipe keeps.
     """
+    names = ", ".join(curve.channel for curve in curves)
+    forces = json.dumps([*added, *map(str, curves)])
     return [
-        f"most of the force that is missing at {', '.join(names)} depends on the speed there: "
-        f"friction of another form; SYSTEM = tn.load_robot('{file}', friction=['curve']) in a "
-        "system file has it"
+        f"most of the force that is missing at {names} depends on the speed there: friction of "
+        f"another form; it is found with --set 'model.forces={forces}'"
     ]
 
 

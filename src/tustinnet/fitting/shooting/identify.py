@@ -131,21 +131,31 @@ def identify_task(
     start_time = time.perf_counter()
     problem = _make_problem(task, member, listener, should_stop)
     initial_state = _make_initial_state(problem, task.identification_recipe)
+    origin = task.folds[member.fold].origin
+    if origin is not None and origin.fits_records:
+        initial_state = replace(initial_state, has_fitted_values=True)
     if problem.search.method == "inverse-dynamics":
         identification = identify_by_inverse_dynamics(problem, initial_state)
+        if identification is None:
+            raise _unfinished_search(problem)
         return _make_fit_result(task, member, identification, start_time)
     kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
     problem, state = search_over_holds(replace(problem, system=kept.system), state)
     if state.result is None:
-        raise UnfinishedSearchError(
-            f"identification of '{problem.system.name}'",
-            "stopped at its time limit before a stage was finished",
-            "time for the first stage", "allow more",
-        )  # fmt: skip
+        raise _unfinished_search(problem)
     reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
     refit_result = refit_to_free_runs(problem, state)
     identification = make_identification(problem, state, reversed_signs, refit_result)
     return _make_fit_result(task, member, identification, start_time)
+
+
+def _unfinished_search(problem: Problem) -> UnfinishedSearchError:
+    """The error of a search that was stopped before it had a model."""
+    return UnfinishedSearchError(
+        f"identification of '{problem.system.name}'",
+        "stopped at its time limit before a stage was finished",
+        "time for the first stage", "allow more",
+    )  # fmt: skip
 
 
 def _make_fit_result(
@@ -271,7 +281,8 @@ def _find_suspect_signs(
     """Signs that are probably reversed, where the equations of motion explain the records poorly.
 
     A search whose first values are not an equation-error estimate gets one for that, unless it was
-    stopped, or the system was made for the records: its optional terms may have either sign.
+    stopped, it began with values that were fitted to the records, or the system was made for them:
+    its optional terms may have either sign.
 
     Args:
         task: the task.
@@ -284,7 +295,8 @@ def _find_suspect_signs(
     values |= initial_state.space.to_values_in_range(initial_state.vector)
     vector = state.space.to_vector(values)
     unexplained = state.worst_unexplained
-    if unexplained is None and not (state.is_stopped or isinstance(task.system, SystemTemplate)):
+    is_known = initial_state.has_fitted_values or isinstance(task.system, SystemTemplate)
+    if unexplained is None and not (state.is_stopped or is_known):
         estimate = estimate_by_equation_error(problem.system, state.space, vector, problem.motion)
         unexplained = float(estimate.unexplained.max())
     if unexplained is None or unexplained <= _POORLY_EXPLAINED:

@@ -8,8 +8,10 @@ differentiated, and the parameters are those whose equations of motion ask for t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
@@ -22,6 +24,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.report import Estimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
+from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group_indices
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import (
     Problem,
@@ -33,10 +36,12 @@ from tustinnet.fitting.shooting.problem import (
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.models.added import parse_forces
 from tustinnet.models.chains import CENTER, INERTIAL
+from tustinnet.models.forces import curve_terms, slow_speed
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.sensors import delay_names
 from tustinnet.signals.low_pass import low_pass, noise_bandwidth, occupied_band
-from tustinnet.systems.robot_equations import curve_terms
-from tustinnet.systems.robots import RobotFile
 
 STAGE = "inverse dynamics"
 
@@ -50,7 +55,23 @@ _FEWEST = 20  # samples that must be left of a record
 _REWEIGHTINGS = 3  # each after the iteration has converged
 _EXPLAINED = 0.67  # share of the missing forces that a friction curve leaves, to be worth a word
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
+_POSES = 3  # in which it is looked which coordinates the inputs drive
+_RANK = 1e-6  # of inputs' directions, below which one is a combination of others
 _INFORMED = 0.5  # share of a prior's standard deviation below which records decide
+
+
+class Obstacle(NamedTuple):
+    """What keeps a system from being identified by inverse dynamics.
+
+    Attributes:
+        problem: what it is, as words behind "inverse dynamics".
+        expected: what is needed instead.
+        remedy: what to do.
+    """
+
+    problem: str
+    expected: str
+    remedy: str
 
 
 class MeasuredForces(NamedTuple):
@@ -135,7 +156,7 @@ class _Errors(NamedTuple):
         return float(np.sqrt(max(kept @ matrix[place] @ kept for matrix in matrices)))
 
 
-def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification:
+def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification | None:
     """Identifies the parameters of a problem by the forces along the records' motion.
 
     Every coordinate's equation is weighed by what it leaves at the end; the prior of each parameter
@@ -147,9 +168,12 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
         problem: the problem.
         state: the initial values.
 
+    Returns:
+        None where it was stopped before it had converged with its first weights.
+
     Raises:
-        InputError: a system with internal states, inputs that were not recorded, a record that is
-            too short, or a force that is not finite.
+        InputError: what `find_obstacle` finds, a record that is too short, or a force that is not
+            finite.
 
     References:
         Gautier, Khalil (1990), Direct calculation of minimum set of inertial parameters of serial
@@ -158,19 +182,12 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     """
     closed_loop, problem = problem, problem.plant
     system = problem.system
-    if system.internal or problem.delays:
-        what = "internal states" if system.internal else "delays"
+    obstacle = find_obstacle(system, closed_loop.records)
+    if obstacle is not None:
         raise InputError(
-            "search.method", f"inverse-dynamics, of a system with {what}", "one without",
-            "identify it by simulation: --recipe grey",
+            "search.method", f"inverse-dynamics, {obstacle.problem}", obstacle.expected,
+            obstacle.remedy,
         )  # fmt: skip
-    for e in closed_loop.records:
-        if e.channels.controller is not None and e.outputs is None:
-            raise InputError(
-                "search.method", "inverse-dynamics, without the inputs that the controller "
-                "computed", "their columns in the data card",
-                "add them, or identify by simulation: --recipe grey",
-            )  # fmt: skip
     values = state.space.to_values(state.vector)
     if closed_loop.system.feedback is not None:
         # no force of the system says anything of the controller's gains
@@ -178,11 +195,11 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
         space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
         state = replace(state, space=space, vector=space.to_vector(values))
     space = state.space
-    cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
+    cutoff = problem.search.cutoff or choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
     formula = missing_forces(equations)
-    unit = _force_sizes(*_forces_along(formula, equations, problem, train, values))
+    unit = _force_sizes(*_forces_along(formula, equations, train, values))
     prior = Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
     if not np.isfinite(point.cost):
@@ -190,7 +207,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             f"system '{system.name}'", "forces that are not finite along the records", "numbers"
         )
     iterations, status = 0, ""
-    for _ in range(_REWEIGHTINGS):
+    for k in range(_REWEIGHTINGS):
         result = iterate(
             point,
             lambda p, damping, unit=unit: _propose(
@@ -205,6 +222,8 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             problem.should_stop,
         )
         iterations, status = iterations + result.iterations, result.status
+        if status == "stopped" and not k:
+            return None
         residuals = np.concatenate(result.point.residuals)
         unit = np.maximum(np.sqrt(np.mean(residuals**2, axis=0)), 1e-9 * unit)
         point = _evaluate(
@@ -219,6 +238,75 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     )  # fmt: skip
 
 
+def find_obstacle(system: LagrangianSystem, records: Sequence[Experiment]) -> Obstacle | None:
+    """Why a system cannot be identified by forces along the motion of records; None if it can.
+
+    Args:
+        system: the system, without a controller in the loop.
+        records: the records.
+    """
+    if system.internal or delay_names(system.sensors):
+        what = "internal states" if system.internal else "delays"
+        remedy = "identify it by simulation: --recipe grey"
+        return Obstacle(f"of a system with {what}", "one without", remedy)
+    if any(e.channels.controller is not None and e.outputs is None for e in records):
+        return Obstacle(
+            "without the inputs that the controller computed",
+            "their columns in the data card",
+            "add them, or identify by simulation: --recipe grey",
+        )
+    return None
+
+
+def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> bool:
+    """Whether the inputs of a system drive all of its coordinates, each by itself.
+
+    With its nominal values, at rest where records begin.
+
+    Args:
+        system: the system, without a controller in the loop.
+        records: records of it.
+    """
+    n, n_u = len(system.coordinates), len(system.inputs)
+    if system.input_map is None or n_u < n:
+        return False
+    drive = jax.jacobian(partial(system.input_map, p=system.nominal()), argnums=2)
+    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u)) for e in records[:_POSES]])
+    if not np.isfinite(gains).all():
+        return False
+    # their units differ: compared are the directions of the inputs' forces
+    sizes = np.linalg.norm(gains, axis=1, keepdims=True)
+    ranks = np.linalg.matrix_rank(gains / np.where(sizes > 0, sizes, 1.0), tol=_RANK)
+    return int(ranks.max()) == n
+
+
+def unexplained_forces(
+    model: LagrangianModel, records: Sequence[Experiment], cutoff: float
+) -> dict[str, float]:
+    """The force at each coordinate that a model does not explain, as a share of the inputs' force.
+
+    Both are root mean squares along the records. Without an actuator at a coordinate it is a share
+    of the force that the motion needs.
+
+    Args:
+        model: equations of motion to which `find_obstacle` finds no obstacle.
+        records: records that were not fitted to.
+        cutoff: frequency up to which forces are compared [Hz].
+
+    Raises:
+        InputError: a record that is too short.
+    """
+    system = model.system.plant
+    equations = system_equations(system)
+    formula = missing_forces(equations)
+    values = {name: float(x) for name, x in model.values.items()}
+    parts = [filter_record(e.without_controller(), cutoff) for e in records]
+    missing = _root_mean_square(_missing_along(formula, equations, parts, values))
+    shares = np.divide(missing, _force_sizes(*_forces_along(formula, equations, parts, values)))
+    return {c.name: float(x) for c, x in zip(system.coordinates, shares, strict=True)}
+
+
+@lru_cache(maxsize=64)  # so that it is compiled once
 def missing_forces(equations: SystemEquations) -> Formula:
     """Forces that a motion needs and the inputs do not give, (n_q,), by [q, v, a, u, parameters].
 
@@ -270,8 +358,11 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     return part
 
 
-def _choose_cutoff(records: Sequence[Experiment]) -> float:
-    """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
+def choose_cutoff(records: Sequence[Experiment]) -> float:
+    """The frequency up to which forces along records are compared [Hz].
+
+    It is well above the motion and below the sampling rate.
+    """
     band = max(occupied_band(e.q, e.dt) for e in records)
     return cutoff_for(band, records[0].dt)
 
@@ -348,7 +439,7 @@ def _evaluate(
     columns, values = equations.free_columns(space), space.to_values(vector)
     matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
     for part in train:
-        points = _with_parameters(equations, problem, part, values)
+        points = _with_parameters(equations, part, values)
         residual = part.compare(evaluate(formula, points))
         slopes = part.compare(evaluate(formula, points, derivatives=True))
         slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
@@ -393,17 +484,18 @@ def _propose(
 
 
 def _with_parameters(
-    equations: SystemEquations, problem: Problem, part: MeasuredForces, values: Mapping[str, float]
+    equations: SystemEquations, part: MeasuredForces, values: Mapping[str, float]
 ) -> Float[np.ndarray, "n n_in"]:
     """Points of a filtered record with the parameters behind them, as the formula takes them."""
-    indices = np.repeat(problem.group_indices([part.record]), len(part.points), axis=0)
+    parameters = expand_parameters_by_values(equations.system, values)
+    indices = group_indices(equations.system, parameters, [part.record])
+    indices = np.repeat(indices, len(part.points), axis=0)
     return np.concatenate([part.points, equations.parameter_rows(values, indices)], axis=1)
 
 
 def _forces_along(
     formula: Formula,
     equations: SystemEquations,
-    problem: Problem,
     parts: Sequence[MeasuredForces],
     values: Mapping[str, float],
 ) -> tuple[Float[np.ndarray, "k n_q"], Float[np.ndarray, "k n_q"]]:
@@ -411,7 +503,7 @@ def _forces_along(
     n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
     inputs, needs = [], []
     for part in parts:
-        points = _with_parameters(equations, problem, part, values)
+        points = _with_parameters(equations, part, values)
         without = points.copy()
         without[:, 3 * n : 3 * n + n_u] = 0.0
         need = part.compare(evaluate(formula, without))
@@ -438,13 +530,12 @@ def _force_sizes(
 def _missing_along(
     formula: Formula,
     equations: SystemEquations,
-    problem: Problem,
     parts: Sequence[MeasuredForces],
     values: Mapping[str, float],
 ) -> Float[np.ndarray, "k n_q"]:
     """Missing forces of each coordinate along filtered records, one after the other [N m or N]."""
     return np.concatenate([
-        part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
+        part.compare(evaluate(formula, _with_parameters(equations, part, values)))
         for part in parts
     ])  # fmt: skip
 
@@ -486,12 +577,10 @@ def _make_identification(
     state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    applied, needed = _forces_along(formula, equations, problem, train, values)
+    applied, needed = _forces_along(formula, equations, train, values)
     size = _force_sizes(applied, needed)
-    missing = _missing_along(formula, equations, problem, train, values)
-    missing_held_out = (
-        _missing_along(formula, equations, problem, held_out, values) if held_out else None
-    )
+    missing = _missing_along(formula, equations, train, values)
+    missing_held_out = _missing_along(formula, equations, held_out, values) if held_out else None
     rms = _root_mean_square(missing)
     rms_held_out = None if missing_held_out is None else _root_mean_square(missing_held_out)
     errors = [
@@ -556,17 +645,21 @@ def _describe_curves(
     missing_held_out: Float[np.ndarray, "_ n_q"] | None,
     values: Mapping[str, float],
 ) -> list[str]:
-    """Sentence on the joints of a robot whose missing forces are a curve over the speed.
+    """Sentence on the coordinates whose missing forces are a curve over the speed.
 
     A curve is fitted to what is missing in the training records, and has to explain most of what
     is missing in the held-out ones.
     """
-    robot = problem.system.source
-    if not isinstance(robot, RobotFile) or "curve" in robot.friction or missing_held_out is None:
+    if missing_held_out is None:
         return []
-    n, names = len(problem.system.coordinates), []
-    for k, c in enumerate(problem.system.coordinates):
-        width = values[f"{c.name}.coulomb_speed"]
+    system = problem.system
+    n, of_system, helpful = len(system.coordinates), system.nominal().keys(), []
+    for curve in parse_forces(system, ["curve"]):
+        k, (*weights, width_name) = curve.index, curve.parameter_names
+        speed = float(np.sqrt(np.mean(np.concatenate([x.points[:, n + k] for x in train]) ** 2)))
+        if of_system & {*weights} or speed == 0:
+            continue  # it has one, or is at rest
+        width = values.get(width_name, slow_speed(speed))
         regressors, others = (
             np.concatenate([
                 part.compare(np.asarray(curve_terms(part.points[:, n + k], width)).T)
@@ -574,11 +667,11 @@ def _describe_curves(
             ])
             for parts in (train, held_out)
         )  # fmt: skip
-        weights = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
+        solution = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
         force = missing_held_out[:, k]
-        if np.sum((force - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(force**2):
-            names.append(c.name)
-    return findings.describe_curves(names, robot.path.name) if names else []
+        if np.sum((force - others @ solution) ** 2) < _EXPLAINED**2 * np.sum(force**2):
+            helpful.append(curve)
+    return findings.describe_curves(helpful, system.added) if helpful else []
 
 
 def _describe_carried(

@@ -27,7 +27,7 @@ from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_names, with_delays
-from tustinnet.simulate.horizon import horizon_samples, pieces
+from tustinnet.simulate.horizon import effective_horizon, horizon_samples, pieces
 from tustinnet.simulate.start_rules import DerivedStart, FittedStart, Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
@@ -124,7 +124,9 @@ class Problem:
         records, horizon = (*self.records, *self.validation), self.search.horizon
         is_open = self.system.feedback is None
         if horizon is None and is_open and self.search.method == "inverse-dynamics":
-            horizon = _HELD_HORIZON
+            # of slow machines it would be less than a start needs, short records are whole
+            fewest = max(2, self.measured_start.samples)
+            horizon = effective_horizon(max(_HELD_HORIZON, fewest * records[0].dt), records)
         samples = horizon_samples(horizon, records, self.measured_start, "search.horizon")
         return None if samples is None else {e.name: samples for e in records if len(e) > samples}
 
@@ -212,8 +214,8 @@ class SearchState:
             of the inputs whose hold is unknown.
         robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
             each weighs the same.
-        has_fitted_values: whether the values were fitted to short segments already, so that no
-            equation-error estimate is needed.
+        has_fitted_values: whether the values were fitted to forces, or to short segments, of the
+            records already, so that no equation-error estimate is needed.
     """
 
     space: SearchSpace

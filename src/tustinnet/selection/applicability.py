@@ -1,0 +1,109 @@
+"""Candidates of a plan that can take part in a selection, and why the others cannot."""
+
+import math
+
+from tustinnet.data.inspection import coordinate_timescales
+from tustinnet.errors import InputError
+from tustinnet.fitting.shooting.inverse_dynamics import are_all_driven, find_obstacle
+from tustinnet.fitting.task import resolve_system
+from tustinnet.selection.folds import records_without_test
+from tustinnet.selection.jobs import RunContext
+from tustinnet.selection.plan import Candidate, SelectionPlan
+from tustinnet.selection.timing import LAG
+from tustinnet.systems.files import SystemTemplate
+
+
+def applicable_candidates(
+    plan: SelectionPlan, context: RunContext, budget: float | None
+) -> tuple[list[Candidate], list[str]]:
+    """The candidates for which everything is given, and sentences on those for which not.
+
+    Args:
+        plan: the plan.
+        context: the records and the system.
+        budget: how long the selection may take [s], None for no limit.
+
+    Raises:
+        InputError: a budget of no time, a system that no candidate identifies, or no candidate
+            that can take part.
+    """
+    if budget is not None and not 0 < budget < math.inf:
+        raise InputError("--budget", f"{budget:g} s", "a time above 0")
+    if context.system is not None and not any(_identifies(c) for c in plan.candidates):
+        raise InputError("--system", f"not applicable to the plan '{plan.name}'",
+                         "a plan with a candidate that identifies a system")  # fmt: skip
+    scales = coordinate_timescales(list(context.data)).values()
+    speed = "fast" if any(scale.is_fast for scale in scales) else "slow"
+    omitted: dict[str, str] = {}  # the reason by candidate
+    for c in plan.candidates:
+        if reason := _reason_against(c, context, speed):
+            omitted[c.name] = reason
+        elif c.corrects and omitted.keys() >= set(c.corrects):
+            omitted[c.name] = omitted[c.corrects[0]]
+    sentences = []
+    for why in dict.fromkeys(omitted.values()):
+        names = ", ".join(name for name, reason in omitted.items() if reason == why)
+        sentences.append(f"left out, {why}: {names}")
+    candidates = [c for c in plan.candidates if c.name not in omitted]
+    if not candidates:
+        where, expected = f"plan '{plan.name}'", "a candidate that can take part"
+        raise InputError(where, "; ".join(sentences), expected)
+    return candidates, sentences
+
+
+def _reason_against(candidate: Candidate, context: RunContext, speed: str) -> str:
+    """Why a candidate cannot take part, empty if it can.
+
+    Args:
+        candidate: the candidate.
+        context: the records and the system.
+        speed: whether the records are `fast` or `slow`.
+    """
+    channels, reason = context.data.channels, ""
+    if candidate.when in ("fast", "slow") and candidate.when != speed:
+        reason = f"only for {candidate.when} records"
+    elif adds_lag(candidate) and not channels.inputs:
+        reason = "only for records with inputs"
+    elif channels.controller is not None and _ignores_controller(candidate):
+        reason = "without the controller of the data card"
+    elif candidate.when == "no-system" and context.system is not None:
+        reason = "only without a system"
+    elif _identifies(candidate) and context.system_for(candidate.content) is None:
+        reason = "requires a system (--system)"
+    elif candidate.when == "fully-actuated" and (problem := _inverse_dynamics_problem(context)):
+        reason = f"no inverse dynamics {problem}"
+    return reason
+
+
+def adds_lag(candidate: Candidate) -> bool:
+    """Whether the recipe of a candidate adds the lag of an actuator."""
+    forces = getattr(candidate.content.model, "forces", ())
+    return any(force.partition(":")[0] == LAG for force in forces)
+
+
+def _identifies(candidate: Candidate) -> bool:
+    return "system" in candidate.content.family.needs
+
+
+def _ignores_controller(candidate: Candidate) -> bool:
+    """Whether a controller in the loop of records has no use for the models of a candidate."""
+    recipe = candidate.content
+    made_for_records = isinstance(resolve_system(recipe, None), SystemTemplate)
+    return made_for_records or not recipe.family.has_feedback
+
+
+def _inverse_dynamics_problem(context: RunContext) -> str:
+    """Why forces do not tell all parameters of the system that is given; empty if they do."""
+    system, records = context.loaded_system, records_without_test(context.data)
+    if system is None or isinstance(system, SystemTemplate):
+        return "without equations of motion"
+    first = records[0].without_controller()
+    where = f"record '{first.name}'"
+    try:
+        system = system.plant.for_channels(first.coordinates, first.inputs, where)
+        system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
+    except InputError:
+        return ""  # what does not fit together is said by every candidate of the system
+    if (obstacle := find_obstacle(system, records)) is not None:
+        return obstacle.problem
+    return "" if are_all_driven(system, records) else "as inputs do not drive every coordinate"
