@@ -454,20 +454,12 @@ class Friction(Law):
 
     Attributes:
         force: `force(q, v, *values)` [N m or N].
+        needs_load: whether `force` takes, in the place of q, the load: the force of the system's
+            potential energy at the coordinate [N m or N].
     """
 
     force: Callable[..., Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoadFriction(Law):
-    """A friction that depends on the load, the force of the system's potential energy.
-
-    Attributes:
-        force: `force(load, v, *values)` [N m or N].
-    """
-
-    force: Callable[..., Any]
+    needs_load: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -633,12 +625,13 @@ _LAWS: tuple[Law, ...] = (
         parameters=(*_CURVE_WEIGHTS, _OWN_SMOOTH_SPEED),
         force=lambda q, v, *values: friction_curve(v, values[:-1], values[-1]),
     ),
-    LoadFriction(
+    Friction(
         name="load",
         help="Coulomb friction that grows with the load, `s abs(f) tanh(v / w)` against the motion;"
         " f is the force of the system's potential energy, as of gravity",
         parameters=(_LOAD_SHARE, _OWN_SMOOTH_SPEED),
         force=coulomb_by_load,
+        needs_load=True,
     ),
     Spring(
         name="spring",
