@@ -74,6 +74,10 @@ def test_stribeck_friction_is_found_beside_the_level_of_the_system():
     made = driven_again(with_added(rubbing, ["stribeck"], records(), {}), STRIBECK)
     result = tn.identify(data_set(made), rubbing, recipe("stribeck"))
     assert result.system.added_parameters == ("angle.breakaway", "angle.stribeck_speed")
+    # well above the width of the smoothed sign, of which there are two: by the motion and its own
+    speed, (at_rest,) = result.system.parameter("angle.stribeck_speed"), rubbing.parameters[-1:]
+    assert speed.lower <= 2 * at_rest.nominal
+    assert speed.upper >= 100 * at_rest.nominal
     values = {e.name: e.value for e in result.estimates}
     assert {name: values[name] for name in STRIBECK} == pytest.approx(STRIBECK, rel=0.1)
 
@@ -85,11 +89,12 @@ def test_a_curve_is_stribeck_friction_and_keeps_its_priors_in_a_file(tmp_path):
     )
     assert true.dissipation is not None
     assert result.system.dissipation is not None
-    values, q = result.values, jnp.zeros(1)
+    truth, q = true.nominal() | TRUTH | STRIBECK, jnp.zeros(1)
     for speed in (0.3, -1.0, 3.0):
+        v = jnp.array([speed])
         found, expected = (
-            s.dissipation(q, jnp.array([speed]), p)
-            for s, p in ((result.system, values), (true, true.nominal() | TRUTH | STRIBECK))
+            result.system.dissipation(q, v, result.values),
+            true.dissipation(q, v, truth),
         )
         np.testing.assert_allclose(found, expected, rtol=0.1)
     tn.save(result.model, tmp_path / "m.safetensors")
