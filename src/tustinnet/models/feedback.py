@@ -130,7 +130,7 @@ def with_controller(
 
         return of_set_points
 
-    memory = plant.memory
+    memory, unmeasured = plant.memory, plant.unmeasured
     return replace(
         plant,
         inputs=channels.inputs,
@@ -144,6 +144,7 @@ def with_controller(
             initial=closed(memory.initial, "qvp"),
         ),
         feedback=feedback,
+        unmeasured=unmeasured and replace(unmeasured, initial=closed(unmeasured.initial, "qvp")),
     )
 
 

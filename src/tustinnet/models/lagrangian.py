@@ -12,7 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
 from tustinnet.data.experiment import Experiment
@@ -30,6 +31,7 @@ from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
+AllCoordinates = Float[Array, " n_all"]  # measured ones, then the others
 
 _UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
 
@@ -87,6 +89,56 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class UnmeasuredCoordinates:
+    """Generalised coordinates without a sensor, as the angle of a link behind an elastic gear.
+
+    In the `q` and `v` that the functions of a system take they stand behind the measured ones, and
+    so do their forces. Their positions, then their velocities are internal states, the first ones.
+
+    Attributes:
+        names: names of the coordinates; their velocities are called `NAME_speed`.
+        follow: `follow(q, p)`, where they are if nothing gives, by the measured coordinates, (n_h,)
+            [rad or m]. Estimates without a simulation take this for their motion.
+        initial: `initial(q, v, u, p)`, their expected positions and velocities where a record or a
+            piece of one begins, (2 n_h,), by the measured coordinates. None for those of `follow`.
+        spread: `spread(p)`, standard deviations of positions and velocities from the expected ones,
+            (2 n_h,). None for 1.
+    """
+
+    names: tuple[str, ...]
+    follow: Callable[[Coordinates, Values], Any]
+    initial: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
+    spread: Callable[[Values], Any] | None = None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The names of the internal states: of the positions, then of the velocities."""
+        return (*self.names, *(f"{name}_speed" for name in self.names))
+
+    def complete(
+        self, q: Coordinates, v: Coordinates, p: Values
+    ) -> tuple[AllCoordinates, AllCoordinates]:
+        """Positions and velocities of all coordinates if nothing gives, (n_q + n_h,) each.
+
+        Args:
+            q: measured positions, (n_q,).
+            v: their velocities, (n_q,).
+            p: values of the parameters by name.
+        """
+        at, rate = jax.jvp(lambda x: jnp.asarray(self.follow(x, p)), (q,), (v,))
+        return jnp.concatenate([q, at]), jnp.concatenate([v, rate])
+
+    def initial_states(
+        self, q: Coordinates, v: Coordinates, u: InputVector, p: Values
+    ) -> Float[Array, " n_states"]:
+        """The expected positions and velocities, (2 n_h,), see `initial`."""
+        if self.initial is not None:
+            return jnp.asarray(self.initial(q, v, u, p), q.dtype)
+        at, rate = self.complete(q, v, p)
+        return jnp.concatenate([at[len(q) :], rate[len(q) :]])
+
+
+@dataclass(frozen=True)
 class Inertia:
     """Mass matrix and Coriolis forces of a kinetic energy, where a recursion gives them.
 
@@ -96,10 +148,13 @@ class Inertia:
     Attributes:
         mass_matrix: `M(q, p)`, d2T/dv2, (n_q, n_q) [kg m^2, kg m or kg].
         coriolis: `C(q, v, p)`, dT/dq - (d2T/dv dq) v, (n_q,) [N m or N].
+        uncoupled: indices of coordinates whose rows of the mass matrix are 0 beside the diagonal,
+            as of motors behind elastic gears. Their accelerations are quotients.
     """
 
     mass_matrix: Callable[[Coordinates, Values], Any]
     coriolis: Callable[[Coordinates, Coordinates, Values], Any]
+    uncoupled: tuple[int, ...] = ()
 
 
 def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
@@ -175,7 +230,8 @@ class ChannelSource(ABC):
 class LagrangianSystem:
     """A mechanical system written as energies and forces.
 
-    All functions take the parameters as a mapping from name to value, last.
+    All functions take the parameters as a mapping from name to value, last. Where there are
+    unmeasured coordinates, `q`, `v` and generalised forces have them behind the others.
 
     Attributes:
         name: what it is called.
@@ -197,6 +253,7 @@ class LagrangianSystem:
         limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
             equation of motion knows of them.
         feedback: the controller in the loop, whose set points are among the inputs; None without.
+        unmeasured: coordinates that no sensor measures; None without.
     """
 
     name: str
@@ -215,6 +272,7 @@ class LagrangianSystem:
     source: "ChannelSource | None" = None
     limits: tuple[MotionLimits, ...] = ()
     feedback: "FeedbackLaw | None" = None
+    unmeasured: UnmeasuredCoordinates | None = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -275,8 +333,21 @@ class LagrangianSystem:
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """The names of the internal states."""
-        return self.memory.names if self.memory else ()
+        """The names of the internal states: of unmeasured coordinates, then of the memory."""
+        own = self.unmeasured.states if self.unmeasured else ()
+        return (*own, *(self.memory.names if self.memory else ()))
+
+    @property
+    def has_initial(self) -> bool:
+        """Whether internal states other than 0 are expected where a record begins."""
+        remembers = self.memory is not None and self.memory.initial is not None
+        return self.unmeasured is not None or remembers
+
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the internal states that are expected there depend on inputs."""
+        of_memory = self.memory is not None and self.memory.initial_needs_inputs
+        return self.unmeasured is not None or of_memory
 
     def for_channels(
         self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
@@ -320,9 +391,13 @@ class LagrangianSystem:
 
     def _require_shapes(self) -> None:
         """Raises unless every function returns the shape that the equations of motion need."""
-        q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
+        measured, hidden = (
+            len(self.coordinates),
+            len(self.unmeasured.names if self.unmeasured else ()),
+        )
+        q = v = jax.ShapeDtypeStruct((measured + hidden,), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
-        z = jax.ShapeDtypeStruct((len(self.internal),), jnp.float32)
+        z = jax.ShapeDtypeStruct((len(self.memory.names if self.memory else ()),), jnp.float32)
         # without the optional ones: a function that requires one is refused
         p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
              if not x.optional}  # fmt: skip
@@ -339,6 +414,7 @@ class LagrangianSystem:
             functions.append(("mass_matrix", self.inertia.mass_matrix, (q, p), square))
             functions.append(("coriolis", self.inertia.coriolis, (q, v, p), q.shape))
         functions += self._memory_functions(q, v, z, u, p)
+        functions += self._unmeasured_functions(u, p)
         for name, function, arguments, shape in functions:
             where = f"system '{self.name}', {name}"
             try:
@@ -370,6 +446,21 @@ class LagrangianSystem:
                     f"{shape}" if shape else "a scalar",
                     "energies are scalars, forces have a value per coordinate",
                 )
+
+    def _unmeasured_functions(
+        self, u: Any, p: Any
+    ) -> list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]:
+        """Names of the functions of unmeasured coordinates, with arguments and shapes."""
+        if (own := self.unmeasured) is None:
+            return []
+        q, n = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32), len(own.names)
+        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
+        functions = [("unmeasured follow", own.follow, (q, p), (n,))]
+        if own.initial:
+            functions.append(("unmeasured initial", own.initial, (q, q, u, p), (2 * n,)))
+        if own.spread:
+            functions.append(("unmeasured spread", own.spread, (p,), (2 * n,)))
+        return functions
 
     def _memory_functions(
         self, q: Any, v: Any, z: Any, u: Any, p: Any
@@ -431,7 +522,8 @@ class LagrangianModel(ContinuousModel):
 
     Solved for the acceleration: `M(q) a = Q - D + F - c(q, v) - dV/dq` with the mass matrix
     `M = d2T/dv2` and `c = (d2T/dv dq) v - dT/dq`, by Cholesky factorisation of M. `F` are the
-    forces with memory, `dz/dt = rate(q, v, z, u)`.
+    forces with memory, `dz/dt = rate(q, v, z, u)`. The `q` and `v` of these functions have all
+    coordinates, unmeasured ones behind the others.
 
     Attributes:
         system: the energies and forces.
@@ -521,12 +613,20 @@ class LagrangianModel(ContinuousModel):
             force = force + jnp.asarray(s.memory.compute_force(q, v, z, u, p))
         return force
 
-    def acceleration(self, x: State, u: InputVector) -> Coordinates:
-        """The acceleration at a state under an input, (n_q,) [rad/s^2 or m/s^2]."""
+    def acceleration(self, x: State, u: InputVector) -> AllCoordinates:
+        """The acceleration at a state under an input, of all coordinates [rad/s^2 or m/s^2]."""
         q, v, z = self._parts(x)
-        return solve_positive(
-            self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
-        )
+        matrix, force = self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
+        uncoupled = self.system.inertia.uncoupled if self.system.inertia else ()
+        if not uncoupled:
+            return solve_positive(matrix, force)
+        coupled = [i for i in range(len(force)) if i not in uncoupled]
+        accelerations = [force[i] / matrix[i, i] for i in range(len(force))]
+        if coupled:
+            at = jnp.array(coupled)
+            for i, a in zip(coupled, solve_positive(matrix[at][:, at], force[at]), strict=True):
+                accelerations[i] = a
+        return jnp.stack(accelerations)
 
     def derivative(self, x: State, u: InputVector) -> State:
         """`d/dt [q, v, z] = [v, a, rate]`."""
@@ -555,8 +655,8 @@ class LagrangianModel(ContinuousModel):
         plant = LagrangianModel(feedback.plant, self.values)
         return plant, lambda w: feedback.plant_inputs(held, w)
 
-    def internal_rate(self, x: State, u: InputVector | None = None) -> Internal:
-        """`dz/dt` at a state, (n_z,).
+    def memory_rate(self, x: State, u: InputVector | None = None) -> Internal:
+        """Rates of the internal states of the memory at a state, without unmeasured coordinates.
 
         Args:
             x: the state, (n_x,).
@@ -573,8 +673,18 @@ class LagrangianModel(ContinuousModel):
 
         For estimates without a simulation: at them the rates of states that inputs drive, also by
         way of other states, are 0, where rates are linear in the states. All others are 0.
+        Unmeasured coordinates are where they are expected at the beginning of a record.
         """
-        memory, n = self.system.memory, len(self.internal)
+        if self.system.unmeasured is not None:
+            own = self.system.unmeasured.initial_states(q, v, u, self.values)
+            q, v = self._complete(q, v, own)
+            return jnp.concatenate([own, self._balanced_memory(q, v, u)])
+        return self._balanced_memory(q, v, u)
+
+    def _balanced_memory(self, q: AllCoordinates, v: AllCoordinates, u: InputVector) -> Internal:
+        """Internal states of the memory that follow inputs, by all coordinates."""
+        memory = self.system.memory
+        n = 0 if memory is None else len(memory.names)
         zero = jnp.zeros(n, q.dtype)
         if memory is None or not memory.has_inputs or not n or not self.channels.n_u:
             return zero
@@ -596,36 +706,79 @@ class LagrangianModel(ContinuousModel):
     @property
     def initial_needs_inputs(self) -> bool:
         """Whether the internal states at the beginning of a record depend on inputs."""
-        return self.system.memory is not None and self.system.memory.initial_needs_inputs
+        return self.system.initial_needs_inputs
 
     def initial_internal(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
     ) -> Internal:
-        """Expected internal states at the beginning of a record, see `Memory.initial`.
+        """Expected internal states at the beginning of a record, see `LagrangianSystem`.
 
         Args:
             measured: the record's first positions and velocities [q, v], (2 n_q,).
             u: the inputs at its beginning, (n_u,); None for 0.
         """
-        memory, channels = self.system.memory, self.channels
-        if memory is None or memory.initial is None:
+        system, channels = self.system, self.channels
+        memory, unmeasured = system.memory, system.unmeasured
+        if not system.has_initial:
             return super().initial_internal(measured)
         q, v = measured[channels.position], measured[channels.velocity]
-        if memory.initial_needs_inputs:
+        if system.initial_needs_inputs:
             u = jnp.zeros(channels.n_u, measured.dtype) if u is None else u
-            return jnp.asarray(memory.initial(q, v, u, self.values), measured.dtype)
-        return jnp.asarray(memory.initial(q, v, self.values), measured.dtype)
+        own = jnp.zeros(0, measured.dtype)
+        if unmeasured is not None:
+            assert u is not None
+            own = unmeasured.initial_states(q, v, u, self.values)
+            q, v = self._complete(q, v, own)
+        if memory is None:
+            return own
+        if memory.initial is None:
+            remembered = jnp.zeros(len(memory.names), measured.dtype)
+        else:
+            inputs = (u,) if memory.initial_needs_inputs else ()
+            remembered = jnp.asarray(memory.initial(q, v, *inputs, self.values), measured.dtype)
+        return remembered if unmeasured is None else jnp.concatenate([own, remembered])
 
-    def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
-        channels = self.channels
-        return x[channels.position], x[channels.velocity], x[channels.internal]
+    @property
+    def internal_spread(self) -> Internal:
+        """Standard deviations of internal states, see `UnmeasuredCoordinates.spread`."""
+        unmeasured = self.system.unmeasured
+        if unmeasured is None or unmeasured.spread is None:
+            return super().internal_spread
+        own = jnp.asarray(unmeasured.spread(self.values))
+        return jnp.concatenate([own, jnp.ones(len(self.internal) - len(own), own.dtype)])
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """Mask of the internal states of unmeasured coordinates."""
+        n = len(self.system.unmeasured.states) if self.system.unmeasured else 0
+        return np.arange(len(self.internal)) < n
+
+    def _complete(
+        self, q: Coordinates, v: Coordinates, states: Internal
+    ) -> tuple[AllCoordinates, AllCoordinates]:
+        """All positions and velocities, by the measured ones and the states of the others."""
+        n = len(states) // 2
+        return jnp.concatenate([q, states[:n]]), jnp.concatenate([v, states[n:]])
+
+    def _parts(self, x: State) -> tuple[AllCoordinates, AllCoordinates, Internal]:
+        """Positions and velocities of all coordinates, and the states of the memory."""
+        channels, unmeasured = self.channels, self.system.unmeasured
+        q, v, z = x[channels.position], x[channels.velocity], x[channels.internal]
+        if unmeasured is None:
+            return q, v, z
+        n = len(unmeasured.states)
+        return *self._complete(q, v, z[:n]), z[n:]
 
 
 # a function of its own, so that it is derived once and not for each of a step's many uses
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
-    return jnp.concatenate([v, model.acceleration(x, u), model.internal_rate(x, u)])
+    a, rate = model.acceleration(x, u), model.memory_rate(x, u)
+    if model.system.unmeasured is None:
+        return jnp.concatenate([v, a, rate])
+    n = model.channels.n_q
+    return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], rate])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

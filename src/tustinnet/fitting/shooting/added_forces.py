@@ -15,6 +15,7 @@ from tustinnet.models.added import WHERE, added_parameters, parse_forces, with_f
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter, current_force
+from tustinnet.models.rigid import rigid_system
 
 
 def with_added(
@@ -107,7 +108,7 @@ def _motions(
     q, u = ([getattr(e, name) for e in experiments] for name in ("q", "u"))
     q, v, a, u = map(np.concatenate, (q, velocities, a, u))
     samples, ends = np.concatenate([q, v, a, u], axis=1), np.cumsum([x.shape[1] for x in (q, v, a)])
-    model = system.model({name: jnp.asarray(x) for name, x in values.items()})
+    model = rigid_system(system).model({name: jnp.asarray(x) for name, x in values.items()})
 
     def forces(sample: Array) -> Array:
         q, v, a, u = jnp.split(sample, ends)
