@@ -3,7 +3,7 @@
     python benchmarks/robot_gears.py models [SEEDS]          (default: 3)
     python benchmarks/robot_gears.py intervals [SEEDS]       (default: 12)
 
-Records of a simulated arm of three joints in the loop of a PD controller that reads the motors: four
+Records of a simulated arm of three joints that a PD controller moves by its motors' encoders: four
 of 5 s at 250 Hz, the robot moves before they begin. Two gears are elastic; the search begins at
 stiffnesses that are off by a third.
 
@@ -12,8 +12,9 @@ encoders are taken to be at the links, and with those at the motors. Printed are
 runs on the record that was held out; for comparison those of the arm's own values, which are what
 encoders and noise of the torques leave.
 
-`intervals` counts how many true stiffnesses, dampings and armatures of the gears are within their
-95 % intervals, with encoders of several resolutions, and torques with and without noise.
+`intervals` counts how many true stiffnesses, dampings and armatures are within their 95 % intervals,
+on an arm of two joints: with encoders of several resolutions, torques with and without noise, few
+and more records, driven by the recorded torques or with the controller in the loop.
 """
 
 import jax
@@ -21,9 +22,10 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import sys
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,25 +46,34 @@ DT = 0.004
 RECIPE = {"name": "gears", "model": {"kind": "euler-lagrange"}, "search": {"horizon": 0.5}}
 
 
-def load_arm(encoders: str, *, is_elastic: bool = True) -> tn.LagrangianSystem:
-    """The arm with three joints."""
+def load_arm(
+    encoders: str, *, is_elastic: bool = True, locked: Mapping[str, float] = MappingProxyType({})
+) -> tn.LagrangianSystem:
+    """The arm with three joints, or less where more of them are locked."""
+    locked = {**LOCKED, **locked}
     if not is_elastic:
-        return tn.load_robot(ARM, locked=LOCKED)
-    return tn.load_robot(ARM, locked=LOCKED, elastic=GEARS, encoders=encoders)
+        return tn.load_robot(ARM, locked=locked)
+    return tn.load_robot(ARM, locked=locked, elastic=GEARS, encoders=encoders)
 
 
 def make_records(
-    seed: int, noise: float, count: float
+    seed: int,
+    noise: float,
+    resolution: float,
+    *,
+    locked: Mapping[str, float] = MappingProxyType({}),
+    count: int = 4,
+    knows_controller: bool = False,
 ) -> tuple[tn.LagrangianSystem, dict[str, float], tn.DataSet]:
     """The arm with encoders at the motors, its true values, and records of it."""
-    system = load_arm("motor")
+    system = load_arm("motor", locked=locked)
     truth = true_values(system, seed)
     for joint, stiffness in TRUE_GEARS.items():
         truth[f"{joint}.gear_stiffness"] = stiffness
         truth[f"{joint}.gear_damping"] = DAMPING[joint]
     data = record_in_loop(
-        system, truth, 4, 5.0, dt=DT, noise=noise, seed=seed, substeps=8, begins_moving=True,
-        resolution=count,
+        system, truth, count, 5.0, dt=DT, noise=noise, seed=seed, substeps=8, begins_moving=True,
+        resolution=resolution, knows_controller=knows_controller,
     )  # fmt: skip
     return system, truth, data
 
@@ -78,7 +89,7 @@ def compare_models(seeds: int) -> None:
     columns = " | ".join(f"RMSE over {h:g} s [rad]" for h in HORIZONS)
     print(f"| seed | model | {columns} | stiffness of joint2, joint4 [N m/rad] | s |")
     for seed in range(seeds):
-        system, truth, data = make_records(seed, noise=0.002, count=2 * np.pi / 2**16)
+        system, truth, data = make_records(seed, 0.002, 2 * np.pi / 2**16)
         for name, own in (
             ("rigid gears", load_arm("motor", is_elastic=False)),
             ("encoders at the links", load_arm("link")),
@@ -98,39 +109,32 @@ def compare_models(seeds: int) -> None:
 
 
 def count_intervals(seeds: int) -> None:
-    """Prints a row for each resolution and noise: how often true values are within intervals."""
-    kinds: dict[str, Callable[[str], bool]] = {
-        "stiffness": lambda name: name.endswith("gear_stiffness"),
-        "damping": lambda name: name.endswith("gear_damping"),
-        "armature": lambda name: name.endswith("armature"),
-        "all others": lambda name: "gear_" not in name and not name.endswith("armature"),
-    }
-    print(f"| encoder | torque noise | {' | '.join(kinds)} | typical deviation by stated error |")
-    for bits in (16, 13):
-        for noise in (0.0, 0.002, 0.01):
-            scores: dict[str, list[float]] = {kind: [] for kind in kinds}
-            for seed in range(seeds):
-                system, truth, data = make_records(seed, noise, 2 * np.pi / 2**bits)
-                result = tn.identify(data, system, RECIPE)
-                nominal = system.nominal()
-                for e in result.estimates:
-                    if e.interval is None:
-                        continue
-                    if any(
-                        result.fixed.get(n) == nominal[n] != truth[n] for n in result.fixed
-                    ) and not ("gear_" in e.name or e.name.endswith("armature")):
-                        continue  # what was fixed at the file's value moves others from the truth
-                    kind = next(k for k, belongs in kinds.items() if belongs(e.name))
-                    inside = e.interval[0] <= truth[e.name] <= e.interval[1]
-                    deviation = abs(e.value - truth[e.name]) / (e.error or np.nan)
-                    scores[kind].append(deviation if not inside else -deviation)
-            shown = [
-                f"{sum(x <= 0 for x in own)} of {len(own)}" if own else ""
-                for own in scores.values()
-            ]
-            gear = np.abs([x for kind in ("stiffness", "damping") for x in scores[kind]])
-            print(f"| {bits} bits | {100 * noise:g} % | {' | '.join(shown)} "
-                  f"| {np.sqrt(np.mean(gear**2)):.2f} |", flush=True)  # fmt: skip
+    """Prints a row for each kind of records: how often true values are within their intervals."""
+    kinds = ("gear_stiffness", "gear_damping", "armature")
+    print(f"| driven by | encoder | torque noise | records | {' | '.join(kinds)} "
+          "| errors of stiffness and damping by stated ones |")  # fmt: skip
+    for in_loop, bits, noise, count in (
+        (False, 16, 0.0, 4), (False, 13, 0.0, 4), (False, 16, 0.002, 4), (False, 16, 0.002, 9),
+        (False, 13, 0.002, 9), (True, 16, 0.002, 4), (True, 13, 0.002, 4),
+    ):  # fmt: skip
+        inside: dict[str, list[bool]] = {kind: [] for kind in kinds}
+        deviations = []
+        for seed in range(seeds):
+            _, truth, data = make_records(
+                seed, noise, 2 * np.pi / 2**bits, locked={"joint1": 0.0}, count=count,
+                knows_controller=in_loop,
+            )  # fmt: skip
+            system = load_arm("motor", locked={"joint1": 0.0})
+            result = tn.identify(data, system, "grey" if in_loop else RECIPE)
+            for e in result.estimates:
+                if (kind := e.name.rpartition(".")[2]) in kinds and e.interval and e.error:
+                    inside[kind].append(e.interval[0] <= truth[e.name] <= e.interval[1])
+                    if kind != "armature":
+                        deviations.append((e.value - truth[e.name]) / e.error)
+        shown = [f"{sum(own)} of {len(own)}" for own in inside.values()]
+        by = "set points" if in_loop else "torques"
+        print(f"| {by} | {bits} bits | {100 * noise:g} % | {count - 1} | {' | '.join(shown)} "
+              f"| {np.sqrt(np.mean(np.square(deviations))):.2f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

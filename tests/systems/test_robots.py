@@ -238,6 +238,53 @@ def test_a_motor_behind_an_elastic_gear_moves_by_itself(hanging):
     assert float(loose[1]) == pytest.approx((0.3 * (speed - v) - weight) / inertia, rel=1e-5)
 
 
+def test_an_encoder_at_the_motor_changes_what_is_measured_alone(hanging):
+    """The robot moves as with an encoder at the link; motor and link change their places."""
+    gear = {"elastic": {"hip": 60.0}, "backlash": {"hip": 0.02}}
+    by_link, by_motor = (tn.load_robot(hanging, **gear, encoders=x) for x in ("link", "motor"))
+    assert by_motor.internal == ("hip.link", "hip.link_speed")
+    assert tn.load_robot(hanging, **gear, encoders={"hip": "motor"}).internal == by_motor.internal
+    nominal = {name: jnp.asarray(x) for name, x in by_link.nominal().items()}
+    assert by_motor.nominal() == by_link.nominal()
+    u, link, motor = jnp.array([2.0]), [0.3, 0.5], [0.35, -0.8]
+    at_link = by_link.model(nominal).derivative(jnp.array([*link, *motor]), u)
+    at_motor = by_motor.model(nominal).derivative(jnp.array([*motor, *link]), u)
+    np.testing.assert_allclose(at_motor, at_link[jnp.array([2, 3, 0, 1])], rtol=1e-12)
+
+
+def test_a_link_begins_where_the_load_twists_its_gear(hanging):
+    """At rest that is gravity, whatever torque dry friction holds; else also its acceleration."""
+    system = tn.load_robot(hanging, elastic={"hip": 60.0}, encoders="motor")
+    values = system.nominal() | {"hip.armature": 0.01}
+    model = system.model({name: jnp.asarray(x) for name, x in values.items()})
+    weight = 1.2 * 9.81 * 0.2 * np.sin(0.4)
+    for torque in (weight, weight + 0.04):  # its Coulomb friction is 0.05 N m
+        begun = model.initial_internal(jnp.array([0.4, 0.0]), jnp.array([torque]))
+        np.testing.assert_allclose(begun, [0.4 - weight / 60, 0.0], rtol=1e-6)
+    inertia = 0.016 + 1.2 * 0.2**2
+    acceleration = (2.0 - weight - 0.05 * 3.0 - 0.05) / (inertia + 0.01)
+    begun = model.initial_internal(jnp.array([0.4, 3.0]), jnp.array([2.0]))
+    twist = (weight + inertia * acceleration) / 60
+    np.testing.assert_allclose(begun, [0.4 - twist, 3.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("encoders", "message"),
+    [
+        ({"hip": "gear"}, "encoders: 'gear' for 'hip'; expected 'motor' or 'link'"),
+        (
+            {"knee": "motor"},
+            "the joint 'knee', which is not elastic; expected one of hip",
+        ),
+    ],
+)
+def test_encoders_are_checked(encoders, message, hanging):
+    with pytest.raises(InputError, match=re.escape(message)):
+        tn.load_robot(hanging, elastic={"hip": 60.0}, encoders=encoders)
+    with pytest.raises(InputError, match="which is not elastic"):
+        tn.load_robot(hanging, encoders="motor")
+
+
 def test_the_stiffness_of_a_gear_is_identified(hanging):
     system = tn.load_robot(hanging, elastic={"hip": 60.0})
     true = system.nominal() | {"hip.gear_stiffness": 100.0, "hip.armature": 0.01}
