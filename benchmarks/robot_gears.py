@@ -12,7 +12,7 @@ encoders are taken to be at the links, and with those at the motors. Printed are
 runs on the record that was held out; for comparison those of the arm's own values, which are what
 encoders and noise of the torques leave.
 
-`intervals` counts how many true stiffnesses, dampings and armatures are within their 95 % intervals,
+`intervals` counts how many true stiffnesses, dampings and armatures are within 95 % intervals,
 on an arm of two joints: with encoders of several resolutions, torques with and without noise, few
 and more records, driven by the recorded torques or with the controller in the loop.
 """
