@@ -190,11 +190,15 @@ class FeedbackLaw(ABC):
         plant: the system without the controller.
         channels: coordinates and inputs of the closed loop, with the controller.
         is_sampled: whether what it computes at a sample is held until the next.
+        states: names of its internal states, which stand behind those of the system.
+        searched: which of them an identification searches for where a record begins.
     """
 
     plant: "LagrangianSystem"
     channels: Channels
     is_sampled: bool
+    states: tuple[str, ...]
+    searched: tuple[bool, ...]
 
     @property
     @abstractmethod
@@ -202,12 +206,53 @@ class FeedbackLaw(ABC):
         """Number of inputs of the system that it computes."""
 
     @abstractmethod
-    def outputs(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
-        """The inputs that it computes by the inputs `w` of the closed loop, (size,)."""
+    def compute(
+        self, q: AllCoordinates, v: AllCoordinates, s: Internal, w: InputVector, p: Values
+    ) -> Any:
+        """The inputs that it computes, then the rates of its internal states, (size + n_s,).
+
+        Args:
+            q: positions.
+            v: velocities.
+            s: its internal states, (n_s,).
+            w: inputs of the closed loop, (n_w,).
+            p: values of the parameters by name.
+        """
+
+    @abstractmethod
+    def initial(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
+        """Its expected internal states where a record begins, (n_s,)."""
+
+    @abstractmethod
+    def spread(self, p: Values) -> Any:
+        """Standard deviations of its internal states from the expected ones, (n_s,)."""
 
     @abstractmethod
     def plant_inputs(self, outputs: Any, w: InputVector) -> Any:
-        """All inputs of the system, (n_u,)."""
+        """All inputs of the system, (n_u,), by those that it computes, (size,)."""
+
+
+class _WithConstantRates(ContinuousModel):
+    """A model with further internal states behind its own, whose rates are constant.
+
+    Attributes:
+        model: the model.
+        rates: the rates, (n,).
+    """
+
+    model: "LagrangianModel"
+    rates: Array
+
+    # a property in the place of a field of the base class: nobody assigns it
+    @property
+    def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The coordinates and inputs of the model."""
+        return self.model.channels
+
+    def derivative(self, x: State, u: InputVector) -> State:
+        """The derivative of the model's state, then the rates."""
+        own = self.model.derivative(x[: -len(self.rates)], u)
+        return jnp.concatenate([own, self.rates])
 
 
 class ChannelSource(ABC):
@@ -650,10 +695,14 @@ class LagrangianModel(ContinuousModel):
         feedback = self.system.feedback
         if feedback is None or not feedback.is_sampled:
             return super().between_samples(x, u)
-        q, v, _ = self._parts(x)
-        held = feedback.outputs(q, v, u, self.values)
+        (q, v, z), size = self._parts(x), feedback.size
+        held = feedback.compute(q, v, z[len(z) - len(feedback.states) :], u, self.values)
         plant = LagrangianModel(feedback.plant, self.values)
-        return plant, lambda w: feedback.plant_inputs(held, w)
+
+        def inputs(w: InputVector) -> Any:
+            return feedback.plant_inputs(held[:size], w)
+
+        return (_WithConstantRates(plant, held[size:]) if feedback.states else plant), inputs
 
     def memory_rate(self, x: State, u: InputVector | None = None) -> Internal:
         """Rates of the internal states of the memory at a state, without unmeasured coordinates.
@@ -740,18 +789,25 @@ class LagrangianModel(ContinuousModel):
 
     @property
     def internal_spread(self) -> Internal:
-        """Standard deviations of internal states, see `UnmeasuredCoordinates.spread`."""
-        unmeasured = self.system.unmeasured
-        if unmeasured is None or unmeasured.spread is None:
-            return super().internal_spread
-        own = jnp.asarray(unmeasured.spread(self.values))
-        return jnp.concatenate([own, jnp.ones(len(self.internal) - len(own), own.dtype)])
+        """Standard deviations of internal states, 1 where neither system nor controller has any."""
+        unmeasured, feedback = self.system.unmeasured, self.system.feedback
+        spread = super().internal_spread
+        if unmeasured is not None and unmeasured.spread is not None:
+            own = jnp.asarray(unmeasured.spread(self.values))
+            spread = jnp.concatenate([own, spread[len(own) :]])
+        if feedback is not None and feedback.states:
+            last = len(spread) - len(feedback.states)
+            spread = jnp.concatenate([spread[:last], jnp.asarray(feedback.spread(self.values))])
+        return spread
 
     @property
     def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
-        """Mask of the internal states of unmeasured coordinates."""
-        n = len(self.system.unmeasured.states) if self.system.unmeasured else 0
-        return np.arange(len(self.internal)) < n
+        """Mask of the internal states of unmeasured coordinates, and of some of the controller."""
+        unmeasured, feedback = self.system.unmeasured, self.system.feedback
+        own = (True,) * (len(unmeasured.states) if unmeasured else 0)
+        last = feedback.searched if feedback else ()
+        between = (False,) * (len(self.internal) - len(own) - len(last))
+        return np.array((*own, *between, *last), dtype=bool)
 
     def _complete(
         self, q: Coordinates, v: Coordinates, states: Internal

@@ -8,7 +8,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import Inertia, LagrangianSystem, Memory, Values
 
 
@@ -21,13 +20,12 @@ def rigid_system(system: LagrangianSystem) -> LagrangianSystem:
     becomes one with rigid gears.
 
     Args:
-        system: the system; one without unmeasured coordinates is returned as it is.
+        system: the system without a controller; one without unmeasured coordinates is returned as
+            it is. `with_changed_plant` makes the system in a closed loop rigid.
     """
     unmeasured, n = system.unmeasured, len(system.coordinates)
     if unmeasured is None:
         return system
-    if system.feedback is not None:
-        return with_changed_plant(system, rigid_system)
 
     def jacobian(q: Any, p: Values) -> Any:
         """Velocities of all coordinates by those of the measured ones, (n_q + n_h, n_q)."""

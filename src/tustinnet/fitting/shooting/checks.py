@@ -16,6 +16,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.problem import Problem
+from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.rigid import rigid_system
 
@@ -75,7 +76,8 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
 
 def require_finite_terms(model: LagrangianModel, records: Sequence[Experiment]) -> None:
     """Refuses energies and forces, or derivatives of them, that are not finite along records."""
-    system, p, channels = rigid_system(model.system), model.values, model.channels
+    system, p = with_changed_plant(model.system, rigid_system), model.values
+    channels = model.channels
     q = np.concatenate([e.q for e in records])
     v = np.concatenate([e.velocities() for e in records])
     samples = np.concatenate([q, v, np.concatenate([e.u for e in records])], axis=1)

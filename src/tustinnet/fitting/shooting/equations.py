@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.rigid import rigid_system
 from tustinnet.models.sensors import delay_name
@@ -129,7 +130,7 @@ class SystemEquations:
         internal states follow inputs: an actuator without its lag. Unmeasured coordinates follow
         the measured ones rigidly.
         """
-        system, channels = rigid_system(self.system), self.system.channels
+        system, channels = with_changed_plant(self.system, rigid_system), self.system.channels
         first = channels.measured.stop + channels.n_u
 
         def momentum_and_force(point: Array) -> Array:
