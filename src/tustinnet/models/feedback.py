@@ -270,7 +270,7 @@ def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
     it depends on internal states.
     """
     plant, memory, unmeasured = feedback.plant, feedback.plant.memory, feedback.plant.unmeasured
-    n_q, n = len(plant.coordinates), len(memory.names) if memory else 0
+    measured, n = plant.channels.position, len(memory.names) if memory else 0
 
     def computed(q: Any, v: Any, s: Any, w: Any, p: Values) -> tuple[Any, Any]:
         """Inputs of the system, and rates of the controller's states."""
@@ -289,7 +289,7 @@ def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
         return total + memory.compute_force(q, v, z[:n], u, p) if memory else total
 
     def initial(q: Any, v: Any, w: Any, p: Values) -> Any:
-        own = feedback.initial(q[:n_q], v[:n_q], w, p)
+        own = feedback.initial(q[measured], v[measured], w, p)
         before = jnp.zeros(n, q.dtype)
         if memory and memory.initial:
             inputs = (computed(q, v, own, w, p)[0],) if memory.initial_needs_inputs else ()

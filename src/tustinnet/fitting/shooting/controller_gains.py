@@ -117,7 +117,8 @@ def _remarks(
     if other := [name for name, share in shares.items() if share > _OTHER_LAW]:
         remarks.append(
             f"the controller computed {', '.join(other)} otherwise than the data card says; check "
-            "its set points, their units, its gains, and whether a feed-forward is missing"
+            "its set points, their units, its gains, and whether a feed-forward, an integral or a "
+            "delay is missing"
         )
     return tuple(remarks)
 
