@@ -46,7 +46,6 @@ class PDFeedback(FeedbackLaw):
         is_sampled: whether what it computes at a sample is held until the next.
         states: names of its internal states: of each loop the integral, the filtered velocity, and
             what is still to act.
-        searched: which of them are searched for where a record begins: integrals.
     """
 
     @property
@@ -111,7 +110,8 @@ class PDFeedback(FeedbackLaw):
     def initial(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " n_s"]:
         """The internal states where a record begins: those with which nothing is accelerated."""
         states: list[Any] = []
-        holding = self._holding_inputs(q, v, w, p) if any(self.searched) else None
+        has_integrals = any("ki" in loop.gains for loop in self.controller.loops)
+        holding = self._holding_inputs(q, v, w, p) if has_integrals else None
         for k, loop in enumerate(self.controller.loops):
             error, wanted, speed, extra = self._signals(loop, q, v, w)
             u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * (wanted - speed)
@@ -127,12 +127,13 @@ class PDFeedback(FeedbackLaw):
         return jnp.stack(states)
 
     def spread(self, p: Values) -> Float[Array, " n_s"]:
-        """Standard deviations of the internal states: of integrals, what holds a deviation of 1."""
+        """Standard deviations of the internal states: of forces, what a deviation of 1 causes."""
         spreads: list[Any] = []
         for loop in self.controller.loops:
-            if "ki" in loop.gains:
-                spreads.append(jnp.maximum(p[gain_name(loop, "kp")], 1e-9))
-            spreads += [1.0] * (bool(loop.velocity_filter) + loop.delay)
+            force = jnp.maximum(p[gain_name(loop, "kp")], 1e-9)
+            spreads += [force] if "ki" in loop.gains else []
+            spreads += [1.0] if loop.velocity_filter else []
+            spreads += [force] * loop.delay
         return jnp.stack([jnp.asarray(x) for x in spreads])
 
     def _signals(self, loop: PDLoop, q: Any, v: Any, w: Any) -> tuple[Any, Any, Any, Any]:
@@ -206,10 +207,9 @@ def with_controller(
         )  # fmt: skip
     set_points = {name for loop in controller.loops for name in loop.set_points}
     holds = {i.hold for i in channels.inputs if i.name in set_points}
-    states = [(name, has) for loop in controller.loops for name, has in _loop_states(loop)]
+    states = tuple(name for loop in controller.loops for name in _loop_states(loop))
     feedback = PDFeedback(
-        plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"},
-        tuple(name for name, _ in states), tuple(has for _, has in states),
+        plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"}, states
     )  # fmt: skip
     closed = _close_with_states(feedback) if states else _close(feedback)
     return replace(
@@ -221,12 +221,12 @@ def with_controller(
     )
 
 
-def _loop_states(loop: PDLoop) -> list[tuple[str, bool]]:
-    """Names of the internal states of a loop, and whether they are searched for."""
-    states = [(f"{loop.coordinate}.integral", True)] if "ki" in loop.gains else []
+def _loop_states(loop: PDLoop) -> list[str]:
+    """Names of the internal states of a loop."""
+    states = [f"{loop.coordinate}.integral"] if "ki" in loop.gains else []
     if loop.velocity_filter:
-        states.append((f"{loop.coordinate}.filtered_velocity", False))
-    return [*states, *((f"{loop.input}.delayed{k + 1}", False) for k in range(loop.delay))]
+        states.append(f"{loop.coordinate}.filtered_velocity")
+    return [*states, *(f"{loop.input}.delayed{k + 1}" for k in range(loop.delay))]
 
 
 def _close(feedback: PDFeedback) -> dict[str, Any]:

@@ -191,14 +191,12 @@ class FeedbackLaw(ABC):
         channels: coordinates and inputs of the closed loop, with the controller.
         is_sampled: whether what it computes at a sample is held until the next.
         states: names of its internal states, which stand behind those of the system.
-        searched: which of them an identification searches for where a record begins.
     """
 
     plant: "LagrangianSystem"
     channels: Channels
     is_sampled: bool
     states: tuple[str, ...]
-    searched: tuple[bool, ...]
 
     @property
     @abstractmethod
@@ -802,12 +800,11 @@ class LagrangianModel(ContinuousModel):
 
     @property
     def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
-        """Mask of the internal states of unmeasured coordinates, and of some of the controller."""
-        unmeasured, feedback = self.system.unmeasured, self.system.feedback
-        own = (True,) * (len(unmeasured.states) if unmeasured else 0)
-        last = feedback.searched if feedback else ()
-        between = (False,) * (len(self.internal) - len(own) - len(last))
-        return np.array((*own, *between, *last), dtype=bool)
+        """Mask of the internal states of unmeasured coordinates and of the controller."""
+        unmeasured, feedback, n = self.system.unmeasured, self.system.feedback, len(self.internal)
+        first = len(unmeasured.states) if unmeasured else 0
+        last = n - len(feedback.states) if feedback else n
+        return (np.arange(n) < first) | (np.arange(n) >= last)
 
     def _complete(
         self, q: Coordinates, v: Coordinates, states: Internal
