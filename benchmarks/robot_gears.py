@@ -114,8 +114,8 @@ def count_intervals(seeds: int) -> None:
     print(f"| driven by | encoder | torque noise | records | {' | '.join(kinds)} "
           "| errors of stiffness and damping by stated ones |")  # fmt: skip
     for in_loop, bits, noise, count in (
-        (False, 16, 0.0, 4), (False, 13, 0.0, 4), (False, 16, 0.002, 4), (False, 16, 0.002, 9),
-        (False, 13, 0.002, 9), (True, 16, 0.002, 4), (True, 13, 0.002, 4),
+        (False, 16, 0.002, 4), (False, 13, 0.0, 4), (True, 13, 0.002, 4), (False, 16, 0.0, 4),
+        (False, 16, 0.002, 9),
     ):  # fmt: skip
         inside: dict[str, list[bool]] = {kind: [] for kind in kinds}
         deviations = []
