@@ -10,6 +10,7 @@ import tustinnet as tn
 from tustinnet.channels import Channels, PDController, PDLoop
 from tustinnet.models.chains import Body, body_inertia, inertial_parameters
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.rigid import rigid_system
 
 COUNT = 2 * np.pi / 2**16
 
@@ -79,6 +80,9 @@ def record_in_loop(
     *,
     knows_controller: bool = False,
     knows_gains: bool = True,
+    substeps: int = 5,
+    begins_moving: bool = False,
+    resolution: float = COUNT,
 ) -> tn.DataSet:
     """Records of a robot that a PD controller moves along sums of sines, or other motions.
 
@@ -95,21 +99,27 @@ def record_in_loop(
         motions: positions and velocities that the first records follow instead, (n, n_q) each.
         knows_controller: whether the records have the set points of the controller as inputs.
         knows_gains: whether they have its gains, too.
+        substeps: integration steps in a sampling period.
+        begins_moving: whether the robot moves for a second before each record begins, so that its
+            internal states are those of a motion.
+        resolution: of the encoders [rad or m].
     """
     model = system.model({name: jnp.asarray(x) for name, x in values.items()})
-    step = tn.compiled_step(tn.discretise(model, dt, 5, inputs=system.inputs))
+    step = tn.compiled_step(tn.discretise(model, dt, substeps, inputs=system.inputs))
     n, rng, t = len(system.coordinates), np.random.default_rng(seed), np.arange(0, seconds, dt)
     # gains by the inertia that a joint sees, 3 Hz and well damped; more where friction is large
-    inertia = np.diag(np.asarray(model.mass_matrix(jnp.zeros(n))))
-    assert system.input_map is not None
+    before = dt * np.arange(-round(1 / dt), 0) if begins_moving else t[:0]
+    rigid = rigid_system(system)
+    inertia = np.diag(np.asarray(rigid.model(model.values).mass_matrix(jnp.zeros(n))))
+    assert rigid.input_map is not None
     driven = [
-        int(np.argmax(system.input_map(jnp.zeros(n), jnp.zeros(n), jnp.asarray(one), values)))
+        int(np.argmax(rigid.input_map(jnp.zeros(n), jnp.zeros(n), jnp.asarray(one), values)))
         for one in np.eye(len(system.inputs))
     ]
     friction = np.array([values[f"{c.name}.coulomb"] for c in system.coordinates])
     stiffness = inertia * 20.0**2 + 10.0 * friction / amplitude
     damping = 2 * 0.8 * np.sqrt(inertia * stiffness)
-    coordinates = [tn.Coordinate(c.name, c.kind, COUNT) for c in system.coordinates]
+    coordinates = [tn.Coordinate(c.name, c.kind, resolution) for c in system.coordinates]
     inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
               for i in system.inputs]  # fmt: skip
     gains = [(float(stiffness[j]), float(damping[j])) if knows_gains else () for j in driven]
@@ -131,21 +141,26 @@ def record_in_loop(
         omega = 2 * np.pi * rng.uniform(0.1, 1.2, (5, n))
         size, phase = amplitude * rng.uniform(0.2, 0.5, (5, n)), rng.uniform(0, 2 * np.pi, (5, n))
         middle = rng.uniform(-0.5, 0.5, n)
-        wanted = middle + np.sum(size * np.sin(omega * t[:, None, None] + phase), axis=1)
-        speed = np.sum(size * omega * np.cos(omega * t[:, None, None] + phase), axis=1)
+        angle = omega * np.concatenate([before, t])[:, None, None] + phase
+        wanted = middle + np.sum(size * np.sin(angle), axis=1)
+        speed = np.sum(size * omega * np.cos(angle), axis=1)
         if k < len(motions):
             wanted, speed = motions[k]
-        x = np.concatenate([wanted[0], speed[0]])
-        states, torques = np.empty((len(wanted), 2 * n)), np.empty((len(wanted), len(driven)))
+        measured = jnp.concatenate([wanted[0], speed[0]])
+        x = np.asarray(model.initial_state(measured, jnp.zeros(len(driven))))
+        states, torques = np.empty((len(wanted), len(x))), np.empty((len(wanted), len(driven)))
         for i in range(len(wanted)):
             states[i] = x
-            force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n:])
+            force = stiffness * (wanted[i] - x[:n]) + damping * (speed[i] - x[n : 2 * n])
             torques[i] = force[driven]
             x = step(x, torques[i])
+        states, torques, wanted, speed = (
+            a[len(before) :] for a in (states, torques, wanted, speed)
+        )
         level = noise if isinstance(noise, np.ndarray) else noise * torques.std(axis=0)
         measured = torques + level * rng.normal(size=torques.shape)
         record = tn.from_arrays(
-            np.round(states[:, :n] / COUNT) * COUNT, measured, dt=dt,
+            np.round(states[:, :n] / resolution) * resolution, measured, dt=dt,
             coordinates=coordinates, inputs=inputs,
             name=f"run{k}", split="train" if k < count - 1 else "validation",
         )  # fmt: skip

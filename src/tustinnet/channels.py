@@ -93,14 +93,16 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
-GAINS = ("kp", "kd")  # of a loop
+_LOOP_DEFAULTS = {"ki": 0.0, "velocity_filter": 0.0, "delay": 0}  # headers leave them out
+MOST_DELAY = 100  # samples between what a controller computes and what acts
 
 
 @dataclass(frozen=True)
 class PDLoop:
     """The loop by which a controller computes an input from a coordinate and its set points.
 
-    `input = kp (position - q) + kd (velocity - v) + feedforward`, within the input's limits.
+    `input = kp (position - q) + kd (velocity - v) + ki integral(position - q) + feedforward`,
+    within the input's limits. While an input is at a limit, its integral does not grow towards it.
 
     Attributes:
         input: name of the input of the system.
@@ -110,6 +112,11 @@ class PDLoop:
         feedforward: name of what is added to the input; "" where nothing is.
         kp: gain [unit of the input by rad or m], None where it is to be found.
         kd: gain [unit of the input by rad/s or m/s], None where it is to be found.
+        ki: gain [unit of the input by rad s or m s], None where it is to be found, 0 for no
+            integral.
+        velocity_filter: time constant of the low-pass filter of the measured velocity [s]; 0 for
+            none.
+        delay: samples after which what it computes acts, for a controller that computes at samples.
     """
 
     input: str
@@ -119,6 +126,14 @@ class PDLoop:
     feedforward: str = ""
     kp: float | None = None
     kd: float | None = None
+    ki: float | None = 0.0
+    velocity_filter: float = 0.0
+    delay: int = 0
+
+    @property
+    def gains(self) -> tuple[str, ...]:
+        """The names of its gains."""
+        return ("kp", "kd") if self.ki == 0 else ("kp", "kd", "ki")
 
     @property
     def set_points(self) -> tuple[str, ...]:
@@ -159,7 +174,12 @@ class PDController:
                 if name in names[:k]:
                     raise InputError(where, f"two loops of the {kind} '{name}'", "one")
         for loop in self.loops:
-            for gain in GAINS:
+            if not 0 <= loop.velocity_filter < np.inf or not 0 <= loop.delay <= MOST_DELAY:
+                raise InputError(
+                    where, f"velocity_filter {loop.velocity_filter:g}, delay {loop.delay} of the "
+                    f"loop of '{loop.input}'", f"0 s or more, 0 to {MOST_DELAY} samples",
+                )  # fmt: skip
+            for gain in loop.gains:
                 value = getattr(loop, gain)
                 if value is not None and not 0 <= value < np.inf:
                     raise InputError(
@@ -351,6 +371,10 @@ class Channels:
         controller = asdict(self.controller) if self.controller else {}
         for i in controller["inputs"]:
             del i["is_delay_declared"]
+        controller["loops"] = [
+            {key: x for key, x in loop.items() if x != _LOOP_DEFAULTS.get(key, ...)}
+            for loop in controller["loops"]
+        ]
         return controller
 
     @classmethod

@@ -73,6 +73,22 @@ def test_set_points_that_wrap_stay_beside_the_angle(columns):
     np.testing.assert_allclose(e.q[:, 0] - e.u[:, 0], plain.q[:, 0] - plain.u[:, 0], atol=1e-9)
 
 
+def test_integral_filter_and_delay_are_read_and_written(columns, tmp_path):
+    e = read(columns, card(kind="pid", ki=5.0, velocity_filter=0.02, delay=2))
+    assert e.channels.controller is not None
+    (loop,) = e.channels.controller.loops
+    assert (loop.ki, loop.velocity_filter, loop.delay) == (5.0, 0.02, 2)
+    assert loop.gains == ("kp", "kd", "ki")
+    assert Channels.from_header(e.channels.as_header()) == e.channels
+    for kind, ki in (("pid", None), ("pid", 0.0), ("pd", 0.0)):
+        keys = {} if kind == "pd" else {"ki": ki}
+        record = read(columns, card(kind=kind, **keys))
+        path = write_data_set(tn.DataSet("one", (record,)), tmp_path, "One", overwrite=True)
+        again = load_folder(tmp_path, read_declaration(path, Card))
+        assert again.channels.controller is not None
+        assert again.channels.controller.loops[0].ki == ki
+
+
 def test_inputs_need_no_column_where_the_gains_are_known(columns):
     without = card()
     del without["inputs"][0]["column"]
@@ -137,9 +153,17 @@ def test_a_loop_that_is_wrong_is_refused_by_key(loop, words):
 
 
 def test_a_controller_that_is_wrong_is_refused_by_key(columns):
-    with pytest.raises(InputError, match=r"controller\.kind: Input should be 'pd'"):
-        other = card()
-        other["controller"]["kind"] = "pid"
+    with pytest.raises(InputError, match=r"controller\.kind: Input should be 'pd' or 'pid'"):
+        declare(card(kind="p"), Card, "dataset.toml")
+    with pytest.raises(InputError, match=r'loops\.0\.ki: an integral is of kind = "pid"'):
+        declare(card(ki=2.0), Card, "dataset.toml")
+    with pytest.raises(InputError, match="`delay` of the loop of 'voltage', which computes all"):
+        other = card(delay=1)
+        other["inputs"][0]["hold"] = "first-order"
+        declare(other, Card, "dataset.toml")
+    with pytest.raises(InputError, match="no ki in the loop of 'voltage', and no column"):
+        other = card(kind="pid")
+        del other["inputs"][0]["column"]
         declare(other, Card, "dataset.toml")
     with pytest.raises(InputError, match="two loops of the input 'voltage'"):
         other = card()

@@ -80,6 +80,67 @@ def test_a_controller_that_computes_all_the_time(record):
     assert tn.evaluate(fine, [continuous], "derived-6")[0].rmse > 2 * held
 
 
+LAW = {"ki": 60.0, "velocity_filter": 0.02, "delay": 2}
+STATES = ("angle.integral", "angle.filtered_velocity", "voltage.delayed1", "voltage.delayed2")
+WITH_INTEGRAL = (*GAINS, tn.Parameter("angle.ki", "V/rad/s", 60.0, 60.0, 60.0, fixed=True))
+
+
+def test_integral_filter_and_delay_are_those_of_a_sampled_controller():
+    """Step by step against the law written by hand, also where the voltage is at its limit."""
+    record = held_swings(1, law=LAW, kind="pid", **LAW)[0]
+    closed = with_controller(SWING, record.channels, WITH_INTEGRAL)
+    assert closed.internal == STATES
+    values = {name: jnp.asarray(x) for name, x in (closed.nominal() | TRUTH).items()}
+    model = tn.discretise(closed.model(values), record.dt, 4, inputs=record.inputs)
+    plant = tn.discretise(
+        SWING.model({name: jnp.asarray(x) for name, x in TRUTH.items()}), record.dt, 4
+    )
+    share = 1.0 - np.exp(-record.dt / 0.02)
+    x, integral, speed, coming = jnp.array([3.4, 0.3]), 0.7, 0.1, [1.0, -2.0]
+    own, at_limit = jnp.array([3.4, 0.3, integral, speed, coming[1], coming[0]]), 0
+    for w in [[3.5, 0.1, 0.2]] * 4 + [[3.0, 0.0, 0.0]] * 4 + [[4.0, 0.0, 0.0]] * 3:
+        error = w[0] - float(x[0])
+        speed += share * (float(x[1]) - speed)
+        u = KP * error + KD * (w[1] - speed) + integral + w[2]
+        at_limit += abs(u) >= LIMIT
+        integral += record.dt * 60.0 * error if abs(u) < LIMIT or error * u < 0 else 0.0
+        coming.append(float(np.clip(u, -LIMIT, LIMIT)))
+        x = plant.step(x, jnp.array([coming.pop(0)]))
+        own = model.step(own, jnp.array(w))
+        expected = [*x, integral, speed, coming[1], coming[0]]
+        np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-12)
+    assert 0 < at_limit < 11
+    # free runs by the engine are those of the steps, and begin with the integral that holds
+    (score,) = tn.evaluate(model, [record], "model-20")
+    assert score.rmse < 3 * record.coordinates[0].resolution
+
+
+def test_an_integral_begins_with_what_holds_the_system():
+    record = held_swings(1, law={"ki": 60.0}, kind="pid", ki=60.0)[0]
+    closed = with_controller(SWING, record.channels, WITH_INTEGRAL)
+    values = {name: jnp.asarray(x) for name, x in (closed.nominal() | TRUTH).items()}
+    model = closed.model(values)
+    w = jnp.array([3.0, 0.0, 0.5])
+    begun = model.initial_state(jnp.array([2.8, 0.0]), w)
+    assert abs(float(model.derivative(begun, w)[1])) < 1e-6
+    assert model.searched_internal.tolist() == [True]
+    assert model.internal_spread.tolist() == [KP]
+
+
+def test_a_controller_with_an_integral_that_computes_all_the_time():
+    record = held_swings(1, law={"ki": 60.0}, kind="pid", ki=60.0, velocity_filter=0.02)[0]
+    inputs = tuple(replace(i, hold="first-order") for i in record.channels.inputs)
+    channels = replace(record.channels, inputs=inputs)
+    closed = with_controller(SWING, channels, WITH_INTEGRAL)
+    values = {name: jnp.asarray(x) for name, x in (closed.nominal() | TRUTH).items()}
+    x, w = jnp.array([3.4, 0.3, 0.7, 0.1]), jnp.array([3.5, 0.1, 0.2])
+    rate = closed.model(values).derivative(x, w)
+    volts = jnp.array([KP * 0.1 + KD * (0.1 - 0.1) + 0.7 + 0.2])
+    alone = SWING.model({n: jnp.asarray(v) for n, v in TRUTH.items()}).derivative(x[:2], volts)
+    np.testing.assert_allclose(rate[:2], alone, rtol=1e-12)
+    np.testing.assert_allclose(rate[2:], [60.0 * 0.1, (0.3 - 0.1) / 0.02], rtol=1e-12)
+
+
 def test_lags_and_forces_of_the_system_inside(record):
     """A motor that lags follows the controller's voltage; added forces are those of the system."""
     closed = with_controller(LAGGING, record.channels, GAINS)

@@ -13,8 +13,9 @@ import tustinnet as tn
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.models.added import with_forces
+from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.chains import DIAGONAL, inertial_parameters
+from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
@@ -223,6 +224,36 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
         with_forces(elastic, ("stribeck:elbow",), ())
 
 
+@pytest.mark.parametrize("encoder", ["link", "motor"])
+@pytest.mark.parametrize("law", ["curve", "load", "spring", "maxwell", "lag"])
+def test_forces_are_added_to_robots_with_elastic_gears(law, encoder):
+    """At what the encoder measures; internal states come behind those of the gear."""
+    robot = ROBOTS / "scara.urdf"
+    system = tn.load_robot(robot, elastic={"elbow": 100.0}, encoders={"elbow": encoder})
+    at_input = LAWS[law].is_at_input
+    name = f"{law}:{system.inputs[1].name if at_input else 'elbow'}"
+    (force,) = parse_forces(system, [name])
+    motion = Motion(force=3.0, position=0.5, travel=0.5, speed=1.0, dt=0.005, longest=10.0)
+    new = tuple(
+        p.for_input(system.inputs[1], motion)
+        if at_input
+        else p.for_coordinate(system.coordinates[1], motion)
+        for p in force.brought.values()
+    )
+    more = with_forces(system, (name,), new)
+    other = "link" if encoder == "motor" else "motor"
+    has_state = law in ("maxwell", "lag")
+    assert more.internal == (f"elbow.{other}", f"elbow.{other}_speed", name)[: 2 + has_state]
+    values = {p.name: jnp.asarray(p.upper if p in new else p.nominal) for p in more.parameters}
+    measured, u = jnp.array([0.1, 0.4, 0.0, 0.3, 0.5, 0.6, 0.1, 0.2]), jnp.ones(4)
+    rates = []
+    for one in (system, more):
+        model = one.model({name: values[name] for name in one.nominal()})
+        # where the lag has not reached what is asked for, and the spring is stretched
+        rates.append(model.derivative(model.initial_state(measured, u) + 0.05, u)[4:10])
+    assert np.abs(rates[1] - rates[0]).max() > 1e-3
+
+
 def test_a_friction_of_another_name_is_refused():
     with pytest.raises(InputError, match="friction 'lugre'; expected one of str"):
         tn.load_robot(ROBOTS / "scara.urdf", friction=["lugre"])
@@ -260,6 +291,53 @@ def test_a_motor_behind_an_elastic_gear_moves_by_itself(hanging):
     # within the play nothing acts but the damping
     loose = model.derivative(jnp.array([q, v, q + 0.009, speed]), jnp.array([torque]))
     assert float(loose[1]) == pytest.approx((0.3 * (speed - v) - weight) / inertia, rel=1e-5)
+
+
+def test_an_encoder_at_the_motor_changes_what_is_measured_alone(hanging):
+    """The robot moves as with an encoder at the link; motor and link change their places."""
+    gear = {"elastic": {"hip": 60.0}, "backlash": {"hip": 0.02}}
+    by_link, by_motor = (tn.load_robot(hanging, **gear, encoders=x) for x in ("link", "motor"))
+    assert by_motor.internal == ("hip.link", "hip.link_speed")
+    assert tn.load_robot(hanging, **gear, encoders={"hip": "motor"}).internal == by_motor.internal
+    nominal = {name: jnp.asarray(x) for name, x in by_link.nominal().items()}
+    assert by_motor.nominal() == by_link.nominal()
+    u, link, motor = jnp.array([2.0]), [0.3, 0.5], [0.35, -0.8]
+    at_link = by_link.model(nominal).derivative(jnp.array([*link, *motor]), u)
+    at_motor = by_motor.model(nominal).derivative(jnp.array([*motor, *link]), u)
+    np.testing.assert_allclose(at_motor, at_link[jnp.array([2, 3, 0, 1])], rtol=1e-12)
+
+
+def test_a_link_begins_where_the_load_twists_its_gear(hanging):
+    """At rest that is gravity, whatever torque dry friction holds; else also its acceleration."""
+    system = tn.load_robot(hanging, elastic={"hip": 60.0}, encoders="motor")
+    values = system.nominal() | {"hip.armature": 0.01}
+    model = system.model({name: jnp.asarray(x) for name, x in values.items()})
+    weight = 1.2 * 9.81 * 0.2 * np.sin(0.4)
+    for torque in (weight, weight + 0.04):  # its Coulomb friction is 0.05 N m
+        begun = model.initial_internal(jnp.array([0.4, 0.0]), jnp.array([torque]))
+        np.testing.assert_allclose(begun, [0.4 - weight / 60, 0.0], rtol=1e-6)
+    inertia = 0.016 + 1.2 * 0.2**2
+    acceleration = (2.0 - weight - 0.05 * 3.0 - 0.05) / (inertia + 0.01)
+    begun = model.initial_internal(jnp.array([0.4, 3.0]), jnp.array([2.0]))
+    twist = (weight + inertia * acceleration) / 60
+    np.testing.assert_allclose(begun, [0.4 - twist, 3.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("encoders", "message"),
+    [
+        ({"hip": "gear"}, "encoders: 'gear' for 'hip'; expected 'motor' or 'link'"),
+        (
+            {"knee": "motor"},
+            "the joint 'knee', which is not elastic; expected one of hip",
+        ),
+    ],
+)
+def test_encoders_are_checked(encoders, message, hanging):
+    with pytest.raises(InputError, match=re.escape(message)):
+        tn.load_robot(hanging, elastic={"hip": 60.0}, encoders=encoders)
+    with pytest.raises(InputError, match="which is not elastic"):
+        tn.load_robot(hanging, encoders="motor")
 
 
 def test_the_stiffness_of_a_gear_is_identified(hanging):

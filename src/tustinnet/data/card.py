@@ -16,6 +16,7 @@ from pydantic import (
 
 from tustinnet.channels import (
     LONGEST_DT,
+    MOST_DELAY,
     SHORTEST_DT,
     Channels,
     Coordinate,
@@ -295,6 +296,10 @@ class PDLoopCard(Declaration):
         feedforward: the column of what is added, read as the input's own: its sign, scale, offset.
         kp: gain [unit of the input by rad or m]; without it, it is found.
         kd: gain [unit of the input by rad/s or m/s]; without it, it is found.
+        ki: gain of the integral [unit of the input by rad s or m s], of kind `pid`; without it, it
+            is found.
+        velocity_filter: time constant of a low-pass filter of the measured velocity [s].
+        delay: samples after which what is computed acts.
     """
 
     input: Name
@@ -304,6 +309,9 @@ class PDLoopCard(Declaration):
     feedforward: ColumnKey | None = None
     kp: Gain | None = None
     kd: Gain | None = None
+    ki: Gain | None = None
+    velocity_filter: float = Field(default=0.0, ge=0, le=1e3)
+    delay: StrictInt = Field(default=0, ge=0, le=MOST_DELAY)
 
     @field_validator("position", "velocity", mode="before")
     @classmethod
@@ -311,8 +319,12 @@ class PDLoopCard(Declaration):
         # "q_desired" is short for { column = "q_desired" }
         return {"column": content} if isinstance(content, str | int) else content
 
-    def loop(self) -> PDLoop:
-        """The loop as records have it."""
+    def loop(self, *, has_integral: bool) -> PDLoop:
+        """The loop as records have it.
+
+        Args:
+            has_integral: whether the controller has integrals, whose gains may be missing.
+        """
         return PDLoop(
             self.input,
             self.coordinate,
@@ -321,6 +333,9 @@ class PDLoopCard(Declaration):
             f"{self.input}_feedforward" if self.feedforward is not None else "",
             self.kp,
             self.kd,
+            self.ki if has_integral else 0.0,
+            self.velocity_filter,
+            self.delay,
         )
 
 
@@ -328,12 +343,20 @@ class ControllerCard(Declaration):
     """The controller that was in the loop.
 
     Attributes:
-        kind: `pd`: proportional and derivative feedback to set points.
+        kind: `pd`: proportional and derivative feedback to set points; `pid`: also the integral of
+            deviations.
         loops: one for each input that it computes.
     """
 
-    kind: Literal["pd"]
+    kind: Literal["pd", "pid"]
     loops: list[PDLoopCard] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _check_integrals(self) -> "ControllerCard":
+        for k, loop in enumerate(self.loops):
+            if self.kind == "pd" and loop.ki is not None:
+                raise ValueError(f'loops.{k}.ki: an integral is of kind = "pid"')
+        return self
 
 
 class TimeCard(Declaration):
@@ -565,13 +588,20 @@ class Card(Declaration):
             loop = computed[own.name]
             if own.delay != 0:
                 raise ValueError(
-                    f"`delay` of the input '{own.name}', which the controller computes; "
-                    "feedback is simulated without a delay: leave it out"
+                    f"`delay` of the input '{own.name}', which the controller computes; leave it "
+                    "out, or give whole samples as `delay` of its loop"
                 )
-            if own.column is None and (loop.kp is None or loop.kd is None):
+            gains = loop.loop(has_integral=self.controller.kind == "pid")
+            missing = [gain for gain in gains.gains if getattr(gains, gain) is None]
+            if own.column is None and missing:
                 raise ValueError(
-                    f"no {'kp' if loop.kp is None else 'kd'} in the loop of '{own.name}', and no "
+                    f"no {missing[0]} in the loop of '{own.name}', and no "
                     "column of this input, from which a gain is found; give one of both"
+                )
+            if loop.delay and own.hold == "first-order":
+                raise ValueError(
+                    f"`delay` of the loop of '{own.name}', which computes all the time; it counts "
+                    'samples: declare hold = "zero-order" of this input, or leave it out'
                 )
         holds = {i.hold for i in self.inputs if i.name in computed}
         if len(holds) > 1:
@@ -628,7 +658,7 @@ class Card(Declaration):
                 columns += own.input_columns()
                 continue
             card = computed[own.name]
-            loop, coordinate = card.loop(), coordinates[card.coordinate]
+            loop, coordinate = card.loop(has_integral=False), coordinates[card.coordinate]
             # set points act as the input that is computed from them
             hold = "zero-order" if own.hold in ("zero-order", "unknown") else "first-order"
 
@@ -668,7 +698,10 @@ class Card(Declaration):
             return None
         return PDController(
             tuple(i.input() for i in self.inputs),
-            tuple(loop.loop() for loop in self.controller.loops),
+            tuple(
+                loop.loop(has_integral=self.controller.kind == "pid")
+                for loop in self.controller.loops
+            ),
         )
 
     def channels(self, dt: float) -> Channels:

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
@@ -124,6 +124,11 @@ class Committee(Model):
     def internal_spread(self) -> Internal:
         """The standard deviations of all members, one member after the other."""
         return jnp.concatenate([member.internal_spread for member in self.members])
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """The searched internal states of all members, one member after the other."""
+        return np.concatenate([member.searched_internal for member in self.members])
 
     @property
     def warm_up(self) -> int:

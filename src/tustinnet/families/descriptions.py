@@ -95,6 +95,9 @@ class LoopEntry(Entries):
     feedforward: Text = ""
     kp: float | None = None
     kd: float | None = None
+    ki: float | None = 0.0
+    velocity_filter: float = 0.0
+    delay: int = 0
 
 
 class ControllerEntry(Entries):

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from pydantic import Field, SerializeAsAny, field_validator
 
 from tustinnet.channels import Channels
@@ -115,6 +115,12 @@ class HybridModel(Model):
     def internal_spread(self) -> Internal:
         """The standard deviations of the physics, then those of the correction."""
         return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """The searched internal states of the physics, then those of the correction."""
+        parts = (self.physics, self.correction)
+        return np.concatenate([part.searched_internal for part in parts])
 
     def for_record(self, experiment: Experiment) -> "HybridModel":
         """The hybrid with the physics of the record."""

@@ -153,7 +153,8 @@ class Identification:
         reversed_signs: coordinates and inputs whose sign is probably the wrong way round:
             alternatives, each the names to reverse together.
         findings: what one should know before using it, in plain language.
-        trust: which errors to believe: `records` (how they disagree) or `residuals` (J'J).
+        trust: which errors to believe: `records` (how they disagree), `segments` (how these do, of
+            few records) or `residuals` (J'J).
         rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
         autocorrelation: of the residuals from one sample to the next, per channel, (n_y,).
         disagreements: what records disagree about, by group and one by one.

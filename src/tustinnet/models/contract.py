@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import HasChannels
 from tustinnet.data.experiment import Experiment
@@ -85,6 +85,15 @@ class Stateful(HasChannels, eqx.Module):
         In the states' units, at the beginning of a record. Starts that search for them use it.
         """
         return jnp.asarray(np.ones(len(self.internal)))
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """Mask of internal states that an identification searches for where a record begins.
+
+        Within `internal_spread` of the expected ones. Of most models these are none: records say
+        little of what forces remember.
+        """
+        return np.zeros(len(self.internal), dtype=bool)
 
     def initial_state(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, wraps
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, PDController, PDLoop
@@ -13,10 +15,13 @@ from tustinnet.errors import InputError
 from tustinnet.models.lagrangian import (
     FeedbackLaw,
     LagrangianSystem,
+    Memory,
     Parameter,
     Values,
+    solve_positive,
     takes_inputs,
 )
+from tustinnet.models.rigid import rigid_system
 
 
 def gain_name(loop: PDLoop, gain: str) -> str:
@@ -24,14 +29,23 @@ def gain_name(loop: PDLoop, gain: str) -> str:
     return f"{loop.coordinate}.{gain}"
 
 
+_LEAST_RIDGE = 1e-12  # of the forces by the inputs, where several inputs do the same
+
+
 @dataclass(frozen=True)
 class PDFeedback(FeedbackLaw):
-    """Proportional and derivative feedback to set points.
+    """Proportional, integral and derivative feedback to set points, with a filter and a delay.
+
+    Sampled controllers compute at each sample: what they remember changes from one to the next as
+    if at constant rates, so that it is simulated with everything else.
 
     Attributes:
         plant: the system without the controller.
-        channels: coordinates and inputs of the closed loop, with the controller.
+        channels: coordinates and inputs of the closed loop, with the controller; with a sampling
+            period where it has internal states.
         is_sampled: whether what it computes at a sample is held until the next.
+        states: names of its internal states: of each loop the integral, the filtered velocity, and
+            what is still to act.
     """
 
     @property
@@ -45,30 +59,109 @@ class PDFeedback(FeedbackLaw):
         """Number of inputs that are computed."""
         return len(self.controller.loops)
 
-    def outputs(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " loops"]:
-        """The inputs of the system that are computed, in the order of the loops.
+    def compute(self, q: Any, v: Any, s: Any, w: Any, p: Values) -> Float[Array, " computed"]:
+        """The inputs of the system that are computed, then the rates of the internal states.
 
         Args:
-            q: positions, (n_q,).
-            v: velocities, (n_q,).
+            q: positions.
+            v: velocities.
+            s: internal states, (n_s,).
             w: inputs of the closed loop, (n_w,).
             p: values of the parameters by name.
         """
-        coordinates = [c.name for c in self.channels.coordinates]
-        names = [i.name for i in self.channels.inputs]
-        inputs = {i.name: i for i in self.controller.inputs}
-        computed = []
+        acting, rates, remaining = [], [], list(s)
         for loop in self.controller.loops:
-            j = coordinates.index(loop.coordinate)
-            wanted = w[names.index(loop.velocity)] if loop.velocity else 0.0
-            u = p[gain_name(loop, "kp")] * (w[names.index(loop.position)] - q[j])
-            u = u + p[gain_name(loop, "kd")] * (wanted - v[j])
-            if loop.feedforward:
-                u = u + w[names.index(loop.feedforward)]
-            if limits := inputs[loop.input].limits:
+            error, wanted, speed, extra = self._signals(loop, q, v, w)
+            integral = remaining.pop(0) if "ki" in loop.gains else None
+            slowing = None
+            if loop.velocity_filter:
+                speed, slowing = self._filter(loop, speed, remaining.pop(0))
+            u = p[gain_name(loop, "kp")] * error
+            u = u + p[gain_name(loop, "kd")] * (wanted - speed)
+            if extra is not None:
+                u = u + extra
+            limits = self._limits(loop)
+            if integral is not None:
+                u, growth = u + integral, p[gain_name(loop, "ki")] * error
+                if limits:
+                    low, high = limits
+                    is_stopped = ((u >= high) & (growth > 0)) | ((u <= low) & (growth < 0))
+                    growth = jnp.where(is_stopped, 0.0, growth)
+                rates.append(growth)
+            if slowing is not None:
+                rates.append(slowing)
+            if limits:
                 u = jnp.clip(u, *limits)
-            computed.append(u)
-        return jnp.stack(computed)
+            for _ in range(loop.delay):
+                later = remaining.pop(0)
+                rates.append((u - later) / self.channels.dt)
+                u = later
+            acting.append(u)
+        return jnp.stack([*acting, *(jnp.asarray(rate, q.dtype) for rate in rates)])
+
+    def _filter(self, loop: PDLoop, speed: Any, before: Any) -> tuple[Any, Any]:
+        """The filtered velocity that a loop uses, and the rate of the state that has it."""
+        if not self.is_sampled:
+            return before, (speed - before) / loop.velocity_filter
+        period = self.channels.dt
+        change = -np.expm1(-period / loop.velocity_filter) * (speed - before)
+        return before + change, change / period
+
+    def initial(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " n_s"]:
+        """The internal states where a record begins: those with which nothing is accelerated."""
+        states: list[Any] = []
+        has_integrals = any("ki" in loop.gains for loop in self.controller.loops)
+        holding = self._holding_inputs(q, v, w, p) if has_integrals else None
+        for k, loop in enumerate(self.controller.loops):
+            error, wanted, speed, extra = self._signals(loop, q, v, w)
+            u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * (wanted - speed)
+            u = u if extra is None else u + extra
+            if "ki" in loop.gains:
+                assert holding is not None
+                states.append(holding[k] - u)
+                u = holding[k]
+            if loop.velocity_filter:
+                states.append(speed)
+            limits = self._limits(loop)
+            states += [jnp.clip(u, *limits) if limits else u] * loop.delay
+        return jnp.stack(states)
+
+    def spread(self, p: Values) -> Float[Array, " n_s"]:
+        """Standard deviations of the internal states: of forces, what a deviation of 1 causes."""
+        spreads: list[Any] = []
+        for loop in self.controller.loops:
+            force = jnp.maximum(p[gain_name(loop, "kp")], 1e-9)
+            spreads += [force] if "ki" in loop.gains else []
+            spreads += [1.0] if loop.velocity_filter else []
+            spreads += [force] * loop.delay
+        return jnp.stack([jnp.asarray(x) for x in spreads])
+
+    def _signals(self, loop: PDLoop, q: Any, v: Any, w: Any) -> tuple[Any, Any, Any, Any]:
+        """Deviation, set point of the velocity, velocity, and feed-forward or None of a loop."""
+        j = [c.name for c in self.channels.coordinates].index(loop.coordinate)
+        names = [i.name for i in self.channels.inputs]
+        wanted = w[names.index(loop.velocity)] if loop.velocity else 0.0
+        extra = w[names.index(loop.feedforward)] if loop.feedforward else None
+        return w[names.index(loop.position)] - q[j], wanted, v[j], extra
+
+    def _limits(self, loop: PDLoop) -> tuple[float, float] | None:
+        """The limits of the input that a loop computes."""
+        return next(i.limits for i in self.controller.inputs if i.name == loop.input)
+
+    def _holding_inputs(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " loops"]:
+        """Computed inputs with which the system is not accelerated, in least squares."""
+        model = rigid_system(self.plant).model(p)
+
+        def force(outputs: Any) -> Any:
+            u = self.plant_inputs(outputs, w)
+            z = model.balanced_internal(q, v, u)
+            return model.applied(q, v, z, u) + model.conservative(q, v)
+
+        none = jnp.zeros(self.size, q.dtype)
+        rest, by_output = force(none), jax.jacfwd(force)(none)
+        square = by_output.T @ by_output
+        ridge = _LEAST_RIDGE * jnp.trace(square) + jnp.finfo(q.dtype).tiny
+        return -solve_positive(square + ridge * jnp.eye(self.size), by_output.T @ rest)
 
     def plant_inputs(self, outputs: Any, w: Any) -> Float[Array, " n_u"]:
         """All inputs of the system.
@@ -98,7 +191,8 @@ def with_controller(
     Args:
         plant: the system, in the coordinates and inputs of the controller.
         channels: channels of records, with their controller; without one the system is returned.
-        gains: the gains, `COORDINATE.kp` and `COORDINATE.kd` of each loop.
+        gains: the gains, `COORDINATE.kp`, `COORDINATE.kd` of each loop, and `COORDINATE.ki` of one
+            with an integral.
 
     Raises:
         InputError: a parameter that the system has already.
@@ -113,10 +207,34 @@ def with_controller(
         )  # fmt: skip
     set_points = {name for loop in controller.loops for name in loop.set_points}
     holds = {i.hold for i in channels.inputs if i.name in set_points}
-    feedback = PDFeedback(plant, replace(channels, dt=0.0), holds == {"zero-order"})
+    states = tuple(name for loop in controller.loops for name in _loop_states(loop))
+    feedback = PDFeedback(
+        plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"}, states
+    )  # fmt: skip
+    closed = _close_with_states(feedback) if states else _close(feedback)
+    return replace(
+        plant,
+        inputs=channels.inputs,
+        parameters=(*plant.parameters, *gains),
+        feedback=feedback,
+        **closed,
+    )
 
-    def closed(function: Callable[..., Any] | None, arguments: str) -> Any:
-        """A function of a system that may take the inputs, as one of the closed loop."""
+
+def _loop_states(loop: PDLoop) -> list[str]:
+    """Names of the internal states of a loop."""
+    states = [f"{loop.coordinate}.integral"] if "ki" in loop.gains else []
+    if loop.velocity_filter:
+        states.append(f"{loop.coordinate}.filtered_velocity")
+    return [*states, *(f"{loop.input}.delayed{k + 1}" for k in range(loop.delay))]
+
+
+def _close(feedback: PDFeedback) -> dict[str, Any]:
+    """The attributes of a system in a closed loop: functions of inputs as ones of set points."""
+    plant = feedback.plant
+
+    def with_set_points(function: Callable[..., Any] | None, arguments: str) -> Any:
+        """A function of the system that may take the inputs, as one of the closed loop."""
         if function is None or not takes_inputs(function, arguments):
             return function
         n_before = len(arguments) - 1
@@ -125,26 +243,70 @@ def with_controller(
         def of_set_points(*others: Any) -> Any:
             *before, w, p = others
             q, v = before[:2]
-            u = feedback.plant_inputs(feedback.outputs(q, v, w, p), w)
+            u = feedback.plant_inputs(feedback.compute(q, v, jnp.zeros(0, q.dtype), w, p), w)
             return function(*before[:n_before], u, p)
 
         return of_set_points
 
-    memory = plant.memory
-    return replace(
-        plant,
-        inputs=channels.inputs,
-        parameters=(*plant.parameters, *gains),
-        input_map=closed(plant.input_map, "qvp"),
-        memory=memory
+    memory, unmeasured = plant.memory, plant.unmeasured
+    return {
+        "input_map": with_set_points(plant.input_map, "qvp"),
+        "memory": memory
         and replace(
             memory,
-            rate=closed(memory.rate, "qvzp"),
-            force=closed(memory.force, "qvzp"),
-            initial=closed(memory.initial, "qvp"),
+            rate=with_set_points(memory.rate, "qvzp"),
+            force=with_set_points(memory.force, "qvzp"),
+            initial=with_set_points(memory.initial, "qvp"),
         ),
-        feedback=feedback,
-    )
+        "unmeasured": unmeasured
+        and replace(unmeasured, initial=with_set_points(unmeasured.initial, "qvp")),
+    }
+
+
+def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
+    """The attributes of a system in a closed loop whose controller has internal states.
+
+    These are in the memory behind the system's own. What the inputs do is a force of the memory, as
+    it depends on internal states.
+    """
+    plant, memory, unmeasured = feedback.plant, feedback.plant.memory, feedback.plant.unmeasured
+    measured, n = plant.channels.position, len(memory.names) if memory else 0
+
+    def computed(q: Any, v: Any, s: Any, w: Any, p: Values) -> tuple[Any, Any]:
+        """Inputs of the system, and rates of the controller's states."""
+        values = feedback.compute(q, v, s, w, p)
+        return feedback.plant_inputs(values[: feedback.size], w), values[feedback.size :]
+
+    def rate(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
+        u, own = computed(q, v, z[n:], w, p)
+        return jnp.concatenate([memory.compute_rate(q, v, z[:n], u, p), own]) if memory else own
+
+    def force(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
+        u, _ = computed(q, v, z[n:], w, p)
+        total = jnp.zeros_like(q)
+        if plant.input_map is not None:
+            total = total + jnp.asarray(plant.input_map(q, v, u, p))
+        return total + memory.compute_force(q, v, z[:n], u, p) if memory else total
+
+    def initial(q: Any, v: Any, w: Any, p: Values) -> Any:
+        own = feedback.initial(q[measured], v[measured], w, p)
+        before = jnp.zeros(n, q.dtype)
+        if memory and memory.initial:
+            inputs = (computed(q, v, own, w, p)[0],) if memory.initial_needs_inputs else ()
+            before = jnp.asarray(memory.initial(q, v, *inputs, p))
+        return jnp.concatenate([before, own])
+
+    def initial_unmeasured(q: Any, v: Any, w: Any, p: Values) -> Any:
+        assert unmeasured is not None
+        u, _ = computed(q, v, feedback.initial(q, v, w, p), w, p)
+        return unmeasured.initial_states(q, v, u, p)
+
+    names = (*(memory.names if memory else ()), *feedback.states)
+    return {
+        "input_map": None,
+        "memory": Memory(names, rate, force, initial),
+        "unmeasured": unmeasured and replace(unmeasured, initial=initial_unmeasured),
+    }
 
 
 def with_changed_plant(
@@ -158,6 +320,28 @@ def with_changed_plant(
     """
     if system.feedback is None:
         return change(system)
+    return with_controller(change(system.plant), system.feedback.channels, _gains_of(system))
+
+
+def without_controller_states(system: LagrangianSystem) -> LagrangianSystem:
+    """A closed loop whose controller remembers nothing: without integrals, filters and delays.
+
+    Its parameters stay. Any other system is returned as it is.
+
+    Args:
+        system: the system.
+    """
+    feedback = system.feedback
+    if feedback is None or not feedback.states:
+        return system
+    controller = feedback.channels.controller
+    assert controller is not None
+    loops = (replace(x, ki=0.0, velocity_filter=0.0, delay=0) for x in controller.loops)
+    channels = replace(feedback.channels, controller=replace(controller, loops=tuple(loops)))
+    return with_controller(system.plant, channels, _gains_of(system))
+
+
+def _gains_of(system: LagrangianSystem) -> tuple[Parameter, ...]:
+    """The gains among the parameters of a closed loop."""
     own = {p.name for p in system.plant.parameters}
-    gains = tuple(p for p in system.parameters if p.name not in own)
-    return with_controller(change(system.plant), system.feedback.channels, gains)
+    return tuple(p for p in system.parameters if p.name not in own)

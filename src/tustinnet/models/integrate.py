@@ -7,7 +7,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels, Input, merge_timing
 from tustinnet.data.experiment import Experiment
@@ -61,6 +62,11 @@ class FromContinuous(Model):
     def internal_spread(self) -> Internal:
         """Standard deviations of the internal states of the continuous model."""
         return self.continuous.internal_spread
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """Internal states of the continuous model that are searched for where a record begins."""
+        return self.continuous.searched_internal
 
     def for_record(self, experiment: Experiment) -> "FromContinuous":
         """The model with the values of the record's groups."""

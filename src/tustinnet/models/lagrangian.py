@@ -12,7 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels, Coordinate, Input
 from tustinnet.data.experiment import Experiment
@@ -30,6 +31,7 @@ from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 Values = Mapping[str, Any]
+AllCoordinates = Float[Array, " n_all"]  # measured ones, then the others
 
 _UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
 
@@ -87,6 +89,56 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class UnmeasuredCoordinates:
+    """Generalised coordinates without a sensor, as the angle of a link behind an elastic gear.
+
+    In the `q` and `v` that the functions of a system take they stand behind the measured ones, and
+    so do their forces. Their positions, then their velocities are internal states, the first ones.
+
+    Attributes:
+        names: names of the coordinates; their velocities are called `NAME_speed`.
+        follow: `follow(q, p)`, where they are if nothing gives, by the measured coordinates, (n_h,)
+            [rad or m]. Estimates without a simulation take this for their motion.
+        initial: `initial(q, v, u, p)`, their expected positions and velocities where a record or a
+            piece of one begins, (2 n_h,), by the measured coordinates. None for those of `follow`.
+        spread: `spread(p)`, standard deviations of positions and velocities from the expected ones,
+            (2 n_h,). None for 1.
+    """
+
+    names: tuple[str, ...]
+    follow: Callable[[Coordinates, Values], Any]
+    initial: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
+    spread: Callable[[Values], Any] | None = None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The names of the internal states: of the positions, then of the velocities."""
+        return (*self.names, *(f"{name}_speed" for name in self.names))
+
+    def complete(
+        self, q: Coordinates, v: Coordinates, p: Values
+    ) -> tuple[AllCoordinates, AllCoordinates]:
+        """Positions and velocities of all coordinates if nothing gives, (n_q + n_h,) each.
+
+        Args:
+            q: measured positions, (n_q,).
+            v: their velocities, (n_q,).
+            p: values of the parameters by name.
+        """
+        at, rate = jax.jvp(lambda x: jnp.asarray(self.follow(x, p)), (q,), (v,))
+        return jnp.concatenate([q, at]), jnp.concatenate([v, rate])
+
+    def initial_states(
+        self, q: Coordinates, v: Coordinates, u: InputVector, p: Values
+    ) -> Float[Array, " n_states"]:
+        """The expected positions and velocities, (2 n_h,), see `initial`."""
+        if self.initial is not None:
+            return jnp.asarray(self.initial(q, v, u, p), q.dtype)
+        at, rate = self.complete(q, v, p)
+        return jnp.concatenate([at[len(q) :], rate[len(q) :]])
+
+
+@dataclass(frozen=True)
 class Inertia:
     """Mass matrix and Coriolis forces of a kinetic energy, where a recursion gives them.
 
@@ -96,10 +148,13 @@ class Inertia:
     Attributes:
         mass_matrix: `M(q, p)`, d2T/dv2, (n_q, n_q) [kg m^2, kg m or kg].
         coriolis: `C(q, v, p)`, dT/dq - (d2T/dv dq) v, (n_q,) [N m or N].
+        uncoupled: indices of coordinates whose rows of the mass matrix are 0 beside the diagonal,
+            as of motors behind elastic gears. Their accelerations are quotients.
     """
 
     mass_matrix: Callable[[Coordinates, Values], Any]
     coriolis: Callable[[Coordinates, Coordinates, Values], Any]
+    uncoupled: tuple[int, ...] = ()
 
 
 def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
@@ -135,11 +190,13 @@ class FeedbackLaw(ABC):
         plant: the system without the controller.
         channels: coordinates and inputs of the closed loop, with the controller.
         is_sampled: whether what it computes at a sample is held until the next.
+        states: names of its internal states, which stand behind those of the system.
     """
 
     plant: "LagrangianSystem"
     channels: Channels
     is_sampled: bool
+    states: tuple[str, ...]
 
     @property
     @abstractmethod
@@ -147,12 +204,53 @@ class FeedbackLaw(ABC):
         """Number of inputs of the system that it computes."""
 
     @abstractmethod
-    def outputs(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
-        """The inputs that it computes by the inputs `w` of the closed loop, (size,)."""
+    def compute(
+        self, q: AllCoordinates, v: AllCoordinates, s: Internal, w: InputVector, p: Values
+    ) -> Any:
+        """The inputs that it computes, then the rates of its internal states, (size + n_s,).
+
+        Args:
+            q: positions.
+            v: velocities.
+            s: its internal states, (n_s,).
+            w: inputs of the closed loop, (n_w,).
+            p: values of the parameters by name.
+        """
+
+    @abstractmethod
+    def initial(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
+        """Its expected internal states where a record begins, (n_s,)."""
+
+    @abstractmethod
+    def spread(self, p: Values) -> Any:
+        """Standard deviations of its internal states from the expected ones, (n_s,)."""
 
     @abstractmethod
     def plant_inputs(self, outputs: Any, w: InputVector) -> Any:
-        """All inputs of the system, (n_u,)."""
+        """All inputs of the system, (n_u,), by those that it computes, (size,)."""
+
+
+class _WithConstantRates(ContinuousModel):
+    """A model with further internal states behind its own, whose rates are constant.
+
+    Attributes:
+        model: the model.
+        rates: the rates, (n,).
+    """
+
+    model: "LagrangianModel"
+    rates: Array
+
+    # a property in the place of a field of the base class: nobody assigns it
+    @property
+    def channels(self) -> Channels:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The coordinates and inputs of the model."""
+        return self.model.channels
+
+    def derivative(self, x: State, u: InputVector) -> State:
+        """The derivative of the model's state, then the rates."""
+        own = self.model.derivative(x[: -len(self.rates)], u)
+        return jnp.concatenate([own, self.rates])
 
 
 class ChannelSource(ABC):
@@ -175,7 +273,8 @@ class ChannelSource(ABC):
 class LagrangianSystem:
     """A mechanical system written as energies and forces.
 
-    All functions take the parameters as a mapping from name to value, last.
+    All functions take the parameters as a mapping from name to value, last. Where there are
+    unmeasured coordinates, `q`, `v` and generalised forces have them behind the others.
 
     Attributes:
         name: what it is called.
@@ -198,6 +297,7 @@ class LagrangianSystem:
         limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
             equation of motion knows of them.
         feedback: the controller in the loop, whose set points are among the inputs; None without.
+        unmeasured: coordinates that no sensor measures; None without.
     """
 
     name: str
@@ -217,6 +317,7 @@ class LagrangianSystem:
     source: "ChannelSource | None" = None
     limits: tuple[MotionLimits, ...] = ()
     feedback: "FeedbackLaw | None" = None
+    unmeasured: UnmeasuredCoordinates | None = None
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -277,8 +378,21 @@ class LagrangianSystem:
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """The names of the internal states."""
-        return self.memory.names if self.memory else ()
+        """The names of the internal states: of unmeasured coordinates, then of the memory."""
+        own = self.unmeasured.states if self.unmeasured else ()
+        return (*own, *(self.memory.names if self.memory else ()))
+
+    @property
+    def has_initial(self) -> bool:
+        """Whether internal states other than 0 are expected where a record begins."""
+        remembers = self.memory is not None and self.memory.initial is not None
+        return self.unmeasured is not None or remembers
+
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the internal states that are expected there depend on inputs."""
+        of_memory = self.memory is not None and self.memory.initial_needs_inputs
+        return self.unmeasured is not None or of_memory
 
     def for_channels(
         self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
@@ -322,9 +436,13 @@ class LagrangianSystem:
 
     def _require_shapes(self) -> None:
         """Raises unless every function returns the shape that the equations of motion need."""
-        q = v = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32)
+        measured, hidden = (
+            len(self.coordinates),
+            len(self.unmeasured.names if self.unmeasured else ()),
+        )
+        q = v = jax.ShapeDtypeStruct((measured + hidden,), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
-        z = jax.ShapeDtypeStruct((len(self.internal),), jnp.float32)
+        z = jax.ShapeDtypeStruct((len(self.memory.names if self.memory else ()),), jnp.float32)
         # without the optional ones: a function that requires one is refused
         p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
              if not x.optional}  # fmt: skip
@@ -341,6 +459,7 @@ class LagrangianSystem:
             functions.append(("mass_matrix", self.inertia.mass_matrix, (q, p), square))
             functions.append(("coriolis", self.inertia.coriolis, (q, v, p), q.shape))
         functions += self._memory_functions(q, v, z, u, p)
+        functions += self._unmeasured_functions(u, p)
         for name, function, arguments, shape in functions:
             where = f"system '{self.name}', {name}"
             try:
@@ -372,6 +491,21 @@ class LagrangianSystem:
                     f"{shape}" if shape else "a scalar",
                     "energies are scalars, forces have a value per coordinate",
                 )
+
+    def _unmeasured_functions(
+        self, u: Any, p: Any
+    ) -> list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]:
+        """Names of the functions of unmeasured coordinates, with arguments and shapes."""
+        if (own := self.unmeasured) is None:
+            return []
+        q, n = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32), len(own.names)
+        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
+        functions = [("unmeasured follow", own.follow, (q, p), (n,))]
+        if own.initial:
+            functions.append(("unmeasured initial", own.initial, (q, q, u, p), (2 * n,)))
+        if own.spread:
+            functions.append(("unmeasured spread", own.spread, (p,), (2 * n,)))
+        return functions
 
     def _memory_functions(
         self, q: Any, v: Any, z: Any, u: Any, p: Any
@@ -433,7 +567,8 @@ class LagrangianModel(ContinuousModel):
 
     Solved for the acceleration: `M(q) a = Q - D + F - c(q, v) - dV/dq` with the mass matrix
     `M = d2T/dv2` and `c = (d2T/dv dq) v - dT/dq`, by Cholesky factorisation of M. `F` are the
-    forces with memory, `dz/dt = rate(q, v, z, u)`.
+    forces with memory, `dz/dt = rate(q, v, z, u)`. The `q` and `v` of these functions have all
+    coordinates, unmeasured ones behind the others.
 
     Attributes:
         system: the energies and forces.
@@ -523,12 +658,20 @@ class LagrangianModel(ContinuousModel):
             force = force + jnp.asarray(s.memory.compute_force(q, v, z, u, p))
         return force
 
-    def acceleration(self, x: State, u: InputVector) -> Coordinates:
-        """The acceleration at a state under an input, (n_q,) [rad/s^2 or m/s^2]."""
+    def acceleration(self, x: State, u: InputVector) -> AllCoordinates:
+        """The acceleration at a state under an input, of all coordinates [rad/s^2 or m/s^2]."""
         q, v, z = self._parts(x)
-        return solve_positive(
-            self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
-        )
+        matrix, force = self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
+        uncoupled = self.system.inertia.uncoupled if self.system.inertia else ()
+        if not uncoupled:
+            return solve_positive(matrix, force)
+        coupled = [i for i in range(len(force)) if i not in uncoupled]
+        accelerations = [force[i] / matrix[i, i] for i in range(len(force))]
+        if coupled:
+            at = jnp.array(coupled)
+            for i, a in zip(coupled, solve_positive(matrix[at][:, at], force[at]), strict=True):
+                accelerations[i] = a
+        return jnp.stack(accelerations)
 
     def derivative(self, x: State, u: InputVector) -> State:
         """`d/dt [q, v, z] = [v, a, rate]`."""
@@ -552,13 +695,17 @@ class LagrangianModel(ContinuousModel):
         feedback = self.system.feedback
         if feedback is None or not feedback.is_sampled:
             return super().between_samples(x, u)
-        q, v, _ = self._parts(x)
-        held = feedback.outputs(q, v, u, self.values)
+        (q, v, z), size = self._parts(x), feedback.size
+        held = feedback.compute(q, v, z[len(z) - len(feedback.states) :], u, self.values)
         plant = LagrangianModel(feedback.plant, self.values)
-        return plant, lambda w: feedback.plant_inputs(held, w)
 
-    def internal_rate(self, x: State, u: InputVector | None = None) -> Internal:
-        """`dz/dt` at a state, (n_z,).
+        def inputs(w: InputVector) -> Any:
+            return feedback.plant_inputs(held[:size], w)
+
+        return (_WithConstantRates(plant, held[size:]) if feedback.states else plant), inputs
+
+    def memory_rate(self, x: State, u: InputVector | None = None) -> Internal:
+        """Rates of the internal states of the memory at a state, without unmeasured coordinates.
 
         Args:
             x: the state, (n_x,).
@@ -575,8 +722,18 @@ class LagrangianModel(ContinuousModel):
 
         For estimates without a simulation: at them the rates of states that inputs drive, also by
         way of other states, are 0, where rates are linear in the states. All others are 0.
+        Unmeasured coordinates are where they are expected at the beginning of a record.
         """
-        memory, n = self.system.memory, len(self.internal)
+        if self.system.unmeasured is not None:
+            own = self.system.unmeasured.initial_states(q, v, u, self.values)
+            q, v = self._complete(q, v, own)
+            return jnp.concatenate([own, self._balanced_memory(q, v, u)])
+        return self._balanced_memory(q, v, u)
+
+    def _balanced_memory(self, q: AllCoordinates, v: AllCoordinates, u: InputVector) -> Internal:
+        """Internal states of the memory that follow inputs, by all coordinates."""
+        memory = self.system.memory
+        n = 0 if memory is None else len(memory.names)
         zero = jnp.zeros(n, q.dtype)
         if memory is None or not memory.has_inputs or not n or not self.channels.n_u:
             return zero
@@ -598,36 +755,85 @@ class LagrangianModel(ContinuousModel):
     @property
     def initial_needs_inputs(self) -> bool:
         """Whether the internal states at the beginning of a record depend on inputs."""
-        return self.system.memory is not None and self.system.memory.initial_needs_inputs
+        return self.system.initial_needs_inputs
 
     def initial_internal(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
     ) -> Internal:
-        """Expected internal states at the beginning of a record, see `Memory.initial`.
+        """Expected internal states at the beginning of a record, see `LagrangianSystem`.
 
         Args:
             measured: the record's first positions and velocities [q, v], (2 n_q,).
             u: the inputs at its beginning, (n_u,); None for 0.
         """
-        memory, channels = self.system.memory, self.channels
-        if memory is None or memory.initial is None:
+        system, channels = self.system, self.channels
+        memory, unmeasured = system.memory, system.unmeasured
+        if not system.has_initial:
             return super().initial_internal(measured)
         q, v = measured[channels.position], measured[channels.velocity]
-        if memory.initial_needs_inputs:
+        if system.initial_needs_inputs:
             u = jnp.zeros(channels.n_u, measured.dtype) if u is None else u
-            return jnp.asarray(memory.initial(q, v, u, self.values), measured.dtype)
-        return jnp.asarray(memory.initial(q, v, self.values), measured.dtype)
+        own = jnp.zeros(0, measured.dtype)
+        if unmeasured is not None:
+            assert u is not None
+            own = unmeasured.initial_states(q, v, u, self.values)
+            q, v = self._complete(q, v, own)
+        if memory is None:
+            return own
+        if memory.initial is None:
+            remembered = jnp.zeros(len(memory.names), measured.dtype)
+        else:
+            inputs = (u,) if memory.initial_needs_inputs else ()
+            remembered = jnp.asarray(memory.initial(q, v, *inputs, self.values), measured.dtype)
+        return remembered if unmeasured is None else jnp.concatenate([own, remembered])
 
-    def _parts(self, x: State) -> tuple[Coordinates, Coordinates, Internal]:
-        channels = self.channels
-        return x[channels.position], x[channels.velocity], x[channels.internal]
+    @property
+    def internal_spread(self) -> Internal:
+        """Standard deviations of internal states, 1 where neither system nor controller has any."""
+        unmeasured, feedback = self.system.unmeasured, self.system.feedback
+        spread = super().internal_spread
+        if unmeasured is not None and unmeasured.spread is not None:
+            own = jnp.asarray(unmeasured.spread(self.values))
+            spread = jnp.concatenate([own, spread[len(own) :]])
+        if feedback is not None and feedback.states:
+            last = len(spread) - len(feedback.states)
+            spread = jnp.concatenate([spread[:last], jnp.asarray(feedback.spread(self.values))])
+        return spread
+
+    @property
+    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
+        """Mask of the internal states of unmeasured coordinates and of the controller."""
+        unmeasured, feedback, n = self.system.unmeasured, self.system.feedback, len(self.internal)
+        first = len(unmeasured.states) if unmeasured else 0
+        last = n - len(feedback.states) if feedback else n
+        return (np.arange(n) < first) | (np.arange(n) >= last)
+
+    def _complete(
+        self, q: Coordinates, v: Coordinates, states: Internal
+    ) -> tuple[AllCoordinates, AllCoordinates]:
+        """All positions and velocities, by the measured ones and the states of the others."""
+        n = len(states) // 2
+        return jnp.concatenate([q, states[:n]]), jnp.concatenate([v, states[n:]])
+
+    def _parts(self, x: State) -> tuple[AllCoordinates, AllCoordinates, Internal]:
+        """Positions and velocities of all coordinates, and the states of the memory."""
+        channels, unmeasured = self.channels, self.system.unmeasured
+        q, v, z = x[channels.position], x[channels.velocity], x[channels.internal]
+        if unmeasured is None:
+            return q, v, z
+        n = len(unmeasured.states)
+        return *self._complete(q, v, z[:n]), z[n:]
 
 
 # a function of its own, so that it is derived once and not for each of a step's many uses
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
-    return jnp.concatenate([v, model.acceleration(x, u), model.internal_rate(x, u)])
+    a, rate = model.acceleration(x, u), model.memory_rate(x, u)
+    if model.system.unmeasured is None:
+        return jnp.concatenate([v, a, rate])
+    n = model.channels.n_q
+    return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], rate])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

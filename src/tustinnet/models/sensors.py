@@ -45,6 +45,13 @@ def with_sensor_errors(
             [jnp.asarray(p[n] if n in names else _NEUTRAL[which]) for n in of_channels]
         )
 
+    def of_coordinates(which: str, like: Any, p: Values) -> Float[Array, " n"]:
+        """Values of coordinates; unmeasured ones, which may stand behind them, have no sensor."""
+        measured = values(system.coordinates, which, p)
+        others = like.shape[0] - len(system.coordinates)
+        neutral = jnp.full(others, _NEUTRAL[which], measured.dtype)
+        return jnp.concatenate([measured, neutral]) if others else measured
+
     def physical_inputs(u: Any, p: Values) -> Any:
         if not system.inputs:
             return u
@@ -58,8 +65,8 @@ def with_sensor_errors(
         @wraps(function)
         def of_measured(q: Any, v: Any, *others: Any) -> Any:
             p = others[-1]
-            gain = values(system.coordinates, "gain", p)
-            position = (q - values(system.coordinates, "bias", p)) / gain
+            gain = of_coordinates("gain", q, p)
+            position = (q - of_coordinates("bias", q, p)) / gain
             if has_inputs:
                 *before, u, _ = others
                 others = *before, physical_inputs(u, p), p
@@ -72,12 +79,15 @@ def with_sensor_errors(
         return physical(lambda q, v, p: system.potential and system.potential(q, p))(q, q, p)
 
     def mass_matrix(q: Any, p: Values) -> Any:
-        gain = values(system.coordinates, "gain", p)
+        gain = of_coordinates("gain", q, p)
         inertia = system.inertia and system.inertia.mass_matrix
         by_physical = physical(lambda q, v, p: inertia and inertia(q, p))(q, q, p)
         return jnp.asarray(by_physical) / gain / gain[:, None]
 
-    memory = system.memory
+    def follow(q: Any, p: Values) -> Any:
+        return physical(lambda q, v, p: unmeasured and unmeasured.follow(q, p))(q, q, p)
+
+    memory, unmeasured = system.memory, system.unmeasured
     return replace(
         system,
         parameters=(*system.parameters, *sensors),
@@ -95,7 +105,17 @@ def with_sensor_errors(
         ),
         sensors=tuple(s.name for s in sensors),
         inertia=system.inertia
-        and Inertia(mass_matrix, physical(system.inertia.coriolis, is_force=True)),
+        and Inertia(
+            mass_matrix,
+            physical(system.inertia.coriolis, is_force=True),
+            system.inertia.uncoupled,
+        ),
+        unmeasured=unmeasured
+        and replace(
+            unmeasured,
+            follow=follow,
+            initial=unmeasured.initial and physical(unmeasured.initial, has_inputs=True),
+        ),
     )
 
 

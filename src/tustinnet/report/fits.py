@@ -92,7 +92,7 @@ def estimates_title(trust: str, refined: Mapping[str, float] | None) -> str:
         trust: the source of the errors, as in `Identification.trust`.
         refined: the values that were fitted once more after the search, if there are any.
     """
-    source = "the differences between records" if trust == "records" else "J'J"
+    source = "J'J" if trust == "residuals" else f"the differences between {trust}"
     title = f"standard errors from {source}"
     if refined is not None:
         title += "; value: result of the search, in the model: fitted once more to free runs"

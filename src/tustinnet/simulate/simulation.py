@@ -52,6 +52,8 @@ def system_motion(
     """
     n_u, n_others, channels = len(system.inputs), len(others), system.channels
     feedback = system.feedback
+    n_x, size = channels.measured.stop + len(system.internal), feedback.size if feedback else 0
+    n_s = len(feedback.states) if feedback else 0  # states of the controller, the last ones
 
     def model(p: Array, c: Array, own: LagrangianSystem = system) -> LagrangianModel:
         values = {name: p[i] for i, name in enumerate(searched)}
@@ -67,22 +69,23 @@ def system_motion(
     def compute_outputs(x: Array, u: Array, p: Array, c: Array) -> Array:
         assert feedback is not None
         q, v = x[channels.position], x[channels.velocity]
-        return jnp.asarray(feedback.outputs(q, v, u, model(p, c).values))
+        return jnp.asarray(feedback.compute(q, v, x[n_x - n_s :], u, model(p, c).values))
 
     def plant_derivative(x: Array, u: Array, p: Array, c: Array, outputs: Array) -> Array:
         assert feedback is not None
-        plant_inputs = feedback.plant_inputs(outputs, u)
-        return model(p, c, feedback.plant).derivative(x, plant_inputs)
+        plant_inputs = feedback.plant_inputs(outputs[:size], u)
+        rate = model(p, c, feedback.plant).derivative(x[: n_x - n_s], plant_inputs)
+        return jnp.concatenate([rate, outputs[size:]]) if n_s else rate
 
     is_sampled = feedback is not None and feedback.is_sampled
     return Equations(
         plant_derivative if is_sampled else derivative,
-        n_x=channels.measured.stop + len(system.internal),
+        n_x=n_x,
         n_u=2 * n_u if delays else n_u,
         n_p=len(searched),
         n_c=n_others + (n_u if delays else 0),
         where=f"system '{system.name}'",
-        sampled=SampledValues(compute_outputs, feedback.size) if is_sampled and feedback else None,
+        sampled=SampledValues(compute_outputs, size + n_s) if is_sampled else None,
     )
 
 

@@ -25,16 +25,19 @@ from tustinnet.simulate.start_rules import (
 def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     """The start that is used where none is named, the same for all of some models.
 
-    A warm-up where a model needs one; else `file` where every record stores velocities; else
+    A warm-up where a model needs one; `model-20` where internal states are to be searched for, as
+    those of a controller; else `file` where every record stores velocities; else
     `derived-6`, or `model-20` where a coordinate swings with few samples in a period: a parabola
     through 6 samples is then far from the motion.
     """
     warm_up = max((model.warm_up for model in models), default=0)
     if warm_up:
         return WarmUpStart(warm_up).name
+    is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
+    if is_long and any(model.searched_internal.any() for model in models):
+        return FittedStart.usual_name()
     if all(e.v is not None for e in experiments):
         return StoredStart.usual_name()
-    is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
     is_fast = is_long and any(
         scales.is_fast for scales in coordinate_timescales(experiments).values()
     )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from tustinnet.channels import GAINS, PDLoop
+from tustinnet.channels import PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
@@ -84,18 +84,23 @@ def write_data_set(
         "splits": splits,
     }
     if loops:
-        content["controller"] = {"kind": "pd", "loops": [_loop_entry(x, places) for x in loops]}
+        kind = "pid" if any("ki" in loop.gains for loop in loops) else "pd"
+        entries = [_loop_entry(loop, kind, places) for loop in loops]
+        content["controller"] = {"kind": kind, "loops": entries}
     write_into(folder, CARD_NAME, tomli_w.dumps(content))
     return card
 
 
-def _loop_entry(loop: PDLoop, places: Mapping[str, int]) -> dict[str, Any]:
+def _loop_entry(loop: PDLoop, kind: str, places: Mapping[str, int]) -> dict[str, Any]:
     """The entry of a loop in a card, with its columns by the names of inputs."""
     entry = {"input": loop.input, "coordinate": loop.coordinate}
     names = {key: getattr(loop, key) for key in ("position", "velocity", "feedforward")}
-    gains = {key: getattr(loop, key) for key in GAINS}
+    # without a key `ki` of this kind the gain would be searched for
+    gains = {key: getattr(loop, key) for key in ("kp", "kd", *(["ki"] if kind == "pid" else []))}
+    others = {"velocity_filter": loop.velocity_filter, "delay": loop.delay}
     return (
         entry
         | {key: places[name] for key, name in names.items() if name}
         | {key: gain for key, gain in gains.items() if gain is not None}
+        | {key: value for key, value in others.items() if value}
     )

@@ -232,7 +232,15 @@ def _with_guards(system: LagrangianSystem, path: Path) -> LagrangianSystem:
         rate=guard("memory rate", system.memory.rate),
         force=guard("memory force", system.memory.force),
     )
-    return replace(system, memory=memory, **{n: guard(n, f) for n, f in functions.items()})
+    unmeasured = system.unmeasured and replace(
+        system.unmeasured,
+        follow=guard("unmeasured follow", system.unmeasured.follow),
+        initial=system.unmeasured.initial
+        and guard("unmeasured initial", system.unmeasured.initial),
+        spread=system.unmeasured.spread and guard("unmeasured spread", system.unmeasured.spread),
+    )
+    guarded = {n: guard(n, f) for n, f in functions.items()}
+    return replace(system, memory=memory, unmeasured=unmeasured, **guarded)
 
 
 @contextmanager

@@ -1,14 +1,18 @@
 """Energies, friction, actuators and elastic gears of a robot, as functions of a system."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from tustinnet.models import forces
 from tustinnet.models.added import PlacedForce, compute_friction
 from tustinnet.models.chains import Chain
-from tustinnet.models.lagrangian import Memory
+from tustinnet.models.lagrangian import Inertia, UnmeasuredCoordinates, solve_positive
+
+_UNSURE = 0.1  # of the twist of a gear under the largest force: how far it may be off at first
 
 
 @dataclass(frozen=True)
@@ -73,8 +77,11 @@ class RobotEquations:
         springs: springs at its joints.
         friction: friction of its joints beside the viscous and the Coulomb one.
         elastic: indices of the coordinates with a spring between motor and link. There armature,
-            friction and actuator are the motor's, whose position and speed are internal states.
+            friction and actuator are the motor's.
         backlash: indices of those of them with play.
+        at_motor: indices of those of them whose encoder is at the motor. There the link is the
+            coordinate that no sensor measures, at the others the motor.
+        largest_forces: largest force of each joint [N m or N], for the twists of elastic gears.
     """
 
     chain: Chain
@@ -84,26 +91,20 @@ class RobotEquations:
     friction: tuple[PlacedForce, ...] = ()
     elastic: tuple[int, ...] = ()
     backlash: tuple[int, ...] = ()
-
-    def potential(self, q: Any, p: Any) -> Any:
-        """Energy of gravity and of springs at joints [J]."""
-        energy = self.chain.potential(q, p)
-        for s in self.springs:
-            stretch = s.ratio * q[s.coordinate] + s.offset - s.rest
-            energy = energy + forces.linear_spring(stretch, p[f"{s.joint}.stiffness"])
-        return energy
-
-    def dissipation(self, q: Any, v: Any, p: Any) -> Any:
-        """Friction and an offset against the motion, (n_q,) [N m or N]; 0 at elastic gears."""
-        return self._rigid(self._friction(q, v, p))
-
-    def input_map(self, q: Any, v: Any, u: Any, p: Any) -> Any:
-        """Forces of the actuators, (n_q,) [N m or N]; 0 at elastic gears."""
-        return self._rigid(self._actuator_forces(q, v, u, p))
+    at_motor: tuple[int, ...] = ()
+    largest_forces: tuple[float, ...] = ()
 
     @property
-    def memory(self) -> Memory | None:
-        """The motors behind elastic gears, and their forces on the links; None without them.
+    def inertia(self) -> Inertia:
+        """The mass matrix and the Coriolis forces as a system takes them."""
+        if not self.elastic:
+            return self.chain.inertia
+        uncoupled = tuple(self._motor_places[k] for k in self.elastic)
+        return Inertia(self._mass_matrix, self._coriolis, uncoupled)
+
+    @property
+    def unmeasured(self) -> UnmeasuredCoordinates | None:
+        """The motors, or the links, behind elastic gears whose encoders are on the other side.
 
         Spong (1987), Modeling and control of elastic joint robots, Journal of Dynamic Systems,
         Measurement and Control 109(4), equation 13: the motor's kinetic energy is that of its
@@ -111,46 +112,150 @@ class RobotEquations:
         """
         if not self.elastic:
             return None
-        names = [self.joints[k] for k in self.elastic]
-        states = (*(f"{name}.motor" for name in names), *(f"{name}.motor_speed" for name in names))
-        return Memory(states, self._motor_rate, self._gear_forces, self._initial_motors)
+        places = jnp.array(self.elastic)
+        sides = ("link" if k in self.at_motor else "motor" for k in self.elastic)
+        names = tuple(
+            f"{self.joints[k]}.{side}" for k, side in zip(self.elastic, sides, strict=True)
+        )
+        return UnmeasuredCoordinates(
+            names, lambda q, p: q[places], self._initial_states, self._spread
+        )
 
-    def _motor_rate(self, q: Any, v: Any, z: Any, u: Any, p: Any) -> Any:
-        """Speeds and accelerations of the motors behind elastic gears, (n_z,)."""
-        speeds = z[len(self.elastic) :]
-        positions, velocities = list(q), list(v)
-        for k, position, speed in zip(self.elastic, z, speeds, strict=False):
-            positions[k], velocities[k] = position, speed
-        at, by = jnp.stack(positions), jnp.stack(velocities)
-        # the load of a gear is gravity at the link
-        driving = self._actuator_forces(at, by, u, p) - self._friction(q, by, p)
-        driving = driving - self._gear_forces(q, v, z, p)
-        accelerations = [driving[k] / p[f"{self.joints[k]}.armature"] for k in self.elastic]
-        return jnp.concatenate([speeds, jnp.stack(accelerations)])
+    def kinetic(self, q: Any, v: Any, p: Any) -> Any:
+        """Energy of the motion of links, and of motors behind elastic gears [J]."""
+        energy = self.chain.kinetic(self._links(q), self._links(v), p)
+        for k in self.elastic:
+            energy = energy + p[f"{self.joints[k]}.armature"] * v[self._motor_places[k]] ** 2 / 2
+        return energy
 
-    def _gear_forces(self, q: Any, v: Any, z: Any, p: Any) -> Any:
-        """Forces of elastic gears on the links, (n_q,) [N m or N]."""
-        total: list[Any] = [jnp.zeros_like(q[0])] * len(self.joints)
-        for i, k in enumerate(self.elastic):
-            name, twist = self.joints[k], z[i] - q[k]
+    def potential(self, q: Any, p: Any) -> Any:
+        """Energy of gravity, of springs at joints, and of elastic gears [J]."""
+        energy = self._potential_of_links(self._links(q), p)
+        for k in self.elastic:
+            name, twist = self.joints[k], q[self._motor_places[k]] - q[self._link_places[k]]
             if k in self.backlash:
                 gap = p[f"{name}.backlash"] / 2
                 twist = twist - jnp.clip(twist, -gap, gap)
-            slip = z[len(self.elastic) + i] - v[k]
-            total[k] = p[f"{name}.gear_stiffness"] * twist + p[f"{name}.gear_damping"] * slip
-        return jnp.stack(total)
+            energy = energy + forces.linear_spring(twist, p[f"{name}.gear_stiffness"])
+        return energy
 
-    def _initial_motors(self, q: Any, v: Any, u: Any, p: Any) -> Any:
-        """Positions and speeds of motors whose actuators twist their gears, (n_z,)."""
+    def dissipation(self, q: Any, v: Any, p: Any) -> Any:
+        """Friction and an offset against the motion of motors, and damping of elastic gears."""
+        # what loads a gear is gravity at the link
+        friction = self._friction(self._links(q), self._motors(v), p)
+        damping = []
+        for k, name in enumerate(self.joints):
+            slip = v[self._motor_places[k]] - v[self._link_places[k]]
+            damping.append(p[f"{name}.gear_damping"] * slip if k in self.elastic else 0.0 * v[k])
+        return self._on_coordinates(
+            [-d for d in damping], [f + d for f, d in zip(friction, damping, strict=True)]
+        )
+
+    def input_map(self, q: Any, v: Any, u: Any, p: Any) -> Any:
+        """Forces of the actuators, at the motors [N m or N]."""
+        acting = self._actuator_forces(self._motors(q), self._motors(v), u, p)
+        return self._on_coordinates([0.0 * f for f in acting], list(acting))
+
+    def _mass_matrix(self, q: Any, p: Any) -> Any:
+        """Mass matrix of links and motors."""
+        chain, size = self.chain.mass_matrix(self._links(q), p), q.shape[0]
+        rows: list[list[Any]] = [[jnp.zeros((), q.dtype)] * size for _ in range(size)]
+        for i, row in enumerate(self._link_places):
+            for j, column in enumerate(self._link_places):
+                rows[row][column] = chain[i, j]
+        for k in self.elastic:
+            place = self._motor_places[k]
+            rows[place][place] = jnp.asarray(p[f"{self.joints[k]}.armature"], q.dtype)
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    def _coriolis(self, q: Any, v: Any, p: Any) -> Any:
+        """Centrifugal and Coriolis forces, which act on links [N m or N]."""
+        acting = self.chain.coriolis(self._links(q), self._links(v), p)
+        return self._on_coordinates(list(acting), [0.0 * f for f in acting])
+
+    def _initial_states(self, q: Any, v: Any, u: Any, p: Any) -> Any:
+        """Positions and velocities of what has no encoder, where a record begins.
+
+        A motor without one is where its actuator twists the gear; a link without one where the
+        load of the gear does.
+        """
         driving = self._actuator_forces(q, v, u, p)
-        twists = [driving[k] / p[f"{self.joints[k]}.gear_stiffness"] for k in self.elastic]
-        places = jnp.array(self.elastic)
-        return jnp.concatenate([q[places] + jnp.stack(twists), v[places]])
+        loads = self._gear_loads(q, v, u, p) if self.at_motor else driving
+        positions = []
+        for k in self.elastic:
+            stiffness = p[f"{self.joints[k]}.gear_stiffness"]
+            is_link = k in self.at_motor
+            positions.append(
+                q[k] - loads[k] / stiffness if is_link else q[k] + driving[k] / stiffness
+            )
+        return jnp.concatenate([jnp.stack(positions), v[jnp.array(self.elastic)]])
 
-    def _rigid(self, total: Any) -> Any:
-        """Forces on the links: those on motors behind elastic gears do not act there."""
-        kept = [0.0 if k in self.elastic else 1.0 for k in range(len(self.joints))]
-        return total * jnp.array(kept) if self.elastic else total
+    def _spread(self, p: Any) -> Any:
+        """Spreads of twists: a tenth of those under the largest forces; of speeds by resonances."""
+        twists, speeds = [], []
+        for k in self.elastic:
+            name = self.joints[k]
+            stiffness = p[f"{name}.gear_stiffness"]
+            twists.append(_UNSURE * self.largest_forces[k] / stiffness)
+            speeds.append(twists[-1] * jnp.sqrt(stiffness / p[f"{name}.armature"]))
+        return jnp.stack([*twists, *speeds])
+
+    def _gear_loads(self, q: Any, v: Any, u: Any, p: Any) -> Any:
+        """Forces of the gears on the links, were the gears rigid, (n_q,) [N m or N].
+
+        Where a joint is at rest its dry friction holds as much as it can.
+        """
+        on_links = self.chain.coriolis(q, v, p) - jax.grad(self._potential_of_links)(q, p)
+        total = on_links + self._actuator_forces(q, v, u, p) - self._friction(q, v, p)
+        remaining = []
+        for k, name in enumerate(self.joints):
+            level, width = p[f"{name}.coulomb"], p[f"{name}.coulomb_speed"]
+            at_rest = 1.0 - jnp.tanh(v[k] / width) ** 2
+            remaining.append(total[k] - at_rest * jnp.clip(total[k], -level, level))
+        links = self.chain.mass_matrix(q, p)
+        motors = [p[f"{name}.armature"] if k in self.elastic else 0.0 * q[k]
+                  for k, name in enumerate(self.joints)]  # fmt: skip
+        acceleration = solve_positive(links + jnp.diag(jnp.stack(motors)), jnp.stack(remaining))
+        return links @ acceleration - on_links
+
+    def _potential_of_links(self, q: Any, p: Any) -> Any:
+        """Energy of gravity and of springs at joints, by the positions of links [J]."""
+        energy = self.chain.potential(q, p)
+        for s in self.springs:
+            stretch = s.ratio * q[s.coordinate] + s.offset - s.rest
+            energy = energy + forces.linear_spring(stretch, p[f"{s.joint}.stiffness"])
+        return energy
+
+    @property
+    def _link_places(self) -> list[int]:
+        """Where the link of each joint stands among all coordinates."""
+        return self._places(self.at_motor)
+
+    @property
+    def _motor_places(self) -> list[int]:
+        """Where the motor of each joint stands among all coordinates."""
+        return self._places(tuple(k for k in self.elastic if k not in self.at_motor))
+
+    def _places(self, without_encoder: tuple[int, ...]) -> list[int]:
+        """Places of links or of motors, some of which have no encoder and stand at the end."""
+        n = len(self.joints)
+        return [n + self.elastic.index(k) if k in without_encoder else k for k in range(n)]
+
+    def _links(self, x: Any) -> Any:
+        """The elements of links in positions or velocities of all coordinates, (n_q,)."""
+        return x[jnp.array(self._link_places)] if self.elastic else x
+
+    def _motors(self, x: Any) -> Any:
+        """The elements of motors in positions or velocities of all coordinates, (n_q,)."""
+        return x[jnp.array(self._motor_places)] if self.elastic else x
+
+    def _on_coordinates(self, on_links: Sequence[Any], on_motors: Sequence[Any]) -> Any:
+        """Forces on links and on motors as generalised forces of all coordinates."""
+        total: list[Any] = [0.0] * (len(self.joints) + len(self.elastic))
+        for places, acting in (self._link_places, on_links), (self._motor_places, on_motors):
+            for place, force in zip(places, acting, strict=True):
+                total[place] = total[place] + force
+        return jnp.stack(total)
 
     def _friction(self, q: Any, v: Any, p: Any) -> Any:
         """Friction and an offset against the motion, (n_q,) [N m or N].

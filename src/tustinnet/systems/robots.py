@@ -91,6 +91,7 @@ def load_robot(
     friction: Sequence[str] = (),
     elastic: Mapping[str, float] | None = None,
     backlash: Mapping[str, float] | None = None,
+    encoders: Mapping[str, str] | str = "link",
     default_density: float | None = None,
 ) -> LagrangianSystem:
     """A robot as a system, from a URDF file or one in MuJoCo's format.
@@ -110,6 +111,9 @@ def load_robot(
         elastic: joints between whose motor and link there is a spring, as in a harmonic drive, with
             its stiffness [N m/rad or N/m], from which the search begins.
         backlash: elastic joints with play in the gear, with its whole width [rad or m].
+        encoders: where the encoders of elastic joints are, `{"joint2": "motor"}`: "motor" or
+            "link", which is the default; a single word is for all elastic joints. The coordinate of
+            a joint is what its encoder reads, at a motor in units of the joint.
         default_density: density [kg/m^3] by which links without an inertia get that of their
             shapes; for a URDF.
 
@@ -136,7 +140,21 @@ def load_robot(
             "viscous and Coulomb friction are always there",
         )  # fmt: skip
     chosen = tuple(name for name in FRICTIONS if name in friction)
-    robot = RobotFile(file.text, file.path, positions, constants, groups, chosen, springs, gaps)
+    if isinstance(encoders, str):
+        encoders = dict.fromkeys(elastic or {"every joint": 0.0}, encoders)
+    for joint, side in encoders.items():
+        if side not in ("motor", "link"):
+            raise InputError(path, f"encoders: {side!r} for '{joint}'", "'motor' or 'link'")
+        if joint not in (elastic or {}) and encoders != {"every joint": "link"}:
+            raise InputError(
+                path, f"encoders: the joint '{joint}', which is not elastic",
+                f"one of {_list([*(elastic or {})])}",
+                "give it a stiffness by elastic=; behind a rigid gear both encoders read alike",
+            )  # fmt: skip
+    at_motor = tuple(sorted(joint for joint, side in encoders.items() if side == "motor"))
+    robot = RobotFile(
+        file.text, file.path, positions, constants, groups, chosen, springs, gaps, at_motor
+    )
     return robot.load()
 
 
@@ -153,6 +171,7 @@ class RobotFile(ChannelSource):
         friction: friction of joints beside the viscous and the Coulomb one, of `FRICTIONS`.
         elastic: joints with a spring behind the motor, with its stiffness [N m/rad or N/m].
         backlash: elastic joints with play, with its width [rad or m].
+        at_motor: elastic joints whose encoder is at the motor.
     """
 
     text: str
@@ -163,6 +182,7 @@ class RobotFile(ChannelSource):
     friction: tuple[str, ...] = ()
     elastic: tuple[tuple[str, float], ...] = ()
     backlash: tuple[tuple[str, float], ...] = ()
+    at_motor: tuple[str, ...] = ()
 
     def load(self) -> LagrangianSystem:
         """The system with all joints that move freely, and all actuators.
@@ -228,7 +248,7 @@ class RobotFile(ChannelSource):
         constants, per = dict(self.motor_constants), dict(self.per)
         return _Assembly(
             read(self.text, self.path), self.path, dict(self.locked), constants, per, self.friction,
-            dict(self.elastic), dict(self.backlash),
+            dict(self.elastic), dict(self.backlash), self.at_motor,
         )  # fmt: skip
 
 
@@ -252,6 +272,7 @@ class _Assembly:
         friction: friction of joints beside the viscous and the Coulomb one.
         elastic: stiffness between motor and link, by joint.
         backlash: width of the play in the gear, by joint.
+        at_motor: elastic joints whose encoder is at the motor.
     """
 
     def __init__(
@@ -264,9 +285,10 @@ class _Assembly:
         friction: tuple[str, ...],
         elastic: dict[str, float],
         backlash: dict[str, float],
+        at_motor: tuple[str, ...],
     ) -> None:
         self.robot, self.path, self.per, self.friction = robot, path, per, friction
-        self.elastic, self.backlash = elastic, backlash
+        self.elastic, self.backlash, self.at_motor = elastic, backlash, at_motor
         self.joints = {joint.name: joint for joint in robot.joints}
         moving = [joint.name for joint in robot.joints if joint.kind != "fixed"]
         for option, names in (("locked", locked), ("motor_constants", motor_constants)):
@@ -551,28 +573,29 @@ class _Assembly:
                       value / _MASS, value * _MASS, fixed=True)
             for joint, value in self.motor_constants.items()
         ]  # fmt: skip
-        elastic, backlash = (
+        elastic, backlash, at_motor = (
             tuple(k for k, name in enumerate(self.free) if name in names)
-            for names in (self.elastic, self.backlash)
+            for names in (self.elastic, self.backlash, self.at_motor)
         )
         equations = RobotEquations(
             chain, tuple(self.free), tuple(self.drives), self._springs(), self._frictions(),
-            elastic, backlash,
+            elastic, backlash, at_motor,
+            tuple(self.joints[n].effort or self._scale(k)[1] for k, n in enumerate(self.free)),
         )  # fmt: skip
         return LagrangianSystem(
             name=self.robot.name,
             coordinates=self.coordinates,
             inputs=self.inputs,
             parameters=tuple(parameters),
-            kinetic=chain.kinetic,
+            kinetic=equations.kinetic,
             potential=equations.potential,
             dissipation=equations.dissipation,
             input_map=equations.input_map,
-            memory=equations.memory,
             links=self._drawn_links(),
-            inertia=chain.inertia,
+            inertia=equations.inertia,
             source=source,
             limits=tuple(self._limits(k) for k in range(len(self.free))),
+            unmeasured=equations.unmeasured,
         )
 
     def _body_parameters(self, i: int) -> list[Parameter]:

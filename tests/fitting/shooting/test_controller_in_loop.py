@@ -51,6 +51,25 @@ def test_gains_are_found_and_said(result):
     assert "% of the recorded inputs unexplained" in law
 
 
+def test_a_controller_with_integral_filter_and_delay_is_followed(tmp_path):
+    """Whole records, the gain of the integral found; a file keeps what the controller remembers."""
+    law = {"ki": 80.0, "velocity_filter": 0.01, "delay": 1}
+    records = held_swings(3, law, kind="pid", kp=None, kd=None, velocity_filter=0.01, delay=1)
+    result = tn.identify(records, SWING)
+    assert not result.horizons
+    for name, value, within in (("kp", KP, 0.01), ("kd", KD, 0.01), ("ki", 80.0, 0.03)):
+        assert result.values[f"angle.{name}"] == pytest.approx(value, rel=within), name
+    assert any("angle.ki" in f and "V/s/rad" in f for f in result.findings)
+    validation = list(records.split("validation"))
+    assert tn.evaluate(result.model, validation, "model-20")[0].rmse < 2e-3
+    path = tmp_path / "model.safetensors"
+    tn.save(result.model, path)
+    loaded = tn.load_model(path, system=SWING)
+    assert loaded.internal == ("angle.integral", "angle.filtered_velocity", "voltage.delayed1")
+    scores = [tn.evaluate(m, validation, "model-20")[0].rmse for m in (loaded, result.model)]
+    assert scores[0] == scores[1]
+
+
 def test_a_model_file_keeps_the_loop(records, result, tmp_path):
     path = tmp_path / "model.safetensors"
     tn.save(result.model, path)

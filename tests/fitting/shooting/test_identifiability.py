@@ -64,6 +64,14 @@ def test_a_sum_is_told_with_how_its_parts_change_together():
     assert str(confounded).startswith("a and c are not identifiable separately")
 
 
+def test_what_is_known_beforehand_is_fixed():
+    """Of a sum the part with the narrowest prior, whatever its range."""
+    a = columns(1)[:, 0]
+    known = tuple(replace(p, prior=0.1 if p.name == "c" else None) for p in ABC.free_parameters)
+    (first, second) = confounded_by(np.stack([a, 2 * a, 3 * a], axis=1), SearchSpace(known, {}))
+    assert {first.suggestion, second.suggestion} == {"b", "c"}
+
+
 def test_a_parameter_without_effect_is_told_alone():
     (confounded,) = confounded_by(columns(3) * [1.0, 0.0, 1.0])
     assert confounded.shares == {"b": 1.0}

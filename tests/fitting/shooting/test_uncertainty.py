@@ -28,10 +28,12 @@ SIZE = 0.01
 POSITION = Residual((False,), (1.0,))
 
 
-def fitted_to(experiments: list[tn.Experiment]) -> tuple[Segments, LeastSquaresResult]:
-    """Whole records and the parameters that fit them."""
+def fitted_to(
+    experiments: list[tn.Experiment], steps: int | None = None
+) -> tuple[Segments, LeastSquaresResult]:
+    """Whole records, or segments of so many steps, and the parameters that fit them."""
     model = tn.discretise(swing_model(), DT)
-    pieces = cut_records(experiments, model, CutOptions(POSITION, timestamps=False))
+    pieces = cut_records(experiments, model, CutOptions(POSITION, steps, timestamps=False))
     nothing = Prior(np.zeros(3), np.zeros(3), 0.0)
     cost = CostFunction(SWING, POSITION, SPACE, pieces, nothing, anchor_variance=0.0, substeps=1)
     return pieces, minimise(cost, SPACE.to_vector(TRUTH), StoppingRule(1e-6, 20))
@@ -115,6 +117,30 @@ def test_fewer_than_four_records_leave_only_the_residuals():
     assert certain.clustered is None
     assert certain.trusted is certain.naive
     assert certain.quantile_for_records(3) == pytest.approx(1.96, abs=0.01)
+
+
+def test_segments_of_few_records_see_errors_that_last():
+    """Against repeated draws of errors that are alike for eight samples."""
+    vectors, naive, by_segments = [], [], []
+    for draw in range(30):
+        rng, experiments = np.random.default_rng(draw), []
+        for e in records()[:2]:
+            slow = np.repeat(rng.normal(0, SIZE, (len(e) // 8 + 1, e.q.shape[1])), 8, axis=0)
+            experiments.append(replace(e, q=e.q + slow[: len(e)]))
+        pieces, fitted = fitted_to(experiments, 25)
+        certain = estimate_uncertainty(fitted.products, pieces, np.zeros(3), np.ones(3, dtype=bool))
+        assert certain.source == "segments"
+        assert certain.trusted is certain.by_segments
+        vectors.append(fitted.vector)
+        naive.append(np.diag(certain.naive))
+        by_segments.append(np.diag(certain.trusted))
+    spread = np.std(vectors, axis=0)[:2]  # the input of these two records is 0
+    stated, robust = (np.sqrt(np.mean(x, axis=0))[:2] / spread for x in (naive, by_segments))
+    assert (stated < 0.6).all()
+    assert (robust > 0.75).all()
+    assert (robust < 1.6).all()
+    # Student's t of 16 segments
+    assert certain.quantile_for_records(2) == pytest.approx(2.131, abs=1e-3)
 
 
 def test_few_records_have_wide_quantiles():

@@ -150,8 +150,9 @@ def _fit_records(
     informed = space.inside(result.vector) & (part_information > _NOTHING * information)
     curvature = cost.prior.curvature(space, result.vector)
     uncertainty = estimate_uncertainty(result.products, segments, curvature, informed)
-    variance, freedom = np.diag(uncertainty.trusted).copy(), float(len(records) - 1)
-    if uncertainty.clustered is None:
+    is_clustered, freedom = uncertainty.clustered is not None, float(len(records) - 1)
+    variance = np.diag(uncertainty.trusted if is_clustered else uncertainty.naive).copy()
+    if not is_clustered:
         lag = lag_correlation(result.products.error)
         correlation = float(np.clip(np.max(np.abs(lag)), 0.0, 0.999))
         variance = variance * (1 + correlation) / (1 - correlation)

@@ -16,7 +16,9 @@ from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.problem import Problem
+from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.rigid import rigid_system
 
 
 def require_refit_possible(problem: Problem) -> None:
@@ -38,16 +40,20 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
     """Refuses a kinetic energy without a positive definite mass matrix along the records."""
     system = model.system
     q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
-    hessian, n_q = jax.hessian(system.kinetic, argnums=1), q.shape[1]
+    hessian, n_m = jax.hessian(system.kinetic, argnums=1), q.shape[1]
+    unmeasured = system.unmeasured
+    n_q = n_m + (len(unmeasured.names) if unmeasured else 0)
     where = f"system '{system.name}', kinetic"
 
     def at_rest_and_moving(q: Array) -> Array:
+        if unmeasured:
+            q, _ = unmeasured.complete(q, q, model.values)
         if system.inertia:  # it does not depend on the velocity
             return jnp.stack([model.mass_matrix(q)] * 2).ravel()
         both = [hessian(q, jnp.full_like(q, speed), model.values) for speed in (0.0, 1.0)]
         return jnp.stack(both).ravel()
 
-    matrices = evaluate(Formula(at_rest_and_moving, n_q, where=where), q)
+    matrices = evaluate(Formula(at_rest_and_moving, n_m, where=where), q)
     at_rest, moving = np.swapaxes(matrices.reshape(len(q), 2, n_q, n_q), 0, 1)
     if not np.isfinite(at_rest).all():
         raise InputError(where, "not a finite number at a measured position", "finite numbers")
@@ -70,7 +76,8 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
 
 def require_finite_terms(model: LagrangianModel, records: Sequence[Experiment]) -> None:
     """Refuses energies and forces, or derivatives of them, that are not finite along records."""
-    system, p, channels = model.system, model.values, model.channels
+    system, p = with_changed_plant(model.system, rigid_system), model.values
+    channels = model.channels
     q = np.concatenate([e.q for e in records])
     v = np.concatenate([e.velocities() for e in records])
     samples = np.concatenate([q, v, np.concatenate([e.u for e in records])], axis=1)

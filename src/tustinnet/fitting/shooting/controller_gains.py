@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import GAINS, Input, PDLoop
+from tustinnet.channels import Input, PDLoop
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.feedback import gain_name
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.signals.low_pass import low_pass, occupied_band
 
+_PER = {"kp": "", "kd": " s", "ki": "/s"}  # unit of a gain: the input's, this, by the coordinate's
 _RANGE = 3.0  # factor by which a gain may differ from what is found
 _HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
 _APART = 3  # periods between a sample and those that it is found by, which have other noise
@@ -32,7 +33,8 @@ class ControllerGains:
     """Gains of a controller as parameters, and what is to be said of them.
 
     Attributes:
-        parameters: `COORDINATE.kp` and `COORDINATE.kd` of each loop.
+        parameters: `COORDINATE.kp` and `COORDINATE.kd` of each loop, and `COORDINATE.ki` where it
+            has an integral.
         remarks: sentences.
     """
 
@@ -68,14 +70,14 @@ def gain_parameters(
     inputs = {i.name: i for i in controller.inputs}
     is_recorded = all(e.outputs is not None for e in records)
     for k, loop in enumerate(controller.loops):
-        given = {gain: getattr(loop, gain) for gain in GAINS}
+        given = {gain: getattr(loop, gain) for gain in loop.gains}
         found: dict[str, tuple[float, float]] = {}
         if is_recorded:
             found, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
         coordinate = next(c for c in records[0].coordinates if c.name == loop.coordinate)
-        for gain, per in zip(GAINS, ("", " s"), strict=True):
+        for gain in loop.gains:
             name = gain_name(loop, gain)
-            unit = f"{inputs[loop.input].unit}{per}/{coordinate.unit}"
+            unit = f"{inputs[loop.input].unit}{_PER[gain]}/{coordinate.unit}"
             if gain not in found:
                 value = given[gain]
                 assert value is not None  # the data card requires it where nothing was recorded
@@ -115,7 +117,8 @@ def _remarks(
     if other := [name for name, share in shares.items() if share > _OTHER_LAW]:
         remarks.append(
             f"the controller computed {', '.join(other)} otherwise than the data card says; check "
-            "its set points, their units, its gains, and whether a feed-forward is missing"
+            "its set points, their units, its gains, and whether a feed-forward, an integral or a "
+            "delay is missing"
         )
     return tuple(remarks)
 
@@ -130,31 +133,19 @@ def _fit_gains(
     """
     regressors, instruments, outputs = [], [], []
     for e in records:
-        assert e.outputs is not None
-        wanted = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
-        zero = np.zeros(len(e))
-        j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
-        signals = np.stack([
-            wanted[loop.position] - e.q[:, j],
-            wanted.get(loop.velocity, zero),
-            e.outputs[:, k] - wanted.get(loop.feedforward, zero),
-        ], axis=1)  # fmt: skip
-        # means over both ends of a period: the mean of velocities is there the difference of
-        # positions, exactly so under a force that is held
-        velocity = np.diff(e.q[:, j]) / e.dt
-        if e.v is not None and e.v_measured and e.padded_rows == (0, 0):
-            velocity = (e.v[1:, j] + e.v[:-1, j]) / 2
-        means = (signals[1:] + signals[:-1]) / 2
-        means[:, 1] -= velocity
-        x, inside = means[:, :2], slice(_APART, max(_APART, len(means) - _APART))
-        is_free = ~_near_limit(e.outputs[:, k], computed)[inside]
-        regressors.append(x[inside][is_free])
-        instruments.append((x[: -2 * _APART] + x[2 * _APART :])[is_free] / 2)
-        outputs.append(means[inside, 2][is_free])
+        x, y, is_free = _law_along(e, k, loop, computed)
+        inside = slice(_APART, max(_APART, len(x) - _APART))
+        own = x[inside], (x[: -2 * _APART] + x[2 * _APART :]) / 2, y[inside, None]
+        own = [part[is_free[inside]] for part in own]
+        if "ki" in loop.gains:  # nobody knows where the integral of a record begins
+            own = [part - part.mean(axis=0) if len(part) else part for part in own]
+        for parts, part in zip((regressors, instruments, outputs), own, strict=True):
+            parts.append(part)
     x, z, y = (np.concatenate(parts) for parts in (regressors, instruments, outputs))
+    y = y[:, 0]
     size = float(np.sqrt(np.mean(y**2))) if len(y) else 0.0
-    free = [g for g, gain in enumerate(GAINS) if getattr(loop, gain) is None]
-    gains = np.array([getattr(loop, gain) or 0.0 for gain in GAINS])
+    free = [g for g, gain in enumerate(loop.gains) if getattr(loop, gain) is None]
+    gains = np.array([getattr(loop, gain) or 0.0 for gain in loop.gains])
     found: dict[str, tuple[float, float]] = {}
     where = f"the loop of '{loop.input}' in [controller]"
     if free:
@@ -164,8 +155,9 @@ def _fit_gains(
         scaled, instrument = x[:, free] / unit, z[:, free] / unit
         products = instrument.T @ scaled
         if len(y) <= len(free) or np.linalg.svd(products)[1].min() < _LEAST_MOTION * len(y):
+            names = " and ".join(loop.gains[g] for g in free)
             raise InputError(
-                where, f"records from which {' and '.join(GAINS[g] for g in free)} cannot be found",
+                where, f"records from which {names} cannot be found",
                 "deviations from the set points, within the limits", "give the gains in the card",
             )  # fmt: skip
         inverse = np.linalg.inv(products)
@@ -177,10 +169,10 @@ def _fit_gains(
         for g, deviation in zip(free, deviations.tolist(), strict=True):
             if gains[g] < -_SURE * deviation:
                 raise InputError(
-                    where, f"{GAINS[g]} is found to be {gains[g]:.4g}", "0 or more",
+                    where, f"{loop.gains[g]} is found to be {gains[g]:.4g}", "0 or more",
                     "check the key `sign` of the input and of the coordinate, and the set points",
                 )  # fmt: skip
-            found[GAINS[g]] = max(float(gains[g]), 0.0), deviation
+            found[loop.gains[g]] = max(float(gains[g]), 0.0), deviation
     # noise of velocities is not the law's
     left = (
         low_pass((y - x @ gains)[:, None], records[0].dt, cutoff)
@@ -188,6 +180,55 @@ def _fit_gains(
         else np.zeros((1, 1))
     )
     return found, float(np.sqrt(np.mean(left**2))) / size if size else 0.0
+
+
+def _law_along(
+    e: Experiment, k: int, loop: PDLoop, computed: Input
+) -> tuple[
+    Float[np.ndarray, "periods gains"], Float[np.ndarray, " periods"], Bool[np.ndarray, " periods"]
+]:
+    """The law of a loop along a record, averaged over every period.
+
+    Returns:
+        What each gain multiplies, what the products have to add up to, and a mask of the periods
+        in which no limit acts.
+    """
+    assert e.outputs is not None
+    wanted = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
+    n, zero = len(e) - loop.delay, np.zeros(len(e))  # what was computed acts later
+    j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
+    error, output = wanted[loop.position] - e.q[:, j], e.outputs[loop.delay :, k]
+    rate, extra = (wanted.get(name, zero)[:n] for name in (loop.velocity, loop.feedforward))
+    signals = np.stack([error[:n], rate, output - extra], axis=1)
+    # means over both ends of a period: the mean of velocities is there the difference of
+    # positions, exactly so under a force that is held
+    velocity = np.diff(e.q[:, j]) / e.dt
+    if e.v is not None and e.v_measured and e.padded_rows == (0, 0):
+        velocity = (e.v[1:, j] + e.v[:-1, j]) / 2
+    if loop.velocity_filter:
+        import scipy.signal  # takes a second, and few controllers filter
+
+        share = -np.expm1(-e.dt / loop.velocity_filter)
+        velocity = scipy.signal.lfilter(
+            [share], [1.0, share - 1.0], velocity, zi=[(1.0 - share) * velocity[0]]
+        )[0]
+    means = (signals[1:] + signals[:-1]) / 2
+    means[:, 1] -= velocity[: n - 1]
+    columns = [means[:, 0], means[:, 1]]
+    if "ki" in loop.gains:
+        integral = np.concatenate([[0.0], np.cumsum(_growing(error[:n], output, computed))[:-1]])
+        columns.append(e.dt * (integral[1:] + integral[:-1]) / 2)
+    return np.stack(columns, axis=1), means[:, 2], ~_near_limit(output, computed)
+
+
+def _growing(
+    error: Float[np.ndarray, " n"], output: Float[np.ndarray, " n"], computed: Input
+) -> Float[np.ndarray, " n"]:
+    """Deviations by which an integral grows: 0 where they would push an input beyond its limit."""
+    if computed.limits is None:
+        return error
+    low, high = computed.limits
+    return np.where((output >= high) & (error > 0) | (output <= low) & (error < 0), 0.0, error)
 
 
 def _near_limit(output: Float[np.ndarray, " n"], computed: Input) -> Bool[np.ndarray, " periods"]:

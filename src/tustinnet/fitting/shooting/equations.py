@@ -19,7 +19,9 @@ from jaxtyping import Array, Float, Int
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.rigid import rigid_system
 from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.simulation import delay_changes, system_motion
 
@@ -102,7 +104,7 @@ class SystemEquations:
     @property
     def expects_by_inputs(self) -> bool:
         """Whether the internal states that are expected at a beginning depend on inputs."""
-        return self.system.memory is not None and self.system.memory.initial_needs_inputs
+        return self.system.initial_needs_inputs
 
     @cached_property
     def balanced_internal_states(self) -> Formula:
@@ -125,9 +127,10 @@ class SystemEquations:
         """Momentum and generalised force, (2 n_q,), by [q, v], the inputs and the parameters.
 
         Differentiated by the free parameters. Forces with memory are left out, except those whose
-        internal states follow inputs: an actuator without its lag.
+        internal states follow inputs: an actuator without its lag. Unmeasured coordinates follow
+        the measured ones rigidly.
         """
-        system, channels = self.system, self.system.channels
+        system, channels = with_changed_plant(self.system, rigid_system), self.system.channels
         first = channels.measured.stop + channels.n_u
 
         def momentum_and_force(point: Array) -> Array:
@@ -239,7 +242,7 @@ class SystemEquations:
         n, n_x = x0.shape
         n_m, n_p, states = self.system.channels.measured.stop, self.n_p, x0.copy()
         by_parameter, by_state = np.zeros((n, n_p, n_x)), np.tile(np.eye(n_x), (n, 1, 1))
-        if self.system.memory is None or self.system.memory.initial is None:
+        if not self.system.has_initial:
             return InitialStates(states, by_parameter, by_state)
         formula = self.expected_internal_states
         points = np.concatenate([x0[:, :n_m], parameter_rows], axis=1)

@@ -328,6 +328,9 @@ def describe_errors(
     if uncertainty.clustered is not None:
         return f"{residuals}; trust the errors from how the {counted(n_records, 'record')} disagree"
     few = f"{n_records} record{'s are' if n_records > 1 else ' is'} too few"
+    if uncertainty.source == "segments":
+        by = f"the {counted(uncertainty.segments, 'segment')} disagree"
+        return f"{residuals}; the errors are those from how {by}, {few} for others"
     if is_correlated:
         return f"{residuals}, {few} to say by how much"
     return f"{residuals}; the errors are those from J'J, {few} for others"

@@ -19,7 +19,9 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.models.feedback import with_changed_plant, without_controller_states
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.rigid import rigid_system
 
 _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
 _SHORTEST = 4  # blocks: a swing can always be compared
@@ -55,6 +57,9 @@ def find_horizons(
         Steps by the record's name, at least a swing's. Records are not in it in which no error
         grows so much anywhere, nor those whose input never changes.
     """
+    # a motor alone, its link held in place, would hide how an arm falls; what a controller
+    # remembers is no part of the measured states
+    system = with_changed_plant(without_controller_states(system), rigid_system)
     equations, values = system_equations(system), space.to_values(vector)
     channels = system.channels
     horizons = {}

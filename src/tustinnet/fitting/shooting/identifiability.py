@@ -62,7 +62,7 @@ def find_confounded(
     """Finds the null space of the derivatives by the parameters' logarithms.
 
     Every direction of it names one parameter that no other direction has, chosen among those whose
-    range is narrowest; with these fixed, the others are identifiable.
+    prior or range is narrowest; with these fixed, the others are identifiable.
 
     Args:
         space: the search space.
@@ -76,7 +76,10 @@ def find_confounded(
     null = (vectors[:, values < _NULL * values.max()] / unit[:, None]).T
     null /= np.maximum(np.abs(null).max(axis=1, keepdims=True), 1e-300)
     null = np.vstack([null, np.eye(len(vector))[~strong]])
-    prior_precision = 1 / (space.upper - space.lower)
+    # a standard deviation that is known beforehand counts as half a range
+    priors = np.array([p.prior or np.inf for p in space.free_parameters])
+    ranges = np.minimum(2 * priors / space.derivatives(vector), space.upper - space.lower)
+    prior_precision = 1 / ranges
     # Gauss-Jordan elimination: the pivots are the parameters to fix
     pivots: list[int] = []
     for row in range(len(null)):

@@ -246,7 +246,7 @@ def _require_no_delay_in_loop(names: Sequence[str], channels: Channels) -> None:
         if (name := f"{loop.input}.delay") in names:
             raise InputError(
                 "model.free", f"'{name}', of an input that the controller computes",
-                "a delay of another input", "feedback is simulated without a delay",
+                "a delay of another input", "`delay` of its loop in the card counts whole samples",
             )  # fmt: skip
 
 

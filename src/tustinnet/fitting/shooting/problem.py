@@ -89,7 +89,7 @@ class Problem:
     @cached_property
     def default_start(self) -> Start:
         """The start of free runs of whole records."""
-        return start_named(default_start([*self.records, *self.validation]))
+        return start_named(default_start([*self.records, *self.validation], self.nominal_model))
 
     @property
     def measured_start(self) -> Start:

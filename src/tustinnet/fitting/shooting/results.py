@@ -116,7 +116,7 @@ def make_identification(
         ),
         reversed_signs=reversed_signs,
         findings=tuple(sentences),
-        trust="residuals" if uncertainty.clustered is None else "records",
+        trust=uncertainty.source,
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),
         disagreements=disagreements,

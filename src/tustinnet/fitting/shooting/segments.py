@@ -170,6 +170,8 @@ def cut_records(
 
     x0 = np.zeros((len(record), model.state_size))
     is_free, precision = np.ones_like(x0), np.zeros_like(x0)
+    is_searched = model.searched_internal
+    precision[:, channels.internal] = is_searched / np.asarray(model.internal_spread)
     is_estimated = options.initial_treatment in ("anchored", "unanchored")
     for s, (i, begin) in enumerate(zip(record, begins, strict=True)):
         e = experiments[i]
@@ -178,7 +180,8 @@ def cut_records(
             start = DerivedStart.usual_name() if is_estimated else options.initial_treatment
             x0[s, channels.measured] = initial_state(e, start)
             is_free[s, channels.measured] = float(is_estimated)
-            is_free[s, channels.internal] = 0.0  # a record's internal states start where expected
+            # most internal states of a record start where expected
+            is_free[s, channels.internal] = is_searched * float(is_estimated)
         else:
             q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[begin : begin + 1])
             x0[s, channels.measured] = np.concatenate([q[0], v[0]])

@@ -1,7 +1,8 @@
 """Uncertainty of identified parameters: covariances, condition, correlation of the residuals.
 
 `estimate_uncertainty` takes the normal equations at the estimate, segment by segment, and returns
-two covariances: from `J'J`, and from how the records disagree (clustered).
+two covariances: from `J'J`, and from how the records disagree (clustered), or where these are few
+their segments.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from tustinnet.fitting.shooting.normal import NormalProducts, eliminate_initial_
 from tustinnet.fitting.shooting.segments import Segments
 
 FEWEST_RECORDS = 4  # for an estimate of how records differ
+FEWEST_SEGMENTS = 12  # for an estimate of how segments differ, where there are not enough records
 CONFIDENCE = 0.95
 _LARGEST = 1e100  # residuals above it cannot be squared and summed
 
@@ -27,6 +29,9 @@ class Uncertainty:
         naive: covariance from `J'J`, right only where residuals are independent and no structure
             is missing.
         clustered: covariance from how the records disagree, None where there are too few.
+        by_segments: covariance from how the segments of too few records disagree, None where these
+            are too few as well. Segments of a record may all lack the same, which it does not see.
+        segments: number of segments.
         naive_quantile: standard errors of `naive` that make half a 95 % interval.
         condition: ratio of the best to the worst determined direction.
         worst_direction: the worst determined direction, (n_p,), its largest entry 1.
@@ -34,20 +39,31 @@ class Uncertainty:
 
     naive: Float[np.ndarray, "n_p n_p"]
     clustered: Float[np.ndarray, "n_p n_p"] | None
+    by_segments: Float[np.ndarray, "n_p n_p"] | None
+    segments: int
     naive_quantile: float
     condition: float
     worst_direction: Float[np.ndarray, " n_p"]
 
     @property
     def trusted(self) -> Float[np.ndarray, "n_p n_p"]:
-        """Covariance to trust: that of the records where there are enough of them."""
-        return self.naive if self.clustered is None else self.clustered
+        """Covariance to trust: that of the records, or segments, where there are enough of them."""
+        known = (x for x in (self.clustered, self.by_segments) if x is not None)
+        return next(known, self.naive)
+
+    @property
+    def source(self) -> str:
+        """The source of the covariance to trust: `records`, `segments` or `residuals`."""
+        if self.clustered is not None:
+            return "records"
+        return "residuals" if self.by_segments is None else "segments"
 
     def quantile_for_records(self, records: int) -> float:
         """Standard errors that make half a 95 % interval of a parameter of only so many records."""
-        if self.clustered is None:
+        if self.source == "residuals":
             return self.naive_quantile
-        return float(scipy.special.stdtrit(max(records - 1, 1), (1 + CONFIDENCE) / 2))
+        count = records if self.source == "records" else self.segments
+        return float(scipy.special.stdtrit(max(count - 1, 1), (1 + CONFIDENCE) / 2))
 
 
 def estimate_uncertainty(
@@ -61,6 +77,8 @@ def estimate_uncertainty(
     The clustered covariance leaves out one record at a time, to first order:
     `(n - 1) / n sum d_i d_i'` with `d_i = (H - H_i)^-1 g_i`, `H_i` and `g_i` being a record's
     share of the reduced normal equations. It holds whatever correlation a record has in itself.
+    Where there are too few records it leaves out segments: noise of an input is alike from sample
+    to sample of what follows it, not from segment to segment.
 
     Args:
         products: the products at the estimate.
@@ -77,11 +95,10 @@ def estimate_uncertainty(
     n_p = len(inside)
     naive = np.full((n_p, n_p), np.nan)
     if not np.isfinite(products.cost).all():
-        return Uncertainty(naive, None, np.nan, np.inf, np.zeros(n_p))
-    first = segments.first_of_records
+        return Uncertainty(naive, None, None, len(segments.steps), np.nan, np.inf, np.zeros(n_p))
+    first, count = segments.first_of_records, len(segments.steps)
     reduced = eliminate_initial_states(products)
     matrices = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
-    gradients = np.add.reduceat(reduced.gradients, first)[:, inside]
     whole = matrices.sum(axis=0) + np.diag(prior_curvature[inside])
     inverse = _inverse(whole)
     # every residual weighs 1/T: the records' gradients have variance sigma^2 / T times their matrix
@@ -93,15 +110,23 @@ def estimate_uncertainty(
     by_prior = variance * len(samples) / samples.sum() * np.diag(prior_curvature[inside])
     spread = np.tensordot(variance / samples, matrices, 1) + by_prior
     naive[np.ix_(inside, inside)] = inverse @ spread @ inverse
-    clustered, n = None, len(matrices)
-    if n >= FEWEST_RECORDS:
-        steps = np.stack(
-            [_inverse(whole - m) @ g for m, g in zip(matrices, gradients, strict=True)]
-        )
+    clustered = by_segments = None
+
+    def leave_out(first: np.ndarray) -> Float[np.ndarray, "n_p n_p"]:
+        """Covariance by leaving out parts that begin with these segments, one at a time."""
+        parts = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
+        gradients = np.add.reduceat(reduced.gradients, first)[:, inside]
+        steps = np.stack([_inverse(whole - m) @ g for m, g in zip(parts, gradients, strict=True)])
         steps -= steps.mean(axis=0)
-        clustered = np.full((n_p, n_p), np.nan)
+        covariance, n = np.full((n_p, n_p), np.nan), len(first)
         jackknife = (n - 1) / n * steps.T @ steps
-        clustered[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
+        covariance[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
+        return covariance
+
+    if len(first) >= FEWEST_RECORDS:
+        clustered = leave_out(first)
+    elif count >= FEWEST_SEGMENTS:
+        by_segments = leave_out(np.arange(count))
     unit = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     values, vectors = np.linalg.eigh(whole / np.outer(unit, unit))
     worst_direction, condition = np.zeros(n_p), 1.0
@@ -112,6 +137,8 @@ def estimate_uncertainty(
     return Uncertainty(
         naive=naive,
         clustered=clustered,
+        by_segments=by_segments,
+        segments=count,
         naive_quantile=float(scipy.special.stdtrit(freedom, (1 + CONFIDENCE) / 2)),
         condition=condition,
         worst_direction=worst_direction,
