@@ -1,6 +1,6 @@
 """The choice of inputs: what moves first in the chain of causes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from tustinnet.data.drafting.findings import Choice, Findings, InputChoice, Question, range_text
 from tustinnet.data.drafting.names import Quantity
@@ -41,10 +41,13 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
         kept.append(name)
     kept = [name for name in candidates if name in kept]
     ranked = {name: _rank(name, findings) for name in kept}
-    best = _best_rank(ranked, findings)
+    joints = _joints(kept, findings)
     inputs: list[str] = []
     for name in kept:
         reading, rank = findings.readings[name], ranked[name]
+        # a current at one joint is no effect of the force at another one
+        chain = [n for n in kept if None in (joints[n], joints[name]) or joints[n] == joints[name]]
+        best = _best_rank({n: ranked[n] for n in chain}, findings)
         is_disturbance = bool(_DISTURBANCES & {*reading.words})
         if best is None or rank == best or is_disturbance:
             inputs.append(name)
@@ -52,7 +55,7 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             what = findings.verdicts[name].because
             choice.unused[name] = f"perhaps an input ({what}), beside columns that say so"
         else:
-            causes = [n for n in kept if ranked[n] == best]
+            causes = [n for n in chain if ranked[n] == best]
             alike = (n for n in causes if findings.readings[n].object == reading.object)
             first = next(alike, causes[0])
             is_later = rank > best
@@ -61,6 +64,21 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
                 else f"explains little of the motion, unlike '{first}'"
             )  # fmt: skip
     return inputs
+
+
+def _joints(names: Sequence[str], findings: Findings) -> dict[str, frozenset[str] | None]:
+    """By column the words that say at which of several joints it acts; None where none does.
+
+    Words count that are the whole object of a position's name, as `elbow` of `elbow_angle`, or its
+    number, as that of `q1`.
+    """
+
+    def joint(name: str) -> frozenset[str]:
+        words = findings.readings[name].object
+        return frozenset(word for word in words if word.isdigit()) or words
+
+    joints = {joint(name) for name in findings.columns("position")} - {frozenset()}
+    return {name: own if (own := joint(name)) in joints else None for name in names}
 
 
 def _best_rank(
