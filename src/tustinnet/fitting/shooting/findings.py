@@ -20,12 +20,14 @@ from tustinnet.fitting.report import (
 )
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.wording import counted
 
 _POOR_CONDITION = 1e3
 _AT_NOISE = 1.5  # times the rms error of rounding to counts: residuals that show no more
 _MOST_STRETCHES = 5  # that are listed in a sentence
 _MOST_NAMES = 12
+_MOST_RANGES = 3  # that a line for a system file has
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -164,25 +166,56 @@ def describe_disagreements(disagreements: Sequence[Disagreement]) -> list[str]:
     return sentences
 
 
-def describe_bounds(estimates: Sequence[Estimate], noise_ratio: float | None) -> list[str]:
-    """Sentences on parameters that are at a bound, and on the probable cause.
+def describe_bounds(
+    estimates: Sequence[Estimate], noise_ratio: float | None, system: LagrangianSystem
+) -> list[str]:
+    """Sentences on parameters that are at a bound, the probable cause, and how to move the bound.
 
     Args:
         estimates: the estimates.
         noise_ratio: size of the residuals over that of the encoders' rounding, None if unknown.
+        system: the system, whose ranges say where they are from.
     """
     cause = (
         "the records do not determine it, or the range is wrong"
         if _is_at_noise(noise_ratio)
         else "the model lacks something, or the range is wrong"
     )
-    return [
-        f"'{e.name}' is 0, its lower bound: the records show nothing of it"
-        if e.bound == "lower" and e.lower == 0
-        else f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}): {cause}"
-        for e in estimates
-        if e.bound
-    ]
+    bases = {p.name: p.basis for p in system.parameters}
+    sentences, ranges = [], {}
+    for e in estimates:
+        if not e.bound:
+            continue
+        if e.bound == "lower" and e.lower == 0:
+            sentences.append(f"'{e.name}' is 0, its lower bound: the records show nothing of it")
+            continue
+        name = e.name.partition("[")[0]
+        basis = bases.get(name, "")
+        where = f", which is from {basis}" if basis else ""
+        sentences.append(
+            f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}{where}): {cause}"
+        )
+        if basis:
+            ranges[name] = _wider(e)
+    if ranges and system.source is not None:
+        some = dict([*ranges.items()][:_MOST_RANGES])
+        sentences.append(
+            f"a system file moves bounds: {system.source.call(ranges=some)}; values that then go "
+            "on to the new bound say that the model lacks something"
+        )
+    return sentences
+
+
+def _wider(e: Estimate) -> tuple[float, float]:
+    """A range whose bound at which an estimate is lies farther out, in short numbers."""
+    if e.lower > 0:
+        lower, upper = (e.lower / 10, e.upper) if e.bound == "lower" else (e.lower, 10 * e.upper)
+    else:
+        more = 3 * (e.upper - e.lower)
+        lower, upper = (
+            (e.lower - more, e.upper) if e.bound == "lower" else (e.lower, e.upper + more)
+        )
+    return float(f"{lower:.3g}"), float(f"{upper:.3g}")
 
 
 def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
@@ -202,17 +235,16 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
     return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
 
 
-def describe_curves(names: Sequence[str], file: str) -> list[str]:
+def describe_curves(names: Sequence[str], call: str) -> list[str]:
     """Sentence on the joints whose missing forces depend on their speeds.
 
     Args:
         names: the joints.
-        file: the robot's file.
+        call: the line of a system file in which friction is a curve.
     """
     return [
         f"most of the force that is missing at {', '.join(names)} depends on the speed there: "
-        f"friction of another form; SYSTEM = tn.load_robot('{file}', friction=['curve']) in a "
-        "system file has it"
+        f"friction of another form; {call} in a system file has it"
     ]
 
 

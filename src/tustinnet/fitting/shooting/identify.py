@@ -196,7 +196,8 @@ def _make_problem(
             )  # fmt: skip
         system = system.for_records(records)
     first = records[0].without_controller()
-    system = system.plant.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
+    alone = [e.without_controller() for e in records]
+    system = system.plant.for_records(alone, f"record '{first.name}'")
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
     if recipe.search.part == "transients":

@@ -497,7 +497,7 @@ def _make_identification(
         *state.remarks,
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
-        *findings.describe_bounds(estimates, np.inf),
+        *findings.describe_bounds(estimates, np.inf, problem.system),
         *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
         *_describe_carried(space, point, parameter_errors),
     ]
@@ -567,7 +567,7 @@ def _describe_curves(
         force = missing_held_out[:, k]
         if np.sum((force - others @ weights) ** 2) < _EXPLAINED**2 * np.sum(force**2):
             names.append(c.name)
-    return findings.describe_curves(names, robot.path.name) if names else []
+    return findings.describe_curves(names, robot.call(friction=["curve"])) if names else []
 
 
 def _describe_carried(
