@@ -25,6 +25,7 @@ from tustinnet.fitting.shooting.checks import (
     require_mass_matrix,
     require_refit_possible,
 )
+from tustinnet.fitting.shooting.column_mistakes import with_column_mistakes
 from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
@@ -133,6 +134,7 @@ def identify_task(
     initial_state = _make_initial_state(problem, task.identification_recipe)
     if problem.search.method == "inverse-dynamics":
         identification = identify_by_inverse_dynamics(problem, initial_state)
+        identification = with_column_mistakes(identification, problem, initial_state)
         return _make_fit_result(task, member, identification, start_time)
     kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
     problem, state = search_over_holds(replace(problem, system=kept.system), state)

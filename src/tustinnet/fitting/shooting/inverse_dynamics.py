@@ -171,14 +171,9 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
                 "computed", "their columns in the data card",
                 "add them, or identify by simulation: --recipe grey",
             )  # fmt: skip
-    values = state.space.to_values(state.vector)
-    if closed_loop.system.feedback is not None:
-        # no force of the system says anything of the controller's gains
-        known = closed_loop.system.nominal().keys() - system.nominal().keys()
-        space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
-        state = replace(state, space=space, vector=space.to_vector(values))
-    space = state.space
-    cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
+    state = without_gains(closed_loop, state)
+    values, space = state.space.to_values(state.vector), state.space
+    cutoff = problem.search.cutoff or choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
     formula = missing_forces(equations)
@@ -217,6 +212,16 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
         closed_loop, replace(state, vector=point.vector), formula, equations, prior, train,
         held_out, point, iterations, status, cutoff,
     )  # fmt: skip
+
+
+def without_gains(problem: Problem, state: SearchState) -> SearchState:
+    """A state in which the gains of a controller are fixed: no force of the system tells them."""
+    if problem.system.feedback is None:
+        return state
+    values = state.space.to_values(state.vector)
+    known = problem.system.nominal().keys() - problem.system.plant.nominal().keys()
+    space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
+    return replace(state, space=space, vector=space.to_vector(values))
 
 
 def missing_forces(equations: SystemEquations) -> Formula:
@@ -270,7 +275,7 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     return part
 
 
-def _choose_cutoff(records: Sequence[Experiment]) -> float:
+def choose_cutoff(records: Sequence[Experiment]) -> float:
     """The cut-off frequency [Hz]: well above the motion, below the sampling rate."""
     band = max(occupied_band(e.q, e.dt) for e in records)
     return cutoff_for(band, records[0].dt)
@@ -348,7 +353,7 @@ def _evaluate(
     columns, values = equations.free_columns(space), space.to_values(vector)
     matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
     for part in train:
-        points = _with_parameters(equations, problem, part, values)
+        points = with_parameters(equations, problem, part, values)
         residual = part.compare(evaluate(formula, points))
         slopes = part.compare(evaluate(formula, points, derivatives=True))
         slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
@@ -392,7 +397,7 @@ def _propose(
     return trial, max(predicted, 1e-300)
 
 
-def _with_parameters(
+def with_parameters(
     equations: SystemEquations, problem: Problem, part: MeasuredForces, values: Mapping[str, float]
 ) -> Float[np.ndarray, "n n_in"]:
     """Points of a filtered record with the parameters behind them, as the formula takes them."""
@@ -414,7 +419,7 @@ def _force_sizes(
     n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
     inputs, needs = [], []
     for part in parts:
-        points = _with_parameters(equations, problem, part, values)
+        points = with_parameters(equations, problem, part, values)
         without = points.copy()
         without[:, 3 * n : 3 * n + n_u] = 0.0
         need = part.compare(evaluate(formula, without))
@@ -435,7 +440,7 @@ def _missing_along(
 ) -> Float[np.ndarray, "k n_q"]:
     """Missing forces of each coordinate along filtered records, one after the other [N m or N]."""
     return np.concatenate([
-        part.compare(evaluate(formula, _with_parameters(equations, problem, part, values)))
+        part.compare(evaluate(formula, with_parameters(equations, problem, part, values)))
         for part in parts
     ])  # fmt: skip
 
