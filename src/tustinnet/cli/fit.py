@@ -47,14 +47,7 @@ def fit(
     physics: options.Physics = None,
     origin: options.Origin = None,
     system: options.System = None,
-    default_density: Annotated[
-        float | None,
-        typer.Option(
-            metavar="KG/M3",
-            help="With --system FILE.urdf: density by which links without an inertia get that of "
-            "their shapes, as 2700.",
-        ),
-    ] = None,
+    default_density: options.DefaultDensity = None,
     plan: _Plan = None,
     budget: Annotated[
         str | None,

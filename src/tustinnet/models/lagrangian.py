@@ -175,6 +175,10 @@ class ChannelSource(ABC):
         """The system with ranges by records, see `LagrangianSystem.for_records`."""
 
     @abstractmethod
+    def input_joints(self) -> dict[str, str]:
+        """Of each input the coordinate on which it acts, by name."""
+
+    @abstractmethod
     def call(self, **more: object) -> str:
         """The line of a system file that loads the file as it is used, with more options."""
 

@@ -220,6 +220,14 @@ class RobotFile(ChannelSource):
         assembly.observe(records)
         return assembly.system(self)
 
+    def input_joints(self) -> dict[str, str]:
+        """Of each input the coordinate on which it acts, by name."""
+        assembly = self._assembly()
+        return {
+            i.name: assembly.free[drive.coordinate]
+            for i, drive in zip(assembly.inputs, assembly.drives, strict=True)
+        }
+
     def call(self, **more: object) -> str:
         """The line of a system file that loads this robot as it is used, with more options.
 
@@ -299,11 +307,13 @@ class _Mismatch(NamedTuple):
         problem: what is wrong.
         expected: what the file has.
         remedy: what to do.
+        options: options of `load_robot` that belong to the remedy.
     """
 
     problem: str
     expected: str
     remedy: str
+    options: Mapping[str, Mapping[str, object]] = {}
 
 
 class _RecordedMotion(NamedTuple):
@@ -420,10 +430,10 @@ class _Assembly:
         Raises:
             InputError: all that does not agree, at once.
         """
-        mismatches = self._compare_coordinates(coordinates, source)
+        mismatches = self._compare_coordinates(coordinates)
         drives = [self._find_drive(i) for i in inputs]
         for i, k in zip(inputs, drives, strict=True):
-            mismatches += self._compare_input(i, k, drives, source)
+            mismatches += self._compare_input(i, k, drives)
         if self.robot.actuators is not None:
             silent = [x.name for k, x in enumerate(self.inputs) if k not in drives]
             if silent:
@@ -435,13 +445,7 @@ class _Assembly:
                     f"{'it' if len(silent) == 1 else 'them'} out of the file",
                 ))  # fmt: skip
         if mismatches:
-            problems, expected, remedies = (
-                separator.join(dict.fromkeys(filter(None, parts)))
-                for separator, parts in zip(
-                    ("; ", ", and ", "; "), zip(*mismatches, strict=True), strict=True
-                )
-            )
-            raise InputError(where, problems, expected, remedies)
+            raise _mismatch_error(mismatches, where, source)
         matched = [k for k in drives if k is not None]
         order = [self.free.index(c.name) for c in coordinates]
         self.free = [self.free[k] for k in order]
@@ -454,9 +458,7 @@ class _Assembly:
         self.inputs = tuple(inputs)
         return self
 
-    def _compare_coordinates(
-        self, coordinates: Sequence[Coordinate], source: RobotFile
-    ) -> list["_Mismatch"]:
+    def _compare_coordinates(self, coordinates: Sequence[Coordinate]) -> list["_Mismatch"]:
         """What the coordinates of a card and the joints that move have not in common."""
         names, file = [c.name for c in coordinates], self.path.name
         mismatches = []
@@ -464,13 +466,15 @@ class _Assembly:
         if missing := [name for name in self.free if name not in names]:
             meant = {name: near for name in missing if (near := _nearest(name, unknown))}
             also = f", and no joint '{unknown[0]}' there" if unknown else ""
-            renames = [f"rename the coordinate '{b}' to '{a}'" for a, b in meant.items()]
+            mismatches += [
+                _Mismatch("", "", f"rename the coordinate '{b}' to '{a}'") for a, b in meant.items()
+            ]
             absent = {name: 0.0 for name in missing if name not in meant}
-            locks = ["add them to the card, or lock them in a system file: "
-                     + source.call(locked=absent)] if absent else []  # fmt: skip
             mismatches.append(_Mismatch(
                 f"no coordinate of {_joints(missing)} of {file}{also}",
-                f"coordinates {_list(self.free)}", "; ".join([*renames, *locks]),
+                f"coordinates {_list(self.free)}",
+                "add them to the card, or lock them" if absent else "",
+                {"locked": absent} if absent else {},
             ))  # fmt: skip
             unknown = [name for name in unknown[1:] if name not in meant.values()]
         for name in unknown:
@@ -501,7 +505,7 @@ class _Assembly:
         return found[0] if found else None
 
     def _compare_input(
-        self, i: Input, k: int | None, drives: Sequence[int | None], source: RobotFile
+        self, i: Input, k: int | None, drives: Sequence[int | None]
     ) -> list["_Mismatch"]:
         """What is wrong with an input of a card and the actuator that it is that of."""
         if k is None:
@@ -516,13 +520,12 @@ class _Assembly:
         if drives.count(k) > 1:
             mismatches.append(_Mismatch(f"two inputs at '{own.name}'", "one", i.name))
         if own.unit != ANY_UNIT and not _is_same_unit(i.unit, own.unit):
-            remedy = (
-                "a current needs a gain, in a system file: "
-                + source.call(motor_constants={drive.joint: ...}).replace("Ellipsis", "...")
-                if _is_same_unit(i.unit, "A")
-                else "convert it in the card by `scale`"
-            )
-            mismatches.append(_Mismatch(f"input '{i.name}' in {i.unit}", own.unit, remedy))
+            is_current = _is_same_unit(i.unit, "A")
+            mismatches.append(_Mismatch(
+                f"input '{i.name}' in {i.unit}", own.unit,
+                "a current needs a gain" if is_current else "convert it in the card by `scale`",
+                {"motor_constants": {drive.joint: ...}} if is_current else {},
+            ))  # fmt: skip
         return mismatches
 
     def observe(self, records: Sequence[Experiment]) -> None:
@@ -990,6 +993,28 @@ def _unrotated(
 def _weak(name: str, unit: str, value: float, largest: float, basis: str = "") -> Parameter:
     """A parameter from 0 on, of which a file often says nothing."""
     return Parameter(name, unit, value, 0.0, largest, prior=_SHARE * largest, basis=basis)
+
+
+def _mismatch_error(
+    mismatches: Sequence[_Mismatch], where: object, source: RobotFile
+) -> InputError:
+    """The error about all mismatches, with one line of a system file for all remedies in it."""
+    problems, expected = (
+        separator.join(dict.fromkeys(filter(None, parts)))
+        for separator, parts in (
+            ("; ", [m.problem for m in mismatches]), (", and ", [m.expected for m in mismatches])
+        )
+    )  # fmt: skip
+    in_order = sorted(mismatches, key=lambda m: bool(m.options))  # those of the system file last
+    remedy = "; ".join(dict.fromkeys(m.remedy for m in in_order if m.remedy))
+    options: dict[str, dict[str, object]] = {}
+    for m in mismatches:
+        for name, values in m.options.items():
+            options.setdefault(name, {}).update(values)
+    if options:
+        line = source.call(**options).replace("Ellipsis", "...")
+        remedy += f", in a system file: {line}"
+    return InputError(where, problems, expected, remedy)
 
 
 def _with_ranges(parameters: Sequence[Parameter], source: RobotFile) -> tuple[Parameter, ...]:

@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
+from tustinnet.channels import Input
 from tustinnet.data.drafting.findings import Choice, Findings, InputChoice, Question, range_text
 from tustinnet.data.drafting.names import Quantity
 from tustinnet.data.drafting.relations import explained_acceleration, find_copy
+from tustinnet.data.drafting.system_columns import input_factor
+from tustinnet.data.units import convert_to_si
 
 _TELLING, _IDLE = 0.3, 0.1  # share of an acceleration that tells, share of it that is nothing
 _QUANTITY_UNITS: dict[Quantity, str] = {
@@ -158,3 +161,37 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     if verdict.rival in ("position", "set point"):
         doubts.append(f"an input, or a {verdict.rival}?")
     return InputChoice(column, name, unit, verdict.reasons, tuple(doubts), assumed)
+
+
+def describe_system_input(column: str, channel: Input, findings: Findings) -> InputChoice:
+    """An input of a system, with the unit of the system where the column's is converted to it.
+
+    Args:
+        column: its column.
+        channel: the input; a unit of `1` takes any.
+        findings: what is known of the columns.
+    """
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
+    is_said = reading.quantities.get(strongest, 0.0) >= 3
+    own = findings.answers.get(f"unit {column}") or reading.unit
+    own = own or (_QUANTITY_UNITS[strongest] if is_said else "")
+    if channel.unit == "1":
+        return InputChoice(column, channel.name, own or "1", assumed=() if own else ("unit",))
+    if not own:
+        doubt = f"the unit: {channel.unit} is assumed (range {range_text(numbers)})"
+        return InputChoice(column, channel.name, channel.unit, doubts=(doubt,), assumed=("unit",))
+    factor = input_factor(own, channel.unit)
+    if factor is not None:
+        return InputChoice(column, channel.name, channel.unit, scale=float(f"{factor:.12g}"))
+    size, base = _to_si(own)
+    doubt = f"the unit: the system takes {channel.unit}, and the column is in {own}"
+    return InputChoice(column, channel.name, base, doubts=(doubt,), scale=size)
+
+
+def _to_si(unit: str) -> tuple[float, str]:
+    """The factor to the SI unit of a unit, and its name; an unknown one as it is."""
+    try:
+        return convert_to_si(unit)
+    except ValueError:
+        return 1.0, unit

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.report import ForceError, Identification
@@ -30,6 +31,7 @@ from tustinnet.fitting.shooting.inverse_dynamics import (
 )
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.space import SearchSpace
+from tustinnet.models.lagrangian import LagrangianSystem
 
 _MUCH = 0.15  # share of the force that is missing at a joint, from which columns are doubted
 _MOST = 0.5  # share from which a sentence says what to look at though no mistake explains it
@@ -94,7 +96,7 @@ class _Outcome(NamedTuple):
     """What a change leaves unexplained.
 
     Attributes:
-        shares: missing force of each joint by that of its actuators, (n,).
+        shares: missing force of each joint by that of its actuators; 0 without one, (n,).
         gain: the factor of the forces of the joints that have one in common; 1 without.
     """
 
@@ -123,10 +125,67 @@ def with_column_mistakes(
     if not poor:
         return identification
     state = without_gains(problem, state)
-    sentences = _Comparison(problem.plant, state.space).find_mistakes()
+    comparison = _Comparison(problem.plant, state.space)
+    sentences = comparison.find_mistakes()
     if not sentences:
-        sentences = _describe_poor(poor)
+        driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
+        sentences = _describe_poor([e for e in poor if e.coordinate in driven])
     return replace(identification, findings=(*identification.findings, *sentences))
+
+
+def describe_beyond_limits(
+    system: LagrangianSystem, records: Sequence[Experiment]
+) -> tuple[str, ...]:
+    """Sentences on motions and forces far beyond the limits that a robot's file says.
+
+    Such are degrees taken for radians, the angle of a motor before its gear, and torques in mN m.
+
+    Args:
+        system: the system.
+        records: records with its coordinates and inputs.
+    """
+    if system.source is None:
+        return ()
+    file, sentences = system.source.path.name, []
+    for k, (c, limits) in enumerate(zip(system.coordinates, system.limits, strict=True)):
+        q = np.concatenate([e.q[:, k] for e in records])
+        low, high = float(q.min()), float(q.max())
+        if limits.position is not None:
+            least, most = limits.position
+            width = most - least
+            if low < least - width or high > most + width:
+                cause = "degrees taken for rad, the angle of a motor before its gear, "
+                sentences.append(
+                    f"{c.name} moves from {low:.3g} to {high:.3g} {c.unit}, and from {least:g} to "
+                    f"{most:g} by {file}: {cause if c.kind == 'angular' else 'another unit, '}"
+                    "or another column? `unit` and `scale` in the card"
+                )
+    if len(sentences) < len(system.coordinates):
+        sentences += _describe_large_forces(system, records)
+    return tuple(sentences)
+
+
+def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
+    """Sentences on forces far beyond those that a robot's file allows."""
+    assert system.input_map is not None and system.source is not None  # noqa: PT018
+    n, nominal, sentences = len(system.coordinates), system.nominal(), []
+    rest = system.input_map(np.zeros(n), np.zeros(n), np.zeros(len(system.inputs)), nominal)
+    for j, i in enumerate(system.inputs):
+        u = np.zeros(len(system.inputs))
+        u[j] = max(float(np.abs(e.u[:, j]).max()) for e in records)
+        force = np.abs(
+            np.asarray(system.input_map(np.zeros(n), np.zeros(n), u, nominal)) - np.asarray(rest)
+        )
+        k = int(np.argmax(force))
+        most = system.limits[k].force
+        if most is not None and force[k] > _USUAL_GAIN * most:
+            unit = "N m" if system.coordinates[k].kind == "angular" else "N"
+            sentences.append(
+                f"{i.name} is up to {force[k]:.3g} {unit}, and {system.coordinates[k].name} has "
+                f"{most:g} {unit} by {system.source.path.name}: another unit, as mN m, or a motor "
+                "constant or gear ratio too large? `scale` in the card"
+            )
+    return sentences
 
 
 def _describe_poor(poor: Sequence[ForceError]) -> list[str]:
@@ -197,18 +256,18 @@ class _Comparison:
         return sentences
 
     def _is_better(self, change: _Change, outcome: _Outcome, before: _Outcome) -> bool:
-        """Whether a change explains the forces of the joints that it changes, and all, better."""
-        joints = [*change.joints]
-        worst = float(np.max(before.shares[joints]))
-        is_odd = change.kind not in ("gain", "gains") or not (
-            1 / _USUAL_GAIN < outcome.gain < _USUAL_GAIN
-        )
-        return (
-            is_odd
-            and worst > _MUCH
+        """Whether a change explains the forces clearly better, at its own joints or at all."""
+        is_usual = 1 / _USUAL_GAIN < outcome.gain < _USUAL_GAIN
+        if change.kind in ("gain", "gains") and is_usual:
+            return False
+        own, every = [*change.joints], slice(None)
+        # a joint may take the masses that suit its wrong columns, and others miss their force then
+        is_explained = any(
+            (worst := float(np.max(before.shares[joints]))) > _MUCH
             and float(np.max(outcome.shares[joints])) < _LEFT * worst
-            and outcome.total < _LEFT_OF_ALL * before.total
+            for joints in (own, every)
         )
+        return is_explained and outcome.total < _LEFT_OF_ALL * before.total
 
     def _changes(self, current: _Change) -> Iterator[_Change]:
         """Changes beside those that are made already: signs, factors, columns exchanged."""
@@ -313,9 +372,8 @@ class _Comparison:
             + np.einsum("ki,ij,kj->k", used, self.products, used)
         )
         sizes = np.einsum("ki,ij,kj->k", used, self.products, used)
-        # of a joint without an actuator, as what its motion needs
-        sizes = np.where(self.driven, np.maximum(sizes, 1e-300), sums.constant + 1e-300)
-        return _Outcome(np.sqrt(np.maximum(squares, 0.0) / sizes), gain)
+        shares = np.sqrt(np.maximum(squares, 0.0) / np.maximum(sizes, 1e-300))
+        return _Outcome(np.where(self.driven, shares, 0.0), gain)
 
     def _units(
         self, sums: _Geometry, columns: Float[np.ndarray, "n n"], is_free: np.ndarray
@@ -331,11 +389,11 @@ class _Comparison:
         """Sentence on a mistake, with what is missing before and after it is mended."""
         joints = [*best.joints]
         names = " and ".join(f"'{self.names[k]}'" for k in joints)
-        shares = [
-            " and ".join(f"{100 * outcome.shares[k]:.3g} %" for k in joints[:_MISTAKES])
-            for outcome in (before, after)
-        ]
-        effect = f"the force that is missing there falls from {shares[0]} to {shares[1]}"
+        k = int(np.argmax(before.shares - after.shares))
+        effect = (
+            f"the force that is missing at '{self.names[k]}' then falls from "
+            f"{100 * before.shares[k]:.3g} % to {100 * after.shares[k]:.3g} %"
+        )
         if best.kind in ("gain", "gains") and not 1 / _USUAL_GAIN < -after.gain < _USUAL_GAIN:
             which = "all joints" if best.kind == "gains" else names
             return (

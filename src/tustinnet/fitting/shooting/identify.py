@@ -25,7 +25,10 @@ from tustinnet.fitting.shooting.checks import (
     require_mass_matrix,
     require_refit_possible,
 )
-from tustinnet.fitting.shooting.column_mistakes import with_column_mistakes
+from tustinnet.fitting.shooting.column_mistakes import (
+    describe_beyond_limits,
+    with_column_mistakes,
+)
 from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
@@ -200,6 +203,7 @@ def _make_problem(
     first = records[0].without_controller()
     alone = [e.without_controller() for e in records]
     system = system.plant.for_records(alone, f"record '{first.name}'")
+    beyond_limits = describe_beyond_limits(system, alone)
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
     if recipe.search.part == "transients":
@@ -228,7 +232,7 @@ def _make_problem(
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
-        remarks=gains.remarks,
+        remarks=(*beyond_limits, *gains.remarks),
     )
 
 
