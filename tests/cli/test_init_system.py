@@ -137,3 +137,22 @@ def test_a_file_that_is_no_robot_is_said_before_logs_are_read(tmp_path: Path, ca
     code, _, err = tustinnet(capsys, "init", tmp_path / "nowhere", "--system", file)
     assert (code, err.count("\n")) == (1, 1)
     assert "no well-formed XML" in err
+
+
+def test_links_without_an_inertia_need_a_density_here_too(tmp_path: Path, capsys) -> None:
+    (file := tmp_path / "arm.urdf").write_text(
+        '<robot name="a"><link name="b"/><link name="l"><visual><geometry><sphere radius="0.1"/>'
+        '</geometry></visual></link><joint name="hip" type="continuous"><parent link="b"/>'
+        '<child link="l"/></joint></robot>'
+    )
+    folder = write_logs(tmp_path / "logs", "time_s,hip_rad,hip_torque", np.array([1.0, 5.0]))
+    command = ["init", folder, "--system", file, "--yes"]
+    code, _, err = tustinnet(capsys, *command)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "--default-density" in err
+    code, _, err = tustinnet(capsys, *command, "--default-density", "2700")
+    assert code == 0, err
+    assert "--default-density 2700 --out RUN" in err
+    code, _, err = tustinnet(capsys, "init", folder, "--default-density", "2700", "--overwrite")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "not applicable without the file of a robot" in err

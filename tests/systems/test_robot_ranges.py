@@ -157,8 +157,8 @@ def test_a_bound_says_where_it_is_from_and_how_to_move_it(wrist: Path) -> None:
         Estimate("turn.coulomb", "N m", 0.0, None, None, None, 0.0, 1.0, "lower"),
     ]  # fmt: skip
     first, second, third, advice = describe_bounds(estimates, None, system)
-    assert "which is from 10 times the inertia that it moves by the file" in first
-    assert "5 times the file's value, or a fifth of it" in second
+    assert "range: 10 times the inertia that it moves by the file" in first
+    assert "range: 1/5 to 5 times the value in the file" in second
     assert third.endswith("the records show nothing of it")
     assert "tn.load_robot('wrist.urdf', per={'hand': 'payload'}, ranges={'turn.viscous'" in advice
     assert "'hand.mass': (0.014, 3.5)" in advice

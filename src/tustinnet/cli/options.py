@@ -63,8 +63,9 @@ SystemOfCard = Annotated[
         "--system",
         metavar="NAME|FILE",
         autocompletion=completion.system,
-        help="System whose coordinates and inputs the card gets, as a robot's file, FILE.urdf or "
-        "FILE.xml, a Python file that defines SYSTEM (the file is executed), or a packaged system.",
+        help=f"System whose coordinates and inputs the card gets: {', '.join(SYSTEMS.places)}, a "
+        "Python file that defines SYSTEM (the file is executed), or a robot: FILE.urdf, or "
+        "FILE.xml of MuJoCo.",
     ),
 ]
 DefaultDensity = Annotated[

@@ -752,17 +752,17 @@ class _Assembly:
         parameters = []
         for name, value in values.items():
             unit, full, fixed = "m", f"{body.name}.{name}", False
-            basis = f"{_MASS:g} times the file's value, or a fifth of it"
+            basis = f"1/{_MASS:g} to {_MASS:g} times the value in the file"
             if name == "mass" or name in DIAGONAL:
                 lower, upper, prior = value / _MASS, value * _MASS, _SHARE * value
                 unit, fixed = ("kg", False) if name == "mass" else ("m", value < _THINNEST)
             elif name in CENTER:
                 lower, upper, prior = value - size, value + size, _SHARE * size
-                basis = "the file's value and the size of the link"
+                basis = "the value in the file and the size of the link"
             else:
                 most = _MASS * widest
                 lower, upper, prior = value - most, value + most, _SHARE * widest
-                basis = "the file's value and the size of the link"
+                basis = "the value in the file and the size of the link"
             group = None if fixed else self.per.get(body.name)
             if group is not None and name == "mass":
                 prior = None  # nobody knows what is carried
@@ -786,19 +786,20 @@ class _Assembly:
         armature = sum(j.armature * ratio**2 for j, ratio in own)
         viscous = sum(j.viscous * ratio**2 for j, ratio in own)
         coulomb = sum(j.coulomb * ratio for j, ratio in own)
-        effort, effort_basis = joint.effort or force, "the largest force of its <limit>"
+        effort, effort_basis = joint.effort or force, "the largest force of the joint in the file"
         if joint.effort is None:
-            effort_basis = "the force of gravity on what it carries, as it has no <limit effort>"
+            effort_basis = "the force of gravity on what it carries, as it has no largest force"
         if (motion := self.recorded.get(name)) is not None:
             if joint.effort is None and motion.force > effort:
                 effort = motion.force
-                effort_basis = "the largest force in the records, as it has no <limit effort>"
+                effort_basis = "the largest force in the records, as the file has none"
             speed = speed or motion.speed
         largest_damping, damping_basis = max(
             (effort / speed if speed else 0.0,
-             f"{effort:.3g} by the largest speed, {speed or 0.0:.3g}: {effort_basis}"),
+             f"{effort:.3g} by the largest speed {speed or 0.0:.3g}, where {effort:.3g} is "
+             + effort_basis),
             (_DAMPING * inertia, f"{_DAMPING:g} times the inertia that it moves by the file"),
-            (_MASS * viscous, f"{_MASS:g} times the file's value"),
+            (_MASS * viscous, f"{_MASS:g} times the value in the file"),
         )  # fmt: skip
         alike = [i for i, c in enumerate(self.coordinates) if c.kind == joint.kind]
         # gears make the inertia of a small motor larger than that of the links that it moves
@@ -855,7 +856,7 @@ class _Assembly:
         """The armature of a joint; behind an elastic gear it moves by itself, so it is not 0."""
         if name not in self.elastic:
             return _weak(f"{name}.armature", unit, armature, largest,
-                         "by the inertia that it moves by the file")  # fmt: skip
+                         "some times the inertia that it moves by the file")  # fmt: skip
         nominal = armature or _SHARE * largest / _GEARED
         return Parameter(
             f"{name}.armature", unit, nominal, nominal / 100, max(largest, 2 * nominal)

@@ -14,9 +14,9 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 LINK = """<link name="{0}"><inertial><origin xyz="{1} 0 0.01"/><mass value="{2}"/>
   <inertia ixx="0.002" iyy="0.02" izz="0.02"/></inertial></link>
-  <joint name="{3}" type="revolute"><parent link="{4}"/><child link="{0}"/>
+  <joint name="{3}" type="continuous"><parent link="{4}"/><child link="{0}"/>
   <origin xyz="{5} 0 0"/><axis xyz="0 1 0"/><dynamics damping="0.8" friction="1.0"/>
-  <limit lower="-3" upper="3" effort="60" velocity="5"/></joint>"""
+  <limit effort="60" velocity="5"/></joint>"""
 ARM = (
     '<robot name="arm"><link name="base"/>'
     + LINK.format("upper", 0.15, 2.5, "shoulder", "base", 0)
@@ -53,7 +53,7 @@ def sentences(data: tn.DataSet, system: LagrangianSystem) -> list[str]:
     """The findings about columns of a fit."""
     recipe = tn.read_recipe("inverse-dynamics", ["search.iterations=4"])
     findings = tn.identify(data, system, recipe).findings
-    words = ("reversed", "exchanged", "times what", "look at the columns")
+    words = ("reversed", "exchanged", "times what", "look at the columns", "as degrees")
     return [s for s in findings if any(word in s for word in words)]
 
 
@@ -70,6 +70,9 @@ CASES = {
     "mN m": (((1, 1), (1000, 1), (0, 1), (0, 1)), "the forces of '{0}' explain the motion as"),
     "before a gear": (((1, 1), (0.02, 1), (0, 1), (0, 1)),
                       "the torque of a motor before a gear"),
+    "signs of both torques": (((1, 1), (-1, -1), (0, 1), (0, 1)),
+                              "the sign of the forces of '{0}' and '{1}' is probably reversed"),
+    "degrees": (((1, 57.3), (1, 1), (0, 1), (0, 1)), "of '{1}' explain the motion as degrees"),
     "exchanged torques": (((1, 1), (1, 1), (0, 1), (1, 0)),
                           "the forces of '{0}' and '{1}' are probably exchanged"),
 }  # fmt: skip

@@ -39,8 +39,10 @@ _LEFT = 0.4  # times the missing share, that may be left where a mistake is mend
 _LEFT_OF_ALL = 0.7  # the same of the mean square of all joints
 _EQUAL = 1.3  # times the least missing share: as good an explanation
 _USUAL_GAIN = 3.0  # factor by which forces may be off by the file's masses alone
+_TURN = 2 * np.pi  # rad; an angle that moves by more may be in degrees
 _UNITS = {1e-3: "kN m or kN", 1e3: "mN m or mN", 1e2: "N cm", 0.10197: "kgf m or kgf"}
 _SAME_UNIT = 0.3  # relative; a factor this near to one of a unit
+_FAR = {"angular": 3.0, "linear": 8.0}  # widths of a range beyond it; radians in degrees are 57
 _MISTAKES = 3  # that are looked for one after the other
 _RECORDS, _SECONDS = 4, 20.0  # that are enough to tell, and their length
 _PASSES = 30  # of the search for parameters within their bounds
@@ -71,9 +73,9 @@ class _Change:
     """A change of the columns that would mend a mistake.
 
     Attributes:
-        kind: `gain`, `gains`, `positions`, `forces`, `both`: what is changed.
+        kind: `gain`, `gains`, `signs`, `degrees`, `positions`, `forces`, `both`: what is changed.
         joints: indices of the joints whose columns are changed.
-        signs: factors of the position columns, (n,).
+        factors: factors of the position columns, (n,).
         order: of each joint the index of its position column, (n,).
         columns: of each joint the factor of each column of forces, (n, n).
         free: joints whose force has an unknown factor in common.
@@ -81,7 +83,7 @@ class _Change:
 
     kind: str
     joints: tuple[int, ...]
-    signs: tuple[float, ...]
+    factors: tuple[float, ...]
     order: tuple[int, ...]
     columns: tuple[tuple[float, ...], ...]
     free: tuple[int, ...] = ()
@@ -89,7 +91,7 @@ class _Change:
     @property
     def geometry(self) -> tuple[tuple[float, ...], tuple[int, ...]]:
         """What is changed of the positions."""
-        return self.signs, self.order
+        return self.factors, self.order
 
 
 class _Outcome(NamedTuple):
@@ -124,6 +126,8 @@ def with_column_mistakes(
     poor = [e for e in identification.force_errors if e.size and e.train > _MUCH * e.size]
     if not poor:
         return identification
+    if _describe_far_positions(problem.plant.system, problem.plant.records):
+        return identification  # which says it already
     state = without_gains(problem, state)
     comparison = _Comparison(problem.plant, state.space)
     sentences = comparison.find_mistakes()
@@ -146,23 +150,29 @@ def describe_beyond_limits(
     """
     if system.source is None:
         return ()
-    file, sentences = system.source.path.name, []
+    return (*_describe_far_positions(system, records), *_describe_large_forces(system, records))
+
+
+def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
+    """Sentences on motions far beyond the limits that a robot's file says."""
+    if system.source is None:
+        return []
+    sentences = []
     for k, (c, limits) in enumerate(zip(system.coordinates, system.limits, strict=True)):
+        if limits.position is None:
+            continue
         q = np.concatenate([e.q[:, k] for e in records])
-        low, high = float(q.min()), float(q.max())
-        if limits.position is not None:
-            least, most = limits.position
-            width = most - least
-            if low < least - width or high > most + width:
-                cause = "degrees taken for rad, the angle of a motor before its gear, "
-                sentences.append(
-                    f"{c.name} moves from {low:.3g} to {high:.3g} {c.unit}, and from {least:g} to "
-                    f"{most:g} by {file}: {cause if c.kind == 'angular' else 'another unit, '}"
-                    "or another column? `unit` and `scale` in the card"
-                )
-    if len(sentences) < len(system.coordinates):
-        sentences += _describe_large_forces(system, records)
-    return tuple(sentences)
+        (low, high), (least, most) = (float(q.min()), float(q.max())), limits.position
+        far = _FAR[c.kind] * (most - least)
+        if low < least - far or high > most + far:
+            cause = "degrees taken for rad, the angle of a motor before its gear, "
+            sentences.append(
+                f"{c.name} moves from {low:.3g} to {high:.3g} {c.unit}, and from {least:g} to "
+                f"{most:g} by {system.source.path.name}: "
+                f"{cause if c.kind == 'angular' else 'another unit, '}or another column? `unit` "
+                "and `scale` in the card"
+            )
+    return sentences
 
 
 def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
@@ -225,6 +235,7 @@ class _Comparison:
             part.weight * len(f) for part, f in zip(self.parts, self.forces, strict=True)
         )
         self.driven = np.diag(self.products) > 0
+        self.spans = np.ptp(np.concatenate([e.q for e in records]), axis=0)
         self.geometries: dict[object, _Geometry] = {}
 
     def find_mistakes(self) -> list[str]:
@@ -278,12 +289,20 @@ class _Comparison:
             yield replace(current, kind="gains", joints=tuple(driven), free=tuple(driven))
         columns = np.array(current.columns)
         for k in range(self.n):
-            signs = tuple(-s if j == k else s for j, s in enumerate(current.signs))
-            yield replace(current, kind="positions", joints=(k,), signs=signs)
-            turned = columns.copy()
-            turned[k] *= -1
-            rows = tuple(tuple(row) for row in turned.tolist())
-            yield replace(current, kind="both", joints=(k,), signs=signs, columns=rows)
+            factors = tuple(-x if j == k else x for j, x in enumerate(current.factors))
+            yield replace(current, kind="positions", joints=(k,), factors=factors)
+            turned = _turned(current.columns, (k,))
+            yield replace(current, kind="both", joints=(k,), factors=factors, columns=turned)
+        for pair in itertools.combinations(driven, 2):
+            yield replace(
+                current, kind="signs", joints=pair, columns=_turned(current.columns, pair)
+            )
+        is_wide = [k for k in range(self.n) if self.kinds[k] == "angular" and self.spans[k] > _TURN]
+        for joints in {(k,) for k in is_wide} | ({(*is_wide,)} if is_wide else set()):
+            factors = tuple(
+                np.radians(x) if j in joints else x for j, x in enumerate(current.factors)
+            )
+            yield replace(current, kind="degrees", joints=joints, factors=factors)
         for i, j in itertools.combinations(range(self.n), 2):
             if self.kinds[i] != self.kinds[j]:
                 continue
@@ -318,7 +337,7 @@ class _Comparison:
             moved = part.points.copy()
             for block in range(3):
                 own = part.points[:, block * n : (block + 1) * n]
-                moved[:, block * n : (block + 1) * n] = own[:, change.order] * change.signs
+                moved[:, block * n : (block + 1) * n] = own[:, change.order] * change.factors
             changed = part._replace(points=moved)
             points = with_parameters(self.equations, self.problem, changed, values)
             points[:, 3 * n : 3 * n + len(self.problem.system.inputs)] = 0.0
@@ -400,14 +419,20 @@ class _Comparison:
                 f"the forces of {which} explain the motion as {after.gain:.3g} times what the "
                 f"columns say: {_unit_of(after.gain)}; {effect}"
             )
-        if len(joints) > 1 and best.kind != "gains":
-            what = {"both": "positions and forces", "gain": "forces"}.get(best.kind, best.kind)
+        if best.kind == "degrees":
+            return (
+                f"the position{'s' * (len(joints) > 1)} of {names} explain the motion as degrees: "
+                f'unit = "deg" in the card; {effect}'
+            )
+        if len(joints) > 1 and best.kind not in ("gains", "signs"):
+            what = {"both": "positions and forces"}.get(best.kind, best.kind)
             return (
                 f"the {what} of {names} are probably exchanged: look at the columns in the card; "
                 f"{effect}"
             )
         meanings = {
-            "gain": "the force", "gains": "the forces", "positions": "the position",
+            "gain": "the force", "gains": "the forces", "signs": "the forces",
+            "positions": "the position",
             "both": "both position and force (or the axis in the file)",
         }  # fmt: skip
         what = " or of ".join(dict.fromkeys(
@@ -416,6 +441,13 @@ class _Comparison:
         return (
             f"the sign of {what} of {names} is probably reversed: sign = -1 in the card; {effect}"
         )
+
+
+def _turned(
+    columns: tuple[tuple[float, ...], ...], joints: Sequence[int]
+) -> tuple[tuple[float, ...], ...]:
+    """Factors of columns of forces, those of some joints with the other sign."""
+    return tuple(tuple(-x if k in joints else x for x in row) for k, row in enumerate(columns))
 
 
 def _unit_of(gain: float) -> str:

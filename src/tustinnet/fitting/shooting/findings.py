@@ -191,7 +191,7 @@ def describe_bounds(
             continue
         name = e.name.partition("[")[0]
         basis = bases.get(name, "")
-        where = f", which is from {basis}" if basis else ""
+        where = f"; range: {basis}" if basis else ""
         sentences.append(
             f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}{where}): {cause}"
         )
