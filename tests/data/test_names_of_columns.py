@@ -1,5 +1,6 @@
 """What names of columns say, in several languages, and how labels and conventions are read."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,13 @@ NAMES = [
     ("wheelspeed", "velocity", "", False),
     ("uq", "voltage", "", False),
     ("deg", "position", "deg", False),
+    ("yaw_torque", "torque", "", False),
+    ("tau_theta", "torque", "", False),
+    ("pitch_voltage", "voltage", "", False),
+    ("encoder_force", "force", "", False),
+    ("pot_voltage", "position", "", False),
+    ("angle_current", "position", "", False),
+    ("i2_A", "current", "A", False),
 ]
 
 
@@ -77,3 +85,38 @@ def test_signals_in_the_rows_of_a_matrix_are_columns(tmp_path: Path) -> None:
     assert columns.names[:2] == ("servo[1]", "servo[2]")
     np.testing.assert_array_equal(columns["servo[2]"], np.sin(t))
     assert len(columns["K[1]"]) == 3
+
+
+def _write_two_joints(folder: Path, names: Sequence[str]) -> None:
+    """Logs of two joints that are driven apart, the second one by a current."""
+    rng, t = np.random.default_rng(1), 0.01 * np.arange(900)
+    for run in range(2):
+        u = [np.sin(f * t + rng.uniform(0, 6, (4, 1))).sum(axis=0) for f in (1.1, 1.7)]
+        q = []
+        for force in u:
+            v = x = 0.0
+            positions = []
+            for f in force:
+                v += 0.01 * (f - 0.5 * v - 2 * x)
+                x += 0.01 * v
+                positions.append(x)
+            q.append(np.round(np.array(positions), 4))
+        table = np.column_stack([t, *q, *u])
+        np.savetxt(
+            folder / f"r{run}.csv", table, delimiter=",", comments="", header=",".join(names)
+        )
+
+
+@pytest.mark.parametrize("names", [
+    ("t", "rail_m", "yaw_rad", "rail_force", "yaw_amps"),
+    ("t", "x_m", "yaw", "x_force", "yaw_current"),
+    ("t", "q1_rad", "q2_rad", "tau1_Nm", "i2_A"),
+])  # fmt: skip
+def test_a_current_at_one_joint_is_no_effect_of_the_force_at_another(
+    names: tuple[str, ...], tmp_path: Path
+) -> None:
+    _write_two_joints(tmp_path, names)
+    draft = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [c.column for c in draft.choice.coordinates] == [*names[1:3]]
+    assert [i.column for i in draft.choice.inputs] == [*names[3:]]
+    assert not draft.choice.unused

@@ -47,14 +47,7 @@ def fit(
     physics: options.Physics = None,
     origin: options.Origin = None,
     system: options.System = None,
-    default_density: Annotated[
-        float | None,
-        typer.Option(
-            metavar="KG/M3",
-            help="With --system FILE.urdf: density by which links without an inertia get that of "
-            "their shapes, as 2700.",
-        ),
-    ] = None,
+    default_density: options.DefaultDensity = None,
     plan: _Plan = None,
     budget: Annotated[
         str | None,
@@ -85,9 +78,12 @@ def fit(
         find_system_to_fit,
         load_records_to_fit,
         require_cores,
+        require_readable_robot,
+        require_system_of_card,
     )
 
     require_cores(cluster, device)
+    require_readable_robot(system)
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.init import draft_into_run
@@ -122,6 +118,7 @@ def fit(
             )  # fmt: skip
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
+    require_system_of_card(found_system, data, card)
     if card is None and lacks_card(data):
         card = draft_into_run(
             Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links

@@ -14,6 +14,7 @@ from tustinnet.wording import counted
 if TYPE_CHECKING:
     from tustinnet.data.drafting.draft import Draft
     from tustinnet.data.drafting.findings import Question
+    from tustinnet.models.lagrangian import LagrangianSystem
 
 FIGURE = "init.png"
 _LONGEST_ANSWER = 40  # characters
@@ -28,6 +29,8 @@ def init(
             "folder.",
         ),
     ],
+    system: options.SystemOfCard = None,
+    default_density: options.DefaultDensity = None,
     yes: Annotated[
         bool,
         typer.Option(
@@ -43,7 +46,8 @@ def init(
     """Write a data card for a folder of logs: times, coordinates, inputs, units, splits.
 
     It looks at names, units and numbers of all columns, asks what they do not say, and draws every
-    column of a record with what it was taken for.
+    column of a record with what it was taken for. With --system the card has the coordinates and
+    inputs of the system, as the joints of a robot, and columns are matched with them.
     """
     from tustinnet.cli.inspect import print_inspection
     from tustinnet.data.catalog import CARD_NAME, locate
@@ -51,11 +55,12 @@ def init(
     from tustinnet.data.loading import load_folder
     from tustinnet.store.files import lock_folder, require_outputs, require_writable_folder
 
+    loaded = _load_system(system, default_density)
     folder, files = list_logs(logs, follow_links=follow_links)
     outputs = [folder / CARD_NAME, folder / FIGURE]
     require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
     require_writable_folder(folder)
-    draft = make_draft(folder, files, is_asking=not yes, follow_links=follow_links)
+    draft = make_draft(folder, files, is_asking=not yes, follow_links=follow_links, system=loaded)
     links = " --follow-links" if follow_links else ""
     with lock_folder(folder):
         # while questions were answered, another may have written one
@@ -69,30 +74,84 @@ def init(
         print_inspection(load_folder(place, card, follow_links=follow_links), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
+    fit = f"tustinnet fit {shlex.quote(str(folder))}{links}"
+    if loaded is not None:
+        _print_mismatches(draft, loaded)
+        by_forces = "" if loaded.source is None else " --recipe inverse-dynamics"
+        density = "" if default_density is None else f" --default-density {default_density:g}"
+        fit += f"{by_forces} --system {shlex.quote(str(system))}{density}"
     terminal.messages().print(
-        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   "
-        f"next: tustinnet fit {shlex.quote(str(folder))}{links} --out RUN"
-    )
+        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _load_system(which: str | None, default_density: float | None) -> "LagrangianSystem | None":
+    """The system of a card, if one was named."""
+    from tustinnet.cli.request import find_system_to_fit, require_readable_robot
+
+    require_readable_robot(which)
+    if which is None and default_density is None:
+        return None
+    terminal.prepare_jax()
+    from tustinnet.systems.files import load_system
+
+    found = find_system_to_fit(which, default_density)
+    return None if found is None else load_system(found).plant
+
+
+def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:
+    """Prints what of a system has no column, a line each, and what a fit would then refuse."""
+    from tustinnet.channels import Coordinate, Input
+    from tustinnet.errors import InputError
+
+    console = terminal.messages()
+    for sentence in draft.choice.missing:
+        console.print(f"not matched: {sentence}", highlight=False, soft_wrap=True)
+    coordinates = [Coordinate(c.name, c.kind) for c in draft.choice.coordinates]
+    inputs = [Input(i.name, i.unit) for i in draft.choice.inputs]
+    try:
+        system.for_channels(coordinates, inputs, "a fit needs more")
+    except InputError as error:
+        console.print(str(error), highlight=False, soft_wrap=True)
 
 
 def make_draft(
-    folder: Path, files: Sequence[str], *, is_asking: bool, follow_links: bool
+    folder: Path,
+    files: Sequence[str],
+    *,
+    is_asking: bool,
+    follow_links: bool,
+    system: "LagrangianSystem | None" = None,
 ) -> "Draft":
-    """Drafts a card; asks its questions on a terminal, until nothing is open."""
+    """Drafts a card; asks its questions on a terminal, until nothing is open.
+
+    Args:
+        folder: the folder of the card.
+        files: the logs, below it.
+        is_asking: whether to ask at all.
+        follow_links: whether links to files outside of the folder are read.
+        system: the system whose coordinates and inputs the card has to have, if one was named.
+    """
     from tustinnet.check.draft_scales import find_scales
     from tustinnet.data.drafting.draft import draft_card
+    from tustinnet.data.drafting.system_columns import SystemChannels
 
     console = terminal.messages()
     answers: dict[str, str] = {}
-    draft = draft_card(folder, files)
+    channels = None
+    if system is not None:
+        joints = {} if system.source is None else system.source.input_joints()
+        channels = SystemChannels(system.coordinates, system.inputs, joints, system.name)
+    draft = draft_card(folder, files, system=channels)
     if by_motion := find_scales(draft, folder, follow_links=follow_links):
-        draft = draft_card(folder, files, by_motion=by_motion)
+        draft = draft_card(folder, files, by_motion=by_motion, system=channels)
     if is_asking and draft.questions and not terminal.can_ask():
         console.print("no terminal to ask at: as with --yes")
     while is_asking and draft.questions and terminal.can_ask():
         for question in draft.questions:
             answers[question.key] = _ask(question)
-        draft = draft_card(folder, files, answers, by_motion=by_motion)
+        draft = draft_card(folder, files, answers, by_motion=by_motion, system=channels)
     draft.require_readable(folder)
     return draft
 

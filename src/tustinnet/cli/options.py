@@ -57,6 +57,25 @@ System = Annotated[
         "that defines SYSTEM (the file is executed), or a robot: FILE.urdf, or FILE.xml of MuJoCo.",
     ),
 ]
+SystemOfCard = Annotated[
+    str | None,
+    typer.Option(
+        "--system",
+        metavar="NAME|FILE",
+        autocompletion=completion.system,
+        help=f"System whose coordinates and inputs the card gets: {', '.join(SYSTEMS.places)}, a "
+        "Python file that defines SYSTEM (the file is executed), or a robot: FILE.urdf, or "
+        "FILE.xml of MuJoCo.",
+    ),
+]
+DefaultDensity = Annotated[
+    float | None,
+    typer.Option(
+        metavar="KG/M3",
+        help="With --system FILE.urdf: density by which links without an inertia get that of their "
+        "shapes, as 2700.",
+    ),
+]
 _RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."
 _CLUSTER = (
     "a Ray cluster, given as HOST:PORT of its head node. auto: the cluster in RAY_ADDRESS, else "

@@ -304,6 +304,37 @@ def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Conso
         console.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
 
+def require_readable_robot(system: str | None) -> None:
+    """Raises unless the file of a robot can be read, if one was named; JAX is not loaded for it."""
+    from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot, read_robot_text
+
+    if system is not None and (path := Path(system)).suffix in ROBOT_ENDINGS:
+        read_robot(read_robot_text(path), path)
+
+
+def require_system_of_card(system: "SystemFile | str | None", data: str, card: Path | None) -> None:
+    """Raises unless a system can be loaded and a card has its coordinates and inputs.
+
+    Records are not read for it.
+
+    Args:
+        system: the system, None for none.
+        data: the data set; a folder without a card is not compared.
+        card: its card, if it was named.
+    """
+    from tustinnet.data.catalog import CARD_NAME, lacks_card, locate
+    from tustinnet.models.lagrangian import LagrangianSystem
+    from tustinnet.systems.files import load_system_or_template
+
+    loaded = None if system is None else load_system_or_template(system)
+    if not isinstance(loaded, LagrangianSystem) or (card is None and lacks_card(data)):
+        return
+    folder, content = locate(data, card)
+    channels = content.channels(content.dt or 1.0).plant
+    place = card or (data if Path(data).suffix == ".toml" else folder / CARD_NAME)
+    loaded.for_channels(channels.coordinates, channels.inputs, place)
+
+
 def find_system_to_fit(
     system: str | None, default_density: float | None
 ) -> "SystemFile | str | None":

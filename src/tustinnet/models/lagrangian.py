@@ -268,6 +268,18 @@ class ChannelSource(ABC):
     ) -> "LagrangianSystem":
         """The system with these coordinates and inputs, see `LagrangianSystem.for_channels`."""
 
+    @abstractmethod
+    def for_records(self, records: Sequence[Experiment], where: object) -> "LagrangianSystem":
+        """The system with ranges by records, see `LagrangianSystem.for_records`."""
+
+    @abstractmethod
+    def input_joints(self) -> dict[str, str]:
+        """Of each input the coordinate on which it acts, by name."""
+
+    @abstractmethod
+    def call(self, **more: object) -> str:
+        """The line of a system file that loads the file as it is used, with more options."""
+
 
 @dataclass(frozen=True)
 class LagrangianSystem:
@@ -412,6 +424,20 @@ class LagrangianSystem:
         if self.source is None:
             return self
         return self.source.for_channels(coordinates, inputs, where)
+
+    def for_records(self, records: Sequence[Experiment], where: object) -> "LagrangianSystem":
+        """The system with coordinates and inputs of records, and ranges by their motion.
+
+        Only a system with a `source` is adapted; another one is returned as it is.
+
+        Args:
+            records: records of one kind, at least one.
+            where: what has them, for messages.
+
+        Raises:
+            InputError: see `for_channels`.
+        """
+        return self if self.source is None else self.source.for_records(records, where)
 
     def model(self, values: Values) -> "LagrangianModel":
         """The equations of motion with the values of all parameters, by name.

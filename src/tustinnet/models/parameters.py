@@ -29,6 +29,7 @@ class Parameter:
             of one body: it is fixed there unless the records need another one.
         brings: forces of `models.added` that come with its term, as `cubic:theta`, if the records
             need it: a spring that is there may stiffen, rub and relax.
+        basis: where its range is from, in words, for messages; empty where a person chose it.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Parameter:
     optional: bool = False
     usual: tuple[float, ...] = ()
     brings: tuple[str, ...] = ()
+    basis: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "brings", tuple(map(current_force, self.brings)))

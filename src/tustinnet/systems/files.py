@@ -22,8 +22,8 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, tracing_remedy
 from tustinnet.registry import SYSTEMS
+from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot_text
 
-ROBOT_ENDINGS = (".urdf", ".xml", ".mjcf")
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
@@ -41,10 +41,13 @@ class SystemFile:
     Attributes:
         path: where it was read.
         text: its text.
+        default_density: density by which links of a robot got their inertias in the text
+            [kg/m^3], or None.
     """
 
     path: Path
     text: str
+    default_density: float | None = None
 
     @property
     def sha256(self) -> str:
@@ -67,7 +70,9 @@ class SystemFile:
         """
         names = dict.fromkeys(_ROBOT_NAMES.findall(self.text)) if self.is_code else {}
         paths = {find_robot_path(name, self.path.parent) for name in names}
-        return tuple(_find_robot(path) for path in sorted(paths) if path.is_file())
+        return tuple(
+            SystemFile(path, read_robot_text(path)) for path in sorted(paths) if path.is_file()
+        )
 
 
 def find_robot_path(name: str | Path, folder: Path | None = None) -> Path:
@@ -121,26 +126,15 @@ def find_system(which: str | Path) -> SystemFile | str:
     if str(which) in SYSTEMS:
         return str(which)
     if path.suffix in ROBOT_ENDINGS:
-        return _find_robot(path)
+        return SystemFile(path, read_robot_text(path))
     if path.suffix != ".py":
         raise InputError(
             f"system '{which}'",
             "no such system",
             f"one of {', '.join(SYSTEMS.names())}, or a file FILE.py, FILE.urdf or FILE.xml",
+            f"run xacro {path} > arm.urdf" if path.suffix == ".xacro" else "",
         )
     return SystemFile(path, read_source(path, "a Python file that defines SYSTEM"))
-
-
-def _find_robot(path: Path) -> SystemFile:
-    """The file of a robot, with what it includes."""
-    from tustinnet.systems.mjcf import include_files
-
-    text = read_source(path, "a robot file")
-    if path.suffix != ".urdf":
-        text = include_files(
-            text, path, lambda name: read_source(path.parent / name, "an included robot file")
-        )
-    return SystemFile(path, text)
 
 
 def load_system(which: AnySystem) -> LagrangianSystem:
@@ -179,7 +173,7 @@ def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTempla
     if not file.is_code:
         from tustinnet.systems.robots import RobotFile
 
-        return RobotFile(text, path).load()
+        return RobotFile(text, path, default_density=file.default_density).load()
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     with _errors_with_place(path), _run_in(path.parent):

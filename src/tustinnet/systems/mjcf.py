@@ -89,7 +89,10 @@ def read_mjcf(text: str, where: object) -> Robot:
     """
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "mujoco":
-        raise InputError(where, f"the root element <{root.tag}>", "<mujoco>", "is it a MJCF file?")
+        raise InputError(
+            where, f"the root element <{root.tag}>", "<mujoco>",
+            "a URDF file has the ending .urdf" if root.tag == "robot" else "is it a MJCF file?",
+        )  # fmt: skip
     for tag in _READS_FILES:
         if root.find(f".//{tag}") is not None:
             raise InputError(

@@ -3,13 +3,15 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from xml.parsers import expat
 
 import numpy as np
 
 from tustinnet.errors import InputError, describe_error
-from tustinnet.models.chains import Vector3
+
+if TYPE_CHECKING:
+    from tustinnet.models.chains import Vector3
 
 JointKind = Literal["angular", "linear", "fixed"]
 
@@ -144,7 +146,7 @@ class Robot:
     links: tuple[RobotLink, ...]
     joints: tuple[RobotJoint, ...]
     actuators: tuple[RobotActuator, ...] | None
-    gravity: Vector3
+    gravity: "Vector3"
 
 
 def parse_xml(text: str, where: object, expected: str) -> ET.Element:

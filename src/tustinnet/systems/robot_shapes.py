@@ -53,7 +53,8 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
             "a link that a joint carries, with a shape and without an inertia",
             "leave it out: every link has its inertia",
         )  # fmt: skip
-    return replace(file, text=write_urdf(file.text, inertias, {}))
+    text = write_urdf(file.text, inertias, {})
+    return replace(file, text=text, default_density=density)
 
 
 def _inertia_of(element: ET.Element, density: float, place: str) -> LinkInertia:

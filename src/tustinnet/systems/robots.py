@@ -1,13 +1,16 @@
 """Robots as systems: the moving bodies of a file, their parameters, ranges and equations."""
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tustinnet.channels import Coordinate, Input
+from tustinnet.data.experiment import Experiment
 from tustinnet.data.units import convert_to_si
 from tustinnet.errors import InputError
 from tustinnet.models.added import PlacedForce, place_force
@@ -33,8 +36,7 @@ from tustinnet.models.lagrangian import (
 )
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.models.physical_values import equations_in
-from tustinnet.systems.files import ROBOT_ENDINGS, find_robot_path, find_system
-from tustinnet.systems.mjcf import read_mjcf
+from tustinnet.systems.files import find_robot_path, find_system
 from tustinnet.systems.robot import (
     LinkInertia,
     Mimic,
@@ -44,9 +46,9 @@ from tustinnet.systems.robot import (
     rotation_about,
 )
 from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
+from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot
 from tustinnet.systems.robot_shapes import with_inertias
 from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
-from tustinnet.systems.urdf import read_urdf
 
 FRICTIONS = ("stribeck", "load", "curve")  # laws beside viscous and Coulomb friction
 ANY_UNIT = "1"  # of an input with a gain of the file: whatever the card says
@@ -61,6 +63,7 @@ _STRIBECK = 5.0  # Stribeck speed by that speed: where its search begins
 _STRIBECK_RANGE = 5.0  # factor by which it may differ
 _GEAR = 10.0  # factor by which the stiffness and the play of a gear may differ from what is said
 _LIGHTLY = 0.1  # damping of a gear by that of an oscillation without overshoot, to begin with
+_USUAL_SPEED = 0.99  # share of the samples of a record below its largest speed
 _LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
 
 
@@ -93,6 +96,7 @@ def load_robot(
     backlash: Mapping[str, float] | None = None,
     encoders: Mapping[str, str] | str = "link",
     default_density: float | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> LagrangianSystem:
     """A robot as a system, from a URDF file or one in MuJoCo's format.
 
@@ -116,6 +120,8 @@ def load_robot(
             a joint is what its encoder reads, at a motor in units of the joint.
         default_density: density [kg/m^3] by which links without an inertia get that of their
             shapes; for a URDF.
+        ranges: smallest and largest value of parameters by name, `{"joint1.viscous": (0, 5)}`, in
+            place of those that follow from the file and the records.
 
     Raises:
         InputError: a file that cannot be read, an option that names no such joint or link, a value
@@ -153,8 +159,9 @@ def load_robot(
             )  # fmt: skip
     at_motor = tuple(sorted(joint for joint, side in encoders.items() if side == "motor"))
     robot = RobotFile(
-        file.text, file.path, positions, constants, groups, chosen, springs, gaps, at_motor
-    )
+        file.text, file.path, positions, constants, groups, chosen, springs, gaps, at_motor,
+        default_density, _require_ranges(path, ranges),
+    )  # fmt: skip
     return robot.load()
 
 
@@ -172,6 +179,8 @@ class RobotFile(ChannelSource):
         elastic: joints with a spring behind the motor, with its stiffness [N m/rad or N/m].
         backlash: elastic joints with play, with its width [rad or m].
         at_motor: elastic joints whose encoder is at the motor.
+        default_density: density by which links of the text got their inertias [kg/m^3], or None.
+        ranges: parameters with their smallest and largest value.
     """
 
     text: str
@@ -183,6 +192,8 @@ class RobotFile(ChannelSource):
     elastic: tuple[tuple[str, float], ...] = ()
     backlash: tuple[tuple[str, float], ...] = ()
     at_motor: tuple[str, ...] = ()
+    default_density: float | None = None
+    ranges: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     def load(self) -> LagrangianSystem:
         """The system with all joints that move freely, and all actuators.
@@ -209,7 +220,58 @@ class RobotFile(ChannelSource):
             InputError: a joint or an actuator is missing, or there is none of a name; an input in
                 another unit than that of a force.
         """
-        return self._assembly().arranged(coordinates, inputs, where).system(self)
+        return self._assembly().arranged(coordinates, inputs, where, self).system(self)
+
+    def for_records(self, records: Sequence[Experiment], where: object) -> LagrangianSystem:
+        """The system for the coordinates and inputs of records, with ranges by their motion.
+
+        Where the file says nothing of the largest force or speed of a joint, ranges of its friction
+        follow from those in the records.
+
+        Args:
+            records: records of one kind.
+            where: see `for_channels`.
+
+        Raises:
+            InputError: see `for_channels`.
+        """
+        first = records[0]
+        assembly = self._assembly().arranged(first.coordinates, first.inputs, where, self)
+        assembly.observe(records)
+        return assembly.system(self)
+
+    def input_joints(self) -> dict[str, str]:
+        """Of each input the coordinate on which it acts, by name."""
+        assembly = self._assembly()
+        return {
+            i.name: assembly.free[drive.coordinate]
+            for i, drive in zip(assembly.inputs, assembly.drives, strict=True)
+        }
+
+    def call(self, **more: object) -> str:
+        """The line of a system file that loads this robot as it is used, with more options.
+
+        Args:
+            more: options of `load_robot` in place of those that it has; what is given by joint or
+                link, and the list of frictions, is added to theirs.
+        """
+        options: dict[str, object] = {
+            "locked": dict(self.locked), "motor_constants": dict(self.motor_constants),
+            "per": dict(self.per), "friction": [*self.friction], "elastic": dict(self.elastic),
+            "backlash": dict(self.backlash), "encoders": dict.fromkeys(self.at_motor, "motor"),
+            "default_density": self.default_density,
+            "ranges": dict(self.ranges),
+        }  # fmt: skip
+        for name, value in more.items():
+            own = options[name]
+            if isinstance(own, dict) and isinstance(value, Mapping):
+                options[name] = {**own, **value}
+            elif isinstance(own, list) and isinstance(value, list):
+                options[name] = [*dict.fromkeys([*own, *value])]
+            else:
+                options[name] = value
+        written = "".join(f", {name}={value!r}" for name, value in options.items() if value)
+        return f"SYSTEM = tn.load_robot('{self.path.name}'{written})"
 
     def with_values(self, values: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
         """The file's text with values of parameters in it, and the names of those that it lacks.
@@ -244,11 +306,10 @@ class RobotFile(ChannelSource):
         return text, tuple(lacking)
 
     def _assembly(self) -> "_Assembly":
-        read = read_urdf if self.path.suffix == ".urdf" else read_mjcf
         constants, per = dict(self.motor_constants), dict(self.per)
         return _Assembly(
-            read(self.text, self.path), self.path, dict(self.locked), constants, per, self.friction,
-            dict(self.elastic), dict(self.backlash), self.at_motor,
+            read_robot(self.text, self.path), self.path, dict(self.locked), constants, per,
+            self.friction, dict(self.elastic), dict(self.backlash), self.at_motor,
         )  # fmt: skip
 
 
@@ -258,6 +319,34 @@ def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile
     if equations is None or not isinstance(equations.system.source, RobotFile):
         return None
     return equations, equations.system.source
+
+
+class _Mismatch(NamedTuple):
+    """What does not agree between a card and a robot's file.
+
+    Attributes:
+        problem: what is wrong.
+        expected: what the file has.
+        remedy: what to do.
+        options: options of `load_robot` that belong to the remedy.
+    """
+
+    problem: str
+    expected: str
+    remedy: str
+    options: Mapping[str, Mapping[str, object]] = {}
+
+
+class _RecordedMotion(NamedTuple):
+    """The motion of a joint in records.
+
+    Attributes:
+        force: largest force or torque of its actuators [N m or N]; 0 without one.
+        speed: its largest speed [rad/s or m/s].
+    """
+
+    force: float
+    speed: float
 
 
 class _Assembly:
@@ -326,49 +415,62 @@ class _Assembly:
         )
         self._assemble()
         self.inputs, self.drives = self._drives()
+        self.recorded: dict[str, _RecordedMotion] = {}
+        self._require_moving_links(per)
+
+    def _require_moving_links(self, per: Mapping[str, str]) -> None:
+        """Raises unless links that differ between groups move and have a mass of their own.
+
+        Raises:
+            InputError: no such link, or one that is fixed to another one.
+        """
         moved = [body.name for body in self.bodies if body.has_mass]
-        for name in per:
-            if name not in moved:
-                raise InputError(
-                    path, f"per: no link '{name}' that moves and has a mass",
-                    f"one of {_list(moved)}",
-                )  # fmt: skip
+        for name, group in per.items():
+            if name in moved:
+                continue
+            owner = self.owners.get(name)
+            if name not in self.owners:
+                problem, remedy = f"no link '{name}'", ""
+            elif owner is None:
+                problem, remedy = f"the link '{name}' is fixed to the base, which does not move", ""
+            elif (carrier := self.bodies[owner].name) == name:
+                problem, remedy = f"the link '{name}' has no mass", ""
+            else:
+                problem = f"the link '{name}' is fixed to '{carrier}', and both are one body"
+                remedy = f"name the link that moves: per={{'{carrier}': '{group}'}}"
+            expected = f"a link that moves and has a mass: {_list(moved)}"
+            raise InputError(self.path, f"per: {problem}", expected, remedy)
 
     def arranged(
-        self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
+        self,
+        coordinates: Sequence[Coordinate],
+        inputs: Sequence[Input],
+        where: object,
+        source: RobotFile,
     ) -> "_Assembly":
-        """Itself with coordinates and inputs in another order, see `RobotFile.for_channels`."""
-        names = [c.name for c in coordinates]
-        if missing := [name for name in self.free if name not in names]:
-            others = [name for name in names if name not in self.free]
-            also = f", and no joint '{others[0]}' there" if others else ""
-            raise InputError(
-                where, f"no coordinate of {_joints(missing)} of {self.path.name}{also}",
-                f"coordinates {_list(self.free)}",
-                "add them to the card, or lock them in a system file: SYSTEM = tn.load_robot("
-                f"'{self.path.name}', locked={{'{missing[0]}': 0.0}})",
-            )  # fmt: skip
-        if unknown := [name for name in names if name not in self.free]:
-            follows = {*self.moved_by, *self.locked} & {unknown[0]}
-            problem = "does not move by itself" if follows else "is not there"
-            raise InputError(
-                where, f"coordinate '{unknown[0]}': such a joint {problem} in {self.path.name}",
-                f"coordinates {_list(self.free)}",
-                "a coordinate of the card has the name of its joint",
-            )  # fmt: skip
-        matched = [self._find_drive(i, where) for i in inputs]
-        for k, i in zip(matched, inputs, strict=True):
-            if matched.count(k) > 1:
-                raise InputError(where, f"two inputs at '{self.inputs[k].name}'", "one", i.name)
+        """Itself with coordinates and inputs in another order, see `RobotFile.for_channels`.
+
+        Raises:
+            InputError: all that does not agree, at once.
+        """
+        mismatches = self._compare_coordinates(coordinates)
+        drives = [self._find_drive(i) for i in inputs]
+        for i, k in zip(inputs, drives, strict=True):
+            mismatches += self._compare_input(i, k, drives)
         if self.robot.actuators is not None:
-            silent = [x.name for k, x in enumerate(self.inputs) if k not in matched]
+            silent = [x.name for k, x in enumerate(self.inputs) if k not in drives]
             if silent:
-                raise InputError(
-                    where, f"no input of the actuator '{silent[0]}' of {self.path.name}",
+                mismatches.append(_Mismatch(
+                    f"no input of the actuator{'s' * (len(silent) > 1)} "
+                    f"{', '.join(map(repr, silent))} of {self.path.name}",
                     f"inputs {_list([i.name for i in self.inputs])}",
-                    "add it to the card, or take it out of the file",
-                )  # fmt: skip
-        order = [self.free.index(name) for name in names]
+                    f"add {'it' if len(silent) == 1 else 'them'} to the card, or take "
+                    f"{'it' if len(silent) == 1 else 'them'} out of the file",
+                ))  # fmt: skip
+        if mismatches:
+            raise _mismatch_error(mismatches, where, source)
+        matched = [k for k in drives if k is not None]
+        order = [self.free.index(c.name) for c in coordinates]
         self.free = [self.free[k] for k in order]
         self.coordinates = tuple(self.coordinates[k] for k in order)
         self.bodies = [replace(b, coordinate=order.index(b.coordinate)) for b in self.bodies]
@@ -379,33 +481,96 @@ class _Assembly:
         self.inputs = tuple(inputs)
         return self
 
-    def _find_drive(self, i: Input, where: object) -> int:
-        """The index of the actuator that an input of a card is that of.
+    def _compare_coordinates(self, coordinates: Sequence[Coordinate]) -> list["_Mismatch"]:
+        """What the coordinates of a card and the joints that move have not in common."""
+        names, file = [c.name for c in coordinates], self.path.name
+        mismatches = []
+        unknown = [name for name in names if name not in self.free]
+        if missing := [name for name in self.free if name not in names]:
+            meant = {name: near for name in missing if (near := _nearest(name, unknown))}
+            also = f", and no joint '{unknown[0]}' there" if unknown else ""
+            mismatches += [
+                _Mismatch("", "", f"rename the coordinate '{b}' to '{a}'") for a, b in meant.items()
+            ]
+            absent = {name: 0.0 for name in missing if name not in meant}
+            mismatches.append(_Mismatch(
+                f"no coordinate of {_joints(missing)} of {file}{also}",
+                f"coordinates {_list(self.free)}",
+                "add them to the card, or lock them" if absent else "",
+                {"locked": absent} if absent else {},
+            ))  # fmt: skip
+            unknown = [name for name in unknown[1:] if name not in meant.values()]
+        for name in unknown:
+            follows = name in {*self.moved_by, *self.locked}
+            problem = "does not move by itself" if follows else "is not there"
+            mismatches.append(_Mismatch(
+                f"coordinate '{name}': such a joint {problem} in {file}",
+                f"coordinates {_list(self.free)}",
+                "a coordinate of the card has the name of its joint",
+            ))  # fmt: skip
+        for c in coordinates:
+            own = self.joints[c.name].kind if c.name in self.free else c.kind
+            if c.kind != own:
+                moves = "turns" if own == "angular" else "slides"
+                mismatches.append(_Mismatch(
+                    f"coordinate '{c.name}' is {c.kind}, and the joint {moves}",
+                    f'kind = "{own}"', "the kind of a coordinate is that of its joint",
+                ))  # fmt: skip
+        return mismatches
 
-        Raises:
-            InputError: no such actuator, or a unit without a gain.
-        """
+    def _find_drive(self, i: Input) -> int | None:
+        """The index of the actuator that an input of a card is that of, None without one."""
         found = [k for k, own in enumerate(self.inputs) if own.name == i.name]
         if not found:
             # the longest name: `joint1` is part of `joint10_torque`
             holds = [k for k, d in enumerate(self.drives) if d.joint in i.name]
             found = sorted(holds, key=lambda k: -len(self.drives[k].joint))[:1]
-        if not found:
-            raise InputError(
-                where, f"input '{i.name}': no such actuator in {self.path.name}",
+        return found[0] if found else None
+
+    def _compare_input(
+        self, i: Input, k: int | None, drives: Sequence[int | None]
+    ) -> list["_Mismatch"]:
+        """What is wrong with an input of a card and the actuator that it is that of."""
+        if k is None:
+            near = _nearest(i.name, [own.name for own in self.inputs])
+            return [_Mismatch(
+                f"input '{i.name}': no such actuator in {self.path.name}",
                 f"inputs {_list([own.name for own in self.inputs])}",
-                "the name of an actuator, or one that holds the name of the joint",
-            )  # fmt: skip
-        own, drive = self.inputs[found[0]], self.drives[found[0]]
+                f"rename the input '{i.name}' to '{near}'" if near
+                else "the name of an actuator, or one that holds the name of the joint",
+            )]  # fmt: skip
+        own, drive, mismatches = self.inputs[k], self.drives[k], []
+        if drives.count(k) > 1:
+            mismatches.append(_Mismatch(f"two inputs at '{own.name}'", "one", i.name))
         if own.unit != ANY_UNIT and not _is_same_unit(i.unit, own.unit):
-            remedy = (
-                "a current needs a gain, in a system file: SYSTEM = tn.load_robot("
-                f"'{self.path.name}', motor_constants={{'{drive.joint}': ...}})"
-                if _is_same_unit(i.unit, "A")
-                else "convert it in the card by `scale`"
+            is_current = _is_same_unit(i.unit, "A")
+            mismatches.append(_Mismatch(
+                f"input '{i.name}' in {i.unit}", own.unit,
+                "a current needs a gain" if is_current else "convert it in the card by `scale`",
+                {"motor_constants": {drive.joint: ...}} if is_current else {},
+            ))  # fmt: skip
+        return mismatches
+
+    def observe(self, records: Sequence[Experiment]) -> None:
+        """Takes the largest forces and speeds of records for joints of which the file has none.
+
+        They are rounded up to 1, 2 or 5 times a power of ten, so that parts of the records give one
+        system.
+
+        Args:
+            records: records with the coordinates and inputs of the assembly.
+        """
+        constants = self.motor_constants
+        for k, name in enumerate(self.free):
+            force = 0.0
+            for column, d in enumerate(self.drives):
+                if d.coordinate == k and not (d.by_position or d.by_speed):
+                    gain = abs(d.gain * d.ratio * constants.get(d.joint, 1.0))
+                    force += gain * max(float(np.abs(e.u[:, column]).max()) for e in records)
+            speed = max(
+                float(np.quantile(np.abs(e.velocities()[:, k]), _USUAL_SPEED)) for e in records
             )
-            raise InputError(where, f"input '{i.name}' in {i.unit}", own.unit, remedy)
-        return found[0]
+            self.recorded[name] = _RecordedMotion(_round_up(force), _round_up(speed))
 
     def _follow(self, name: str) -> Mimic:
         """The joint that moves another one in the end, itself if it follows none."""
@@ -460,6 +625,7 @@ class _Assembly:
                 inertias[owner].append(frame.place(link.inertia))
                 if joint.name not in self.moved_by:
                     self.carried[owner].append((link.name, inertias[owner][-1]))
+        self.owners = {name: owner for name, (owner, _) in places.items()}
         self.nominal: dict[str, float] = {}
         for i, parts in enumerate(inertias):
             body = self.bodies[i]
@@ -586,7 +752,7 @@ class _Assembly:
             name=self.robot.name,
             coordinates=self.coordinates,
             inputs=self.inputs,
-            parameters=tuple(parameters),
+            parameters=_with_ranges(parameters, source),
             kinetic=equations.kinetic,
             potential=equations.potential,
             dissipation=equations.dissipation,
@@ -610,18 +776,23 @@ class _Assembly:
         parameters = []
         for name, value in values.items():
             unit, full, fixed = "m", f"{body.name}.{name}", False
+            basis = f"1/{_MASS:g} to {_MASS:g} times the value in the file"
             if name == "mass" or name in DIAGONAL:
                 lower, upper, prior = value / _MASS, value * _MASS, _SHARE * value
                 unit, fixed = ("kg", False) if name == "mass" else ("m", value < _THINNEST)
             elif name in CENTER:
                 lower, upper, prior = value - size, value + size, _SHARE * size
+                basis = "the value in the file and the size of the link"
             else:
                 most = _MASS * widest
                 lower, upper, prior = value - most, value + most, _SHARE * widest
+                basis = "the value in the file and the size of the link"
             group = None if fixed else self.per.get(body.name)
             if group is not None and name == "mass":
                 prior = None  # nobody knows what is carried
-            parameters.append(Parameter(full, unit, value, lower, upper, fixed, prior, group))
+            parameters.append(
+                Parameter(full, unit, value, lower, upper, fixed, prior, group, basis=basis)
+            )
         return parameters
 
     def _joint_parameters(self, k: int) -> list[Parameter]:
@@ -634,12 +805,26 @@ class _Assembly:
             if m.joint == name
         ]
         inertia, force = self._scale(k)
-        effort, speed = joint.effort or force, joint.speed
+        speed = joint.speed
         width = _SPEED if speed is None else _LARGEST_SPEED_SHARE * speed
         armature = sum(j.armature * ratio**2 for j, ratio in own)
         viscous = sum(j.viscous * ratio**2 for j, ratio in own)
         coulomb = sum(j.coulomb * ratio for j, ratio in own)
-        largest_damping = max(effort / speed if speed else 0.0, _DAMPING * inertia, _MASS * viscous)
+        effort, effort_basis = joint.effort or force, "the largest force of the joint in the file"
+        if joint.effort is None:
+            effort_basis = "the force of gravity on what it carries, as it has no largest force"
+        if (motion := self.recorded.get(name)) is not None:
+            if joint.effort is None and motion.force > effort:
+                effort = motion.force
+                effort_basis = "the largest force in the records, as the file has none"
+            speed = speed or motion.speed
+        largest_damping, damping_basis = max(
+            (effort / speed if speed else 0.0,
+             f"{effort:.3g} by the largest speed {speed or 0.0:.3g}, where {effort:.3g} is "
+             + effort_basis),
+            (_DAMPING * inertia, f"{_DAMPING:g} times the inertia that it moves by the file"),
+            (_MASS * viscous, f"{_MASS:g} times the value in the file"),
+        )  # fmt: skip
         alike = [i for i, c in enumerate(self.coordinates) if c.kind == joint.kind]
         # gears make the inertia of a small motor larger than that of the links that it moves
         heaviest = max(self._scale(i)[0] for i in alike)
@@ -649,11 +834,13 @@ class _Assembly:
         speed_unit = "rad/s" if joint.kind == "angular" else "m/s"
         parameters = [
             self._motor_inertia(name, unit, armature, largest_armature),
-            _weak(f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping),
-            _weak(f"{name}.coulomb", kind, coulomb, max(effort, _MASS * coulomb)),
+            _weak(f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping,
+                  damping_basis),
+            _weak(f"{name}.coulomb", kind, coulomb, max(effort, _MASS * coulomb), effort_basis),
             Parameter(f"{name}.coulomb_speed", speed_unit, width, width / 100, 100 * width,
                       fixed=True),
-            Parameter(f"{name}.offset", kind, 0.0, -effort, effort, prior=_SHARE * effort),
+            Parameter(f"{name}.offset", kind, 0.0, -effort, effort, prior=_SHARE * effort,
+                      basis=effort_basis),
         ]  # fmt: skip
         if "stribeck" in self.friction:
             slow = _STRIBECK * width
@@ -692,7 +879,8 @@ class _Assembly:
     def _motor_inertia(self, name: str, unit: str, armature: float, largest: float) -> Parameter:
         """The armature of a joint; behind an elastic gear it moves by itself, so it is not 0."""
         if name not in self.elastic:
-            return _weak(f"{name}.armature", unit, armature, largest)
+            return _weak(f"{name}.armature", unit, armature, largest,
+                         "some times the inertia that it moves by the file")  # fmt: skip
         nominal = armature or _SHARE * largest / _GEARED
         return Parameter(
             f"{name}.armature", unit, nominal, nominal / 100, max(largest, 2 * nominal)
@@ -838,9 +1026,57 @@ def _unrotated(
     return tuple(links)
 
 
-def _weak(name: str, unit: str, value: float, largest: float) -> Parameter:
+def _weak(name: str, unit: str, value: float, largest: float, basis: str = "") -> Parameter:
     """A parameter from 0 on, of which a file often says nothing."""
-    return Parameter(name, unit, value, 0.0, largest, prior=_SHARE * largest)
+    return Parameter(name, unit, value, 0.0, largest, prior=_SHARE * largest, basis=basis)
+
+
+def _mismatch_error(
+    mismatches: Sequence[_Mismatch], where: object, source: RobotFile
+) -> InputError:
+    """The error about all mismatches, with one line of a system file for all remedies in it."""
+    problems, expected = (
+        separator.join(dict.fromkeys(filter(None, parts)))
+        for separator, parts in (
+            ("; ", [m.problem for m in mismatches]), (", and ", [m.expected for m in mismatches])
+        )
+    )  # fmt: skip
+    in_order = sorted(mismatches, key=lambda m: bool(m.options))  # those of the system file last
+    remedy = "; ".join(dict.fromkeys(m.remedy for m in in_order if m.remedy))
+    options: dict[str, dict[str, object]] = {}
+    for m in mismatches:
+        for name, values in m.options.items():
+            options.setdefault(name, {}).update(values)
+    if options:
+        line = source.call(**options).replace("Ellipsis", "...")
+        remedy += f", in a system file: {line}"
+    return InputError(where, problems, expected, remedy)
+
+
+def _with_ranges(parameters: Sequence[Parameter], source: RobotFile) -> tuple[Parameter, ...]:
+    """Parameters with the ranges that the user gave.
+
+    Raises:
+        InputError: a range of no free parameter, or one in which its value makes no sense.
+    """
+    ranges = dict(source.ranges)
+    free = {p.name: p for p in parameters if not p.fixed}
+    for name, (lower, _) in ranges.items():
+        place = f"{source.path}, ranges"
+        if name not in free:
+            near = difflib.get_close_matches(name, free, 3, 0.3)
+            is_fixed = any(p.name == name for p in parameters)
+            raise InputError(
+                place, f"the parameter '{name}' is fixed" if is_fixed else f"no parameter '{name}'",
+                "a parameter that is searched for" + (f", as {', '.join(near)}" if near else ""),
+            )  # fmt: skip
+        if free[name].lower > 0 >= lower:
+            raise InputError(place, f"'{name}' from {lower:g} on", "a range above 0")
+    return tuple(
+        replace(p, lower=ranges[p.name][0], upper=ranges[p.name][1], basis="`ranges` of load_robot")
+        if p.name in ranges else p
+        for p in parameters
+    )  # fmt: skip
 
 
 def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
@@ -892,6 +1128,44 @@ def _require_numbers(
         if not is_number or not np.isfinite(value) or (is_positive and value <= 0):
             raise InputError(path, f"{option}: {value!r} for '{name}'", expected)
     return tuple(sorted((name, float(x)) for name, x in (values or {}).items()))
+
+
+def _require_ranges(
+    path: object, ranges: Mapping[str, tuple[float, float]] | None
+) -> tuple[tuple[str, tuple[float, float]], ...]:
+    """Smallest and largest values of parameters, in the order of the names.
+
+    Raises:
+        InputError: an entry that is not two finite numbers, the smaller one first.
+    """
+    checked = []
+    for name, ends in (ranges or {}).items():
+        numbers: Any = ends
+        try:
+            lower, upper = (float(x) for x in numbers)
+        except (TypeError, ValueError):
+            lower = upper = np.nan
+        if not (np.isfinite([lower, upper]).all() and lower < upper):
+            raise InputError(
+                path, f"ranges: {ends!r} for '{name}'",
+                "two numbers, the smaller one first", f"ranges={{'{name}': (0.0, 1.0)}}",
+            )  # fmt: skip
+        checked.append((name, (lower, upper)))
+    return tuple(sorted(checked))
+
+
+def _round_up(value: float) -> float:
+    """The next of 1, 2 and 5 times a power of ten; 0 for 0."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(n * power for n in (1, 2, 5, 10) if value <= n * power * (1 + 1e-9)))
+
+
+def _nearest(name: str, names: Sequence[str]) -> str:
+    """The name that was probably meant: the same but for case, else a very similar one; or ""."""
+    alike = [other for other in names if other.lower() == name.lower()]
+    return (alike or difflib.get_close_matches(name, names, 1, 0.8) or [""])[0]
 
 
 def _is_same_unit(a: str, b: str) -> bool:

@@ -45,7 +45,11 @@ def read_urdf(text: str, where: object) -> Robot:
     """
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "robot":
-        raise InputError(where, f"the root element <{root.tag}>", "<robot>", "is it a URDF file?")
+        raise InputError(
+            where, f"the root element <{root.tag}>", "<robot>",
+            "a file in MuJoCo's format has the ending .xml" if root.tag == "mujoco"
+            else "is it a URDF file?",
+        )  # fmt: skip
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(where, "macros of xacro", _EXPECTED, f"run xacro {where} > arm.urdf")
     links: dict[str, RobotLink] = {}

@@ -71,7 +71,8 @@ def write_card(
     if not choice.inputs:
         lines += ["", "# no column looks like an input: the records are of free motion"]
     unused = {**choice.unused, **clock.others, **texts}
-    lines += [""] if unused else []
+    lines += [""] if unused or choice.missing else []
+    lines += [f"# {sentence}" for sentence in choice.missing]
     lines += [f"# not used: {quote(column)}: {why}" for column, why in unused.items()]
     return "\n".join([*lines, *_splits(splits)]) + "\n"
 
@@ -138,7 +139,9 @@ def _input(c: InputChoice) -> list[str]:
     lines += [f"# check {doubt}" for doubt in c.doubts]
     return [
         *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
-        f"unit = {quote(c.unit)}", *_assumed(c.assumed),
+        f"unit = {quote(c.unit)}",
+        *([] if c.scale == 1 else [f"scale = {c.scale!r}  # {c.unit} in one unit of the column"]),
+        *_assumed(c.assumed),
     ]  # fmt: skip
 
 

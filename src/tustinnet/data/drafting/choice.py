@@ -9,10 +9,11 @@ import numpy as np
 from tustinnet.channels import Kind
 from tustinnet.data.drafting.channel_names import name_channels
 from tustinnet.data.drafting.findings import Choice, Findings, Question
-from tustinnet.data.drafting.inputs import choose_inputs, describe_input
+from tustinnet.data.drafting.inputs import choose_inputs, describe_input, describe_system_input
 from tustinnet.data.drafting.positions import describe_coordinate, describe_speed
 from tustinnet.data.drafting.relations import compare_courses, find_copy
 from tustinnet.data.drafting.roles import FAINT, Verdict
+from tustinnet.data.drafting.system_columns import SystemChannels, match_columns
 
 _COSINE = re.compile(r"(?i)(?<![a-z])(cosinus|cosine|cos)[ _(]*|\)$")
 _CLEAR = 3.0  # score of a column that is surely a position
@@ -53,6 +54,37 @@ def choose_channels(findings: Findings) -> Choice:
     for name, verdict in findings.verdicts.items():
         if name not in used and name not in choice.unused:
             choice.unused[name] = _why_unused(verdict)
+    return choice
+
+
+def choose_system_channels(findings: Findings, system: SystemChannels) -> Choice:
+    """Chooses the columns of a system's coordinates and inputs, under the names that it has."""
+    choice, matches = Choice(), match_columns(system, findings)
+    choice.missing = matches.missing
+    coordinates = [c for c in system.coordinates if c.name in matches.coordinates]
+    positions = [matches.coordinates[c.name] for c in coordinates]
+    velocities = [name for name in findings.columns("velocity") if name not in positions]
+    matched = _match_velocities(positions, velocities, findings, choice)
+    for c, column in zip(coordinates, positions, strict=True):
+        described = describe_coordinate(
+            column, c.name, matched.get(column), None, findings, choice, system_kind=c.kind
+        )
+        choice.coordinates.append(replace(
+            described, because=(matches.because[column], *described.because),
+            doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
+        ))  # fmt: skip
+    _without_unknown_velocities(matched, choice)
+    for i in system.inputs:
+        if (column := matches.inputs.get(i.name)) is not None:
+            described = describe_system_input(column, i, findings)
+            choice.inputs.append(replace(
+                described, because=(matches.because[column],),
+                doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
+            ))  # fmt: skip
+    used = {*positions, *matches.inputs.values(), *matched.values()}
+    for name, verdict in findings.verdicts.items():
+        if name not in used and name not in choice.unused:
+            choice.unused[name] = f"no channel of {system.name}: {_why_unused(verdict)}"
     return choice
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.drafting.card_text import write_card
-from tustinnet.data.drafting.choice import choose_channels
+from tustinnet.data.drafting.choice import choose_channels, choose_system_channels
 from tustinnet.data.drafting.findings import (
     Choice,
     CoordinateChoice,
@@ -32,6 +32,7 @@ from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import compare_slopes, find_sines
 from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
 from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
@@ -128,6 +129,7 @@ def draft_card(
     by_motion: Mapping[str, str] | None = None,
     name: str = "",
     has_splits: bool = True,
+    system: SystemChannels | None = None,
 ) -> Draft:
     """Drafts a data card for logs.
 
@@ -138,6 +140,8 @@ def draft_card(
         by_motion: answers that the motion of the records shows, as `check.draft_scales` finds them.
         name: name of the data set; that of the folder by default.
         has_splits: whether the card names the files; otherwise all logs beside it are records.
+        system: coordinates and inputs that the card has to have; by default those that the columns
+            show.
 
     Returns:
         The draft. Its `questions` say what was assumed.
@@ -187,11 +191,13 @@ def draft_card(
     findings = Findings(
         readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
-    choice = choose_channels(findings)
+    choice = choose_channels(findings) if system is None else (
+        choose_system_channels(findings, system)
+    )  # fmt: skip
     if is_period_assumed and (period := period_by_velocities(dt, choice, findings)) is not None:
         return draft_card(
             folder, files, answers, by_motion={**by_motion, _PERIOD: repr(period)}, name=name,
-            has_splits=has_splits,
+            has_splits=has_splits, system=system,
         )  # fmt: skip
     logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)

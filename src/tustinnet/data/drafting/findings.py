@@ -84,6 +84,7 @@ class InputChoice:
     because: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    scale: float = 1.0
 
 
 @dataclass
@@ -95,12 +96,14 @@ class Choice:
         inputs: the inputs.
         unused: the reason for each column that is not used.
         questions: what the columns do not say.
+        missing: sentences on coordinates and inputs of a system that have no column.
     """
 
     coordinates: list[CoordinateChoice] = field(default_factory=list)
     inputs: list[InputChoice] = field(default_factory=list)
     unused: dict[str, str] = field(default_factory=dict)
     questions: list[Question] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
 
     @property
     def motion(self) -> list[str]:

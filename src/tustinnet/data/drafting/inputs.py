@@ -1,10 +1,13 @@
 """The choice of inputs: what moves first in the chain of causes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from tustinnet.channels import Input
 from tustinnet.data.drafting.findings import Choice, Findings, InputChoice, Question, range_text
 from tustinnet.data.drafting.names import Quantity
 from tustinnet.data.drafting.relations import explained_acceleration, find_copy
+from tustinnet.data.drafting.system_columns import input_factor
+from tustinnet.data.units import convert_to_si
 
 _TELLING, _IDLE = 0.3, 0.1  # share of an acceleration that tells, share of it that is nothing
 _QUANTITY_UNITS: dict[Quantity, str] = {
@@ -41,10 +44,13 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
         kept.append(name)
     kept = [name for name in candidates if name in kept]
     ranked = {name: _rank(name, findings) for name in kept}
-    best = _best_rank(ranked, findings)
+    joints = _joints(kept, findings)
     inputs: list[str] = []
     for name in kept:
         reading, rank = findings.readings[name], ranked[name]
+        # a current at one joint is no effect of the force at another one
+        chain = [n for n in kept if None in (joints[n], joints[name]) or joints[n] == joints[name]]
+        best = _best_rank({n: ranked[n] for n in chain}, findings)
         is_disturbance = bool(_DISTURBANCES & {*reading.words})
         if best is None or rank == best or is_disturbance:
             inputs.append(name)
@@ -52,7 +58,7 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             what = findings.verdicts[name].because
             choice.unused[name] = f"perhaps an input ({what}), beside columns that say so"
         else:
-            causes = [n for n in kept if ranked[n] == best]
+            causes = [n for n in chain if ranked[n] == best]
             alike = (n for n in causes if findings.readings[n].object == reading.object)
             first = next(alike, causes[0])
             is_later = rank > best
@@ -61,6 +67,21 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
                 else f"explains little of the motion, unlike '{first}'"
             )  # fmt: skip
     return inputs
+
+
+def _joints(names: Sequence[str], findings: Findings) -> dict[str, frozenset[str] | None]:
+    """By column the words that say at which of several joints it acts; None where none does.
+
+    Words count that are the whole object of a position's name, as `elbow` of `elbow_angle`, or its
+    number, as that of `q1`.
+    """
+
+    def joint(name: str) -> frozenset[str]:
+        words = findings.readings[name].object
+        return frozenset(word for word in words if word.isdigit()) or words
+
+    joints = {joint(name) for name in findings.columns("position")} - {frozenset()}
+    return {name: own if (own := joint(name)) in joints else None for name in names}
 
 
 def _best_rank(
@@ -140,3 +161,37 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     if verdict.rival in ("position", "set point"):
         doubts.append(f"an input, or a {verdict.rival}?")
     return InputChoice(column, name, unit, verdict.reasons, tuple(doubts), assumed)
+
+
+def describe_system_input(column: str, channel: Input, findings: Findings) -> InputChoice:
+    """An input of a system, with the unit of the system where the column's is converted to it.
+
+    Args:
+        column: its column.
+        channel: the input; a unit of `1` takes any.
+        findings: what is known of the columns.
+    """
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
+    is_said = reading.quantities.get(strongest, 0.0) >= 3
+    own = findings.answers.get(f"unit {column}") or reading.unit
+    own = own or (_QUANTITY_UNITS[strongest] if is_said else "")
+    if channel.unit == "1":
+        return InputChoice(column, channel.name, own or "1", assumed=() if own else ("unit",))
+    if not own:
+        doubt = f"the unit: {channel.unit} is assumed (range {range_text(numbers)})"
+        return InputChoice(column, channel.name, channel.unit, doubts=(doubt,), assumed=("unit",))
+    factor = input_factor(own, channel.unit)
+    if factor is not None:
+        return InputChoice(column, channel.name, channel.unit, scale=float(f"{factor:.12g}"))
+    size, base = _to_si(own)
+    doubt = f"the unit: the system takes {channel.unit}, and the column is in {own}"
+    return InputChoice(column, channel.name, base, doubts=(doubt,), scale=size)
+
+
+def _to_si(unit: str) -> tuple[float, str]:
+    """The factor to the SI unit of a unit, and its name; an unknown one as it is."""
+    try:
+        return convert_to_si(unit)
+    except ValueError:
+        return 1.0, unit

@@ -9,6 +9,7 @@ from itertools import pairwise
 from tustinnet.channels import Kind
 from tustinnet.data.drafting.vocabulary import (
     ANGULAR,
+    AXES,
     CONTAINERS,
     LINEAR,
     POSITION_WORDS,
@@ -172,6 +173,8 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
+    if _is_about_axis(words):
+        del quantities["position"], word["position"]
     pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
         quantities["control"], word["control"] = 8.0, "action"
@@ -227,6 +230,20 @@ def _read_quantities(
     if quantities.get("error", 0.0) >= 3:
         quantities["error"] += 5.0  # `position error [mm]` is an error
     return quantities, word
+
+
+def _is_about_axis(words: Sequence[str]) -> bool:
+    """Whether words of a position only say at which axis an input acts, as in `yaw_torque`.
+
+    `torque` and `force` decide for any position where they come last. Sensors of positions give
+    voltages, and `current` is also an adjective, so other inputs decide for axes alone, and
+    currents not at all.
+    """
+    positions = [word for word in words if word in STRONG["position"]]
+    inputs = {w: q for q in INPUTS if q != "current" for w in words if w in STRONG[q]}
+    spoken = [word for word in words if word in {*positions, *inputs}]
+    last = inputs.get(spoken[-1]) if positions else None
+    return last in ("torque", "force") or (last is not None and {*positions} <= AXES)
 
 
 _ORDERS = {"ddot": 2, "pp": 2, "dd": 2}  # of derivatives, by endings of symbols
@@ -348,7 +365,8 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if len(ending) > 1:
         return True
     last = before[-1]
-    if (last, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
+    symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
+    if (symbol, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
         return True  # a symbol and the unit of its quantity
     if ending in ("k", "c", "g", "w", "s"):
         return ending == "s" and last in STRONG["time"] | WEAK["time"]

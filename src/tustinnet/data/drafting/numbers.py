@@ -200,3 +200,9 @@ def is_decimal(count: float) -> bool:
     """Whether a step is a power of ten, or twice or five times one: that of a rounded number."""
     power = 10.0 ** np.floor(np.log10(count) + 1e-9)
     return any(abs(count / (power * digit) - 1) < 1e-6 for digit in (1, 2, 2.5, 5, 10))
+
+
+def is_power_of_ten(count: float) -> bool:
+    """Whether a step is a power of ten: that to which a file rounds. Sensors have any others."""
+    power = round(float(np.log10(count)))
+    return abs(count / 10.0**power - 1) < 1e-6

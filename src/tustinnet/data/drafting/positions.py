@@ -13,7 +13,12 @@ from tustinnet.data.drafting.findings import (
     VelocityChoice,
     range_text,
 )
-from tustinnet.data.drafting.numbers import Numbers, counts_in_turn, is_decimal
+from tustinnet.data.drafting.numbers import (
+    Numbers,
+    counts_in_turn,
+    is_decimal,
+    is_power_of_ten,
+)
 from tustinnet.data.drafting.relations import find_copy
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
@@ -21,7 +26,7 @@ _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
-_COARSE = 1e-4  # of the range; a smaller decimal step is a file's rounding, no resolution
+_COARSE = 1e-4  # of the range; a smaller step of 1, 0.1, ... is a file's rounding, no resolution
 _USUAL_COUNTS = 4096
 _SURE_SLOPE = 0.99  # correlation of a velocity with a slope that says the period
 _PERIODS = (1e-4, 1.0)  # s
@@ -46,6 +51,7 @@ def describe_coordinate(
     input_kind: Kind | None,
     findings: Findings,
     choice: Choice,
+    system_kind: Kind | None = None,
 ) -> CoordinateChoice:
     """A coordinate with its kind and unit, which the first of several kinds of evidence decides.
 
@@ -56,6 +62,7 @@ def describe_coordinate(
         input_kind: the kind of coordinate that the inputs move, if they say so.
         findings: what is known of the columns.
         choice: receives questions.
+        system_kind: the kind of the joint whose position it is, where a system says it.
     """
     numbers = findings.numbers[column]
     because = list(findings.verdicts[column].reasons)
@@ -69,7 +76,7 @@ def describe_coordinate(
         )  # fmt: skip
     factor = findings.slopes.between(column, velocity)[1] if velocity else None
     speed = findings.readings[velocity].unit if velocity else ""
-    kind = _find_kind(column, velocity, input_kind, findings, because)
+    kind = system_kind or _find_kind(column, velocity, input_kind, findings, because)
     assumed: list[str] = []
     unit = _find_unit(column, speed, factor, kind, findings, because)
     scale = 1.0
@@ -197,7 +204,7 @@ def _resolution(numbers: Numbers, unit: str, kind: Kind) -> tuple[int | None, fl
             return counts, None
     size = (ANGLE | LENGTH).get(unit)
     is_coarse = step > _COARSE * (numbers.range[1] - numbers.range[0])
-    if size is None or not (is_coarse or not is_decimal(step)):
+    if size is None or not (is_coarse or not is_power_of_ten(step)):
         return None, None
     resolution = float(f"{step * size:.6g}")
     return None, resolution if _LEAST_COUNT < resolution < _MOST_COUNT else None

@@ -25,6 +25,7 @@ FAINT = 1.9  # score of a position that may be something else
 _DRIVEN, _DRIVING = 0.5, 0.15  # shares of accelerations that an input explains, and those of it
 _WHITE = 1.2  # roughness of white noise is the root of 2
 _AXES = {"x", "y", "z", "yaw", "pitch", "roll", "rx", "ry", "rz", "azimuth", "elevation"}
+_SAID = 3.0  # weight of a word that says a quantity
 _CLEAR = 1.0  # a role whose score is by less above the next one is doubtful
 _ROLES: dict[Quantity, Role] = {
     **dict.fromkeys(INPUTS, "input"), "position": "position", "velocity": "velocity",
@@ -111,6 +112,7 @@ def judge_columns(
             slope_of if is_rate else None, leads if verdict.role == "set point" else None,
         )  # fmt: skip
     _leave_out_noise(readings, numbers, verdicts)
+    _take_named_inputs(readings, verdicts, samples)
     _take_drivers_for_inputs(numbers, verdicts, samples, times)
     for name in samples:
         if (pair := _find_difference(name, readings[name], verdicts, samples)) is not None:
@@ -137,6 +139,32 @@ def _leave_out_noise(
         beside = next((n for n in moving if _are_siblings(readings[n], readings[name])), None)
         if beside is not None:
             verdicts[name] = Verdict("other", (f"only noise, beside '{beside}'",))
+
+
+def _take_named_inputs(
+    readings: Mapping[str, NameReading],
+    verdicts: dict[str, Verdict],
+    samples: Mapping[str, Sequence[Values]],
+) -> None:
+    """Takes columns named for an input and a position for inputs beside a position of that object.
+
+    Alone, `yaw_current` may be the yaw that there is now; beside `yaw` it is a current.
+    """
+    positions = [n for n, v in verdicts.items() if v.role == "position"]
+    for name in positions:
+        weights = readings[name].quantities
+        said = [q for q in INPUTS if weights.get(q, 0.0) >= _SAID]
+        if not said or not readings[name].object:
+            continue
+        for other in positions:
+            plain = not any(q in readings[other].quantities for q in INPUTS)
+            if plain and other != name and readings[other].object == readings[name].object:
+                course = compare_courses(samples[other], samples[name])
+                if abs(course.correlation) < _FOLLOWED:
+                    word = readings[name].word[said[0]]
+                    reason = f"'{word}' in its name, beside the position '{other}'"
+                    verdicts[name] = Verdict("input", (reason,), score=weights[said[0]])
+                    break
 
 
 def _are_siblings(first: NameReading, second: NameReading) -> bool:

@@ -92,6 +92,7 @@ _OTHERS = {
     "deplacement chariot desplazamiento carro deslocamento spostamento altura altezza fuerza forza "
     "forca kracht wozek 位移 変位 推力",
     "container": "states state joint joints observation msg data value values log logs signals",
+    "axis": "theta phi psi pitch roll yaw azimuth elevation",
     "any position": "pos position positions angle angles winkel lage enc encoder "
     "deplacement codeur posicion angulo desplazamiento posicao posizione angolo spostamento "
     "positie hoek vinkel kat polozenie poloha uhel 位置 角度 位移 変位",
@@ -102,4 +103,5 @@ WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.it
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
+AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what

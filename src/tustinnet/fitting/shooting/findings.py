@@ -29,7 +29,7 @@ _POOR_CONDITION = 1e3
 _AT_NOISE = 1.5  # times the rms error of rounding to counts: residuals that show no more
 _MOST_STRETCHES = 5  # that are listed in a sentence
 _MOST_NAMES = 12
-_ABOVE_LIMIT = 1.05  # of a force by its limit, that is no noise
+_MOST_RANGES = 3  # that a line for a system file has
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -168,25 +168,56 @@ def describe_disagreements(disagreements: Sequence[Disagreement]) -> list[str]:
     return sentences
 
 
-def describe_bounds(estimates: Sequence[Estimate], noise_ratio: float | None) -> list[str]:
-    """Sentences on parameters that are at a bound, and on the probable cause.
+def describe_bounds(
+    estimates: Sequence[Estimate], noise_ratio: float | None, system: LagrangianSystem
+) -> list[str]:
+    """Sentences on parameters that are at a bound, the probable cause, and how to move the bound.
 
     Args:
         estimates: the estimates.
         noise_ratio: size of the residuals over that of the encoders' rounding, None if unknown.
+        system: the system, whose ranges say where they are from.
     """
     cause = (
         "the records do not determine it, or the range is wrong"
         if _is_at_noise(noise_ratio)
         else "the model lacks something, or the range is wrong"
     )
-    return [
-        f"'{e.name}' is 0, its lower bound: the records show nothing of it"
-        if e.bound == "lower" and e.lower == 0
-        else f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}): {cause}"
-        for e in estimates
-        if e.bound
-    ]
+    bases = {p.name: p.basis for p in system.parameters}
+    sentences, ranges = [], {}
+    for e in estimates:
+        if not e.bound:
+            continue
+        if e.bound == "lower" and e.lower == 0:
+            sentences.append(f"'{e.name}' is 0, its lower bound: the records show nothing of it")
+            continue
+        name = e.name.partition("[")[0]
+        basis = bases.get(name, "")
+        where = f"; range: {basis}" if basis else ""
+        sentences.append(
+            f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}{where}): {cause}"
+        )
+        if basis:
+            ranges[name] = _wider(e)
+    if ranges and system.source is not None:
+        some = dict([*ranges.items()][:_MOST_RANGES])
+        sentences.append(
+            f"a system file moves bounds: {system.source.call(ranges=some)}; values that then go "
+            "on to the new bound say that the model lacks something"
+        )
+    return sentences
+
+
+def _wider(e: Estimate) -> tuple[float, float]:
+    """A range whose bound at which an estimate is lies farther out, in short numbers."""
+    if e.lower > 0:
+        lower, upper = (e.lower / 10, e.upper) if e.bound == "lower" else (e.lower, 10 * e.upper)
+    else:
+        more = 3 * (e.upper - e.lower)
+        lower, upper = (
+            (e.lower - more, e.upper) if e.bound == "lower" else (e.lower, e.upper + more)
+        )
+    return float(f"{lower:.3g}"), float(f"{upper:.3g}")
 
 
 def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
@@ -204,27 +235,6 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
     )
     where = "the validation records" if is_held_out else "the training records"
     return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
-
-
-def describe_force_limits(
-    system: LagrangianSystem, largest: Float[np.ndarray, " n_q"]
-) -> list[str]:
-    """Sentence on recorded forces of actuators that are beyond what the system's file allows.
-
-    Args:
-        system: the system.
-        largest: largest force of the actuators on each coordinate [N m or N].
-    """
-    listed = [
-        f"{c.name} {force:.3g} of {limits.force:.3g} {'N m' if c.kind == 'angular' else 'N'}"
-        for c, limits, force in zip(system.coordinates, system.limits, largest, strict=False)
-        if limits.force is not None and force > _ABOVE_LIMIT * limits.force
-    ]
-    return [
-        f"the records have forces beyond the limits of the system's file: {', '.join(listed)}; an "
-        "actuator that gives no more moves otherwise than it was asked to: give the columns of "
-        "what it gave, or correct the limits"
-    ] if listed else []  # fmt: skip
 
 
 def describe_curves(curves: Sequence[PlacedForce], added: Sequence[str]) -> list[str]:

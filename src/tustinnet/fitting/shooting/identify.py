@@ -25,6 +25,10 @@ from tustinnet.fitting.shooting.checks import (
     require_mass_matrix,
     require_refit_possible,
 )
+from tustinnet.fitting.shooting.column_mistakes import (
+    describe_beyond_limits,
+    with_column_mistakes,
+)
 from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
@@ -138,6 +142,7 @@ def identify_task(
         identification = identify_by_inverse_dynamics(problem, initial_state)
         if identification is None:
             raise _unfinished_search(problem)
+        identification = with_column_mistakes(identification, problem, initial_state)
         return _make_fit_result(task, member, identification, start_time)
     kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
     problem, state = search_over_holds(replace(problem, system=kept.system), state)
@@ -206,7 +211,9 @@ def _make_problem(
             )  # fmt: skip
         system = system.for_records(records)
     first = records[0].without_controller()
-    system = system.plant.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
+    alone = [e.without_controller() for e in records]
+    system = system.plant.for_records(alone, f"record '{first.name}'")
+    beyond_limits = describe_beyond_limits(system, alone)
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
     if recipe.search.part == "transients":
@@ -235,7 +242,7 @@ def _make_problem(
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
-        remarks=gains.remarks,
+        remarks=(*beyond_limits, *gains.remarks),
     )
 
 

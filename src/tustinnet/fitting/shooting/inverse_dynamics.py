@@ -188,13 +188,8 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             "search.method", f"inverse-dynamics, {obstacle.problem}", obstacle.expected,
             obstacle.remedy,
         )  # fmt: skip
-    values = state.space.to_values(state.vector)
-    if closed_loop.system.feedback is not None:
-        # no force of the system says anything of the controller's gains
-        known = closed_loop.system.nominal().keys() - system.nominal().keys()
-        space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
-        state = replace(state, space=space, vector=space.to_vector(values))
-    space = state.space
+    state = without_gains(closed_loop, state)
+    values, space = state.space.to_values(state.vector), state.space
     cutoff = problem.search.cutoff or choose_cutoff(problem.records)
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
@@ -236,6 +231,16 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
         closed_loop, replace(state, vector=point.vector), formula, equations, prior, train,
         held_out, point, iterations, status, cutoff,
     )  # fmt: skip
+
+
+def without_gains(problem: Problem, state: SearchState) -> SearchState:
+    """A state in which the gains of a controller are fixed: no force of the system tells them."""
+    if problem.system.feedback is None:
+        return state
+    values = state.space.to_values(state.vector)
+    known = problem.system.nominal().keys() - problem.system.plant.nominal().keys()
+    space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
+    return replace(state, space=space, vector=space.to_vector(values))
 
 
 def find_obstacle(system: LagrangianSystem, records: Sequence[Experiment]) -> Obstacle | None:
@@ -439,7 +444,7 @@ def _evaluate(
     columns, values = equations.free_columns(space), space.to_values(vector)
     matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
     for part in train:
-        points = _with_parameters(equations, part, values)
+        points = with_parameters(equations, part, values)
         residual = part.compare(evaluate(formula, points))
         slopes = part.compare(evaluate(formula, points, derivatives=True))
         slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
@@ -483,7 +488,7 @@ def _propose(
     return trial, max(predicted, 1e-300)
 
 
-def _with_parameters(
+def with_parameters(
     equations: SystemEquations, part: MeasuredForces, values: Mapping[str, float]
 ) -> Float[np.ndarray, "n n_in"]:
     """Points of a filtered record with the parameters behind them, as the formula takes them."""
@@ -503,7 +508,7 @@ def _forces_along(
     n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
     inputs, needs = [], []
     for part in parts:
-        points = _with_parameters(equations, part, values)
+        points = with_parameters(equations, part, values)
         without = points.copy()
         without[:, 3 * n : 3 * n + n_u] = 0.0
         need = part.compare(evaluate(formula, without))
@@ -535,7 +540,7 @@ def _missing_along(
 ) -> Float[np.ndarray, "k n_q"]:
     """Missing forces of each coordinate along filtered records, one after the other [N m or N]."""
     return np.concatenate([
-        part.compare(evaluate(formula, _with_parameters(equations, part, values)))
+        part.compare(evaluate(formula, with_parameters(equations, part, values)))
         for part in parts
     ])  # fmt: skip
 
@@ -577,8 +582,7 @@ def _make_identification(
     state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    applied, needed = _forces_along(formula, equations, train, values)
-    size = _force_sizes(applied, needed)
+    size = _force_sizes(*_forces_along(formula, equations, train, values))
     missing = _missing_along(formula, equations, train, values)
     missing_held_out = _missing_along(formula, equations, held_out, values) if held_out else None
     rms = _root_mean_square(missing)
@@ -595,9 +599,8 @@ def _make_identification(
     sentences = [
         *state.remarks,
         findings.describe_forces(errors, cutoff),
-        *findings.describe_force_limits(problem.system, np.max(np.abs(applied), axis=0)),
         *findings.describe_informed(space.names, informed, _rank(point, prior)),
-        *findings.describe_bounds(estimates, np.inf),
+        *findings.describe_bounds(estimates, np.inf, problem.system),
         *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
         *_describe_carried(space, point, parameter_errors),
     ]

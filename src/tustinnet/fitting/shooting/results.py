@@ -87,7 +87,7 @@ def make_identification(
             scoring_start=start if problem.validation else None,
         ),
         *findings.describe_disagreements(disagreements),
-        *findings.describe_bounds(estimates, noise_ratio),
+        *findings.describe_bounds(estimates, noise_ratio, problem.system.plant),
         *findings.describe_stretches(downweighted),
         *([] if state.has_diverged else findings.describe_condition(space.names, uncertainty)),
         *(

@@ -1,0 +1,158 @@
+"""`tustinnet init --system`: the card has the coordinates and inputs of the system."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_verbs import tustinnet
+
+import tustinnet as tn
+
+ROBOTS = Path(__file__).parents[2] / "examples" / "robots"
+
+
+def write_logs(folder: Path, header: str, scales: np.ndarray) -> Path:
+    """Logs of columns that move as joints and torques do, under any names."""
+    rng, t = np.random.default_rng(3), 0.005 * np.arange(600)
+    folder.mkdir()
+    for run in range(2):
+        n = len(scales)
+        phase, rate = rng.uniform(0, 6, (3, n)), rng.uniform(0.5, 4, (3, n))
+        columns = np.sin(t[:, None, None] * rate + phase).sum(axis=1) * scales
+        table = np.column_stack([t, columns])
+        np.savetxt(folder / f"run{run}.csv", table, "%.6f", ",", header=header, comments="")
+    return folder
+
+
+def card_of(folder: Path) -> dict[str, dict[str, dict[str, object]]]:
+    """Coordinates and inputs of the card in a folder, by name."""
+    card = tomllib.loads((folder / "dataset.toml").read_text())
+    return {
+        sort: {entry["name"]: entry for entry in card.get(sort, [])}
+        for sort in ("coordinates", "inputs")
+    }
+
+
+SCARA = (
+    "time_s,Roll [deg],elbow_pos,lift_mm,Shoulder Angle,spare,i_shoulder_mA,elbow tau [mNm],"
+    "roll_effort,lift_N"
+)
+
+
+def test_columns_are_matched_with_the_joints_of_a_robot(tmp_path: Path, capsys) -> None:
+    folder = write_logs(
+        tmp_path / "logs", SCARA, np.array([40, 0.8, 60, 0.7, 1, 900, 800, 0.5, 20.0])
+    )
+    system = ROBOTS / "scara.urdf"
+    code, out, err = tustinnet(capsys, "init", folder, "--system", system, "--yes", "--json")
+    assert code == 0, err
+    card = card_of(folder)
+    loaded = tn.load_system(system)
+    assert [*card["coordinates"]] == [c.name for c in loaded.coordinates]
+    assert {name: c["column"] for name, c in card["coordinates"].items()} == {
+        "shoulder": "Shoulder Angle", "elbow": "elbow_pos", "lift": "lift_mm", "roll": "Roll [deg]",
+    }  # fmt: skip
+    assert card["coordinates"]["lift"]["kind"] == "linear"
+    inputs = card["inputs"]
+    assert [*inputs] == [i.name for i in loaded.inputs]
+    assert {i["column"] for i in inputs.values()} == {
+        "i_shoulder_mA", "elbow tau [mNm]", "lift_N", "roll_effort",
+    }  # fmt: skip
+    elbow = next(i for i in inputs.values() if i["column"] == "elbow tau [mNm]")
+    assert (elbow["unit"], elbow["scale"]) == ("N m", 0.001)
+    # a current is no torque: the line says what a fit needs
+    assert "motor_constants={'shoulder': ...}" in err
+    assert "'spare'" not in err
+    used = {c["name"]: c["use"] for c in json.loads(out)["columns"]}
+    assert used["spare"] == ""
+
+
+def test_a_card_of_a_robot_works_at_once(tmp_path: Path, capsys) -> None:
+    header = SCARA.replace("i_shoulder_mA", "shoulder_torque")
+    folder = write_logs(
+        tmp_path / "logs", header, np.array([40, 0.8, 60, 0.7, 1, 9, 800, 0.5, 20.0])
+    )
+    system = ROBOTS / "scara.urdf"
+    code, _, err = tustinnet(capsys, "init", folder, "--system", system, "--yes")
+    assert code == 0, err
+    assert f"--recipe inverse-dynamics --system {system} --out RUN" in err
+    assert "not matched" not in err
+    assert "needs" not in err
+    record = tn.load(folder)[0]
+    adapted = tn.load_system(system).for_channels(record.coordinates, record.inputs, "the card")
+    assert adapted.channels.n_u == 4
+
+
+def test_what_has_no_column_is_one_line_each(tmp_path: Path, capsys) -> None:
+    header = "time_s,elbow_deg,foo,shoulder_deg,elbow_tau,lift_N"
+    folder = write_logs(tmp_path / "logs", header, np.array([40, 30, 50, 3, 20.0]))
+    code, _, err = tustinnet(capsys, "init", folder, "--system", ROBOTS / "scara.urdf", "--yes")
+    assert code == 0, err
+    lines = [line for line in err.splitlines() if line.startswith("not matched:")]
+    assert [line.split("for the ")[1] for line in lines] == [
+        "coordinate 'lift'", "coordinate 'roll'", "input 'shoulder_torque'", "input 'roll_torque'",
+    ]  # fmt: skip
+    assert "locked={'lift': 0.0, 'roll': 0.0}" in err
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        # numbers of columns that are those of the joints
+        (("q2", "q1", "q3"), {"joint1": "q1", "joint2": "q2", "joint3": "q3"}),
+        # counted from 0 on: the order
+        (("q0", "q1", "q2"), {"joint1": "q0", "joint2": "q1", "joint3": "q2"}),
+    ],
+)
+def test_numbers_are_those_of_joints_or_an_order(
+    columns: tuple[str, ...], expected: dict[str, str], tmp_path: Path, capsys
+) -> None:
+    links = "".join(
+        f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/>'
+        "</inertial></link>"
+        f'<joint name="joint{k}" type="continuous"><parent link="{f"l{k - 1}" if k > 1 else "b"}"/>'
+        f'<child link="l{k}"/><origin xyz="0.3 0 0"/></joint>'
+        for k in (1, 2, 3)
+    )
+    (file := tmp_path / "arm.urdf").write_text(f'<robot name="a"><link name="b"/>{links}</robot>')
+    header = ",".join(["time_s", *(f"{c}_rad" for c in columns), *(f"tau{c[1]}" for c in columns)])
+    folder = write_logs(tmp_path / "logs", header, np.array([1, 1, 1, 5, 5, 5.0]))
+    code, _, err = tustinnet(capsys, "init", folder, "--system", file, "--yes")
+    assert code == 0, err
+    card = card_of(folder)
+    assert {n: c["column"] for n, c in card["coordinates"].items()} == {
+        name: f"{column}_rad" for name, column in expected.items()
+    }
+    assert {n: i["column"] for n, i in card["inputs"].items()} == {
+        f"{name}_torque": f"tau{column[1]}" for name, column in expected.items()
+    }
+    is_by_order = "q0" in columns
+    assert ("no name says it" in (folder / "dataset.toml").read_text()) == is_by_order
+
+
+def test_a_file_that_is_no_robot_is_said_before_logs_are_read(tmp_path: Path, capsys) -> None:
+    (file := tmp_path / "arm.urdf").write_text("<robot>")
+    code, _, err = tustinnet(capsys, "init", tmp_path / "nowhere", "--system", file)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "no well-formed XML" in err
+
+
+def test_links_without_an_inertia_need_a_density_here_too(tmp_path: Path, capsys) -> None:
+    (file := tmp_path / "arm.urdf").write_text(
+        '<robot name="a"><link name="b"/><link name="l"><visual><geometry><sphere radius="0.1"/>'
+        '</geometry></visual></link><joint name="hip" type="continuous"><parent link="b"/>'
+        '<child link="l"/></joint></robot>'
+    )
+    folder = write_logs(tmp_path / "logs", "time_s,hip_rad,hip_torque", np.array([1.0, 5.0]))
+    command = ["init", folder, "--system", file, "--yes"]
+    code, _, err = tustinnet(capsys, *command)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "--default-density" in err
+    code, _, err = tustinnet(capsys, *command, "--default-density", "2700")
+    assert code == 0, err
+    assert "--default-density 2700 --out RUN" in err
+    code, _, err = tustinnet(capsys, "init", folder, "--default-density", "2700", "--overwrite")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "not applicable without the file of a robot" in err

@@ -1,0 +1,112 @@
+"""Columns with a reversed sign, in another unit or exchanged are named after inverse dynamics."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_twins import record_in_loop, true_values
+
+import tustinnet as tn
+from tustinnet.fitting.shooting.column_mistakes import describe_beyond_limits
+from tustinnet.models.lagrangian import LagrangianSystem
+
+LINK = """<link name="{0}"><inertial><origin xyz="{1} 0 0.01"/><mass value="{2}"/>
+  <inertia ixx="0.002" iyy="0.02" izz="0.02"/></inertial></link>
+  <joint name="{3}" type="continuous"><parent link="{4}"/><child link="{0}"/>
+  <origin xyz="{5} 0 0"/><axis xyz="0 1 0"/><dynamics damping="0.8" friction="1.0"/>
+  <limit effort="60" velocity="5"/></joint>"""
+ARM = (
+    '<robot name="arm"><link name="base"/>'
+    + LINK.format("upper", 0.15, 2.5, "shoulder", "base", 0)
+    + LINK.format("lower", 0.12, 1.2, "elbow", "upper", 0.3)
+    + "</robot>"
+)
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> LagrangianSystem:
+    """An arm of two joints that gravity pulls down."""
+    (file := tmp_path_factory.mktemp("arm") / "arm.urdf").write_text(ARM)
+    return tn.load_system(file)
+
+
+@pytest.fixture(scope="module")
+def twin(system: LagrangianSystem) -> tn.DataSet:
+    return record_in_loop(system, true_values(system, seed=3), count=2, seconds=4.0)
+
+
+def mistaken(
+    data: tn.DataSet, q: Sequence[float], u: Sequence[float], q_order: Sequence[int],
+    u_order: Sequence[int],
+) -> tn.DataSet:  # fmt: skip
+    """Records whose columns have other factors, and are in another order."""
+    experiments = [
+        replace(e, q=e.q[:, list(q_order)] * np.array(q), u=e.u[:, list(u_order)] * np.array(u))
+        for e in data
+    ]
+    return replace(data, experiments=tuple(experiments))
+
+
+def sentences(data: tn.DataSet, system: LagrangianSystem) -> list[str]:
+    """The findings about columns of a fit."""
+    recipe = tn.read_recipe("inverse-dynamics", ["search.iterations=4"])
+    findings = tn.identify(data, system, recipe).findings
+    words = ("reversed", "exchanged", "times what", "look at the columns", "as degrees")
+    return [s for s in findings if any(word in s for word in words)]
+
+
+def test_right_columns_are_not_doubted(system: LagrangianSystem, twin: tn.DataSet) -> None:
+    assert sentences(twin, system) == []
+    assert describe_beyond_limits(system, [*twin]) == ()
+
+
+CASES = {
+    "sign of a torque": (((1, 1), (1, -1), (0, 1), (0, 1)),
+                         "the sign of the force of '{1}' is probably reversed"),
+    "sign of a position": (((-1, 1), (1, 1), (0, 1), (0, 1)),
+                           "the sign of the position of '{0}' is probably reversed"),
+    "mN m": (((1, 1), (1000, 1), (0, 1), (0, 1)), "the forces of '{0}' explain the motion as"),
+    "before a gear": (((1, 1), (0.02, 1), (0, 1), (0, 1)),
+                      "the torque of a motor before a gear"),
+    "signs of both torques": (((1, 1), (-1, -1), (0, 1), (0, 1)),
+                              "the sign of the forces of '{0}' and '{1}' is probably reversed"),
+    "degrees": (((1, 57.3), (1, 1), (0, 1), (0, 1)), "of '{1}' explain the motion as degrees"),
+    "exchanged torques": (((1, 1), (1, 1), (0, 1), (1, 0)),
+                          "the forces of '{0}' and '{1}' are probably exchanged"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_mistake_is_named(case: str, system: LagrangianSystem, twin: tn.DataSet) -> None:
+    change, message = CASES[case]
+    found = sentences(mistaken(twin, *change), system)
+    assert len(found) == 1
+    assert message.format(*(c.name for c in system.coordinates)) in found[0]
+    assert "falls from" in found[0]
+    assert ("mN m" in found[0]) == (case == "mN m")
+
+
+def test_motion_far_beyond_the_limits_of_the_file_is_named(tmp_path: Path) -> None:
+    limit = '<limit lower="-2" upper="2" effort="10" velocity="4"/>'
+    (file := tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="b"/><link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1"/></inertial></link><joint name="hip" type="revolute">'
+        f'<parent link="b"/><child link="a"/>{limit}</joint></robot>'
+    )
+    system = tn.load_system(file)
+    t = np.arange(0, 3, 0.01)
+
+    def record(angle: float, torque: float) -> tn.Experiment:
+        return tn.from_arrays(
+            angle * np.sin(t)[:, None], torque * np.cos(t)[:, None], dt=0.01,
+            coordinates=system.coordinates, inputs=system.inputs,
+        )  # fmt: skip
+
+    assert describe_beyond_limits(system, [record(2.2, 14.0)]) == (), "a little beyond"
+    (angle,) = describe_beyond_limits(system, [record(60.0, 8.0)])
+    assert "hip moves from 0.0 to 60" in angle.replace("from 0 to", "from 0.0 to")
+    assert "degrees taken for rad" in angle
+    (torque,) = describe_beyond_limits(system, [record(1.0, 8000.0)])
+    assert "hip_torque is up to 8e+03 N m, and hip has 10 N m by arm.urdf" in torque
