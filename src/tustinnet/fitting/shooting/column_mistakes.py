@@ -32,6 +32,7 @@ from tustinnet.fitting.shooting.inverse_dynamics import (
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.rigid import rigid_system
 
 _MUCH = 0.15  # share of the force that is missing at a joint, from which columns are doubted
 _MOST = 0.5  # share from which a sentence says what to look at though no mistake explains it
@@ -178,6 +179,7 @@ def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experime
 
 def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
     """Sentences on forces beyond those that a robot's file allows."""
+    system = rigid_system(system)
     assert system.input_map is not None and system.source is not None  # noqa: PT018
     n, nominal, sentences = len(system.coordinates), system.nominal(), []
     rest = system.input_map(np.zeros(n), np.zeros(n), np.zeros(len(system.inputs)), nominal)
