@@ -51,9 +51,13 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.evaluate.ahead import rmse_ahead
+    from tustinnet.evaluate.ahead import (
+        coordinate_rmse_ahead,
+        joint_rmse,
+        rmse_ahead_by_unit,
+    )
     from tustinnet.evaluate.coverage import compute_coverage
-    from tustinnet.evaluate.scores import Score, mean_rmse
+    from tustinnet.evaluate.scores import Score, mean_rmse, mean_rmse_by_unit
     from tustinnet.evaluate.scores import evaluate as score_records
     from tustinnet.report.tables import Table, number
 
@@ -77,25 +81,35 @@ def evaluate(
     if band_options is not None:
         bands = request.compute_bands(model, simulator, records, scores, band_options)
         coverage = compute_coverage(records, bands)
-    errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
+    errors = None if ahead is None else coordinate_rmse_ahead(simulator, records, ahead)
     runs.print_notes()
     if json:
         experiments = []
         for e, score in zip(records, scores, strict=True):
             values = {key: getattr(score, key) for key in _SCORE_KEYS}
-            experiments.append({**values, "split": e.split})
+            by_unit = score.rmse_by_unit(channels)
+            experiments.append({**values, "rmse_by_unit": by_unit, "split": e.split})
         content = {
             **runs.as_plain(),
             "coordinates": [c.name for c in channels.coordinates],
             "experiments": experiments,
             "mean": mean_rmse(scores),
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
+            "mean_by_unit": mean_rmse_by_unit(scores, channels),
+            "means_by_unit": {
+                name: mean_rmse_by_unit(group, channels) for name, group in by_split.items()
+            },
         }
         if band_options is not None:
             content["band"] = {"level": band_options.level, "of": band_options.scope,
                                "covered": [asdict(share) for share in coverage]}  # fmt: skip
         if errors is not None:
-            content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
+            by_unit = rmse_ahead_by_unit(errors, channels).T.tolist()
+            content["ahead"] = {
+                "dt": simulator.dt,
+                "rmse": joint_rmse(errors).tolist(),
+                "rmse_by_unit": dict(zip(channels.units, by_unit, strict=True)),
+            }
         terminal.print_json(content)
     else:
         terminal.print_tables(_score_table(by_split, channels, runs.start))
@@ -103,8 +117,12 @@ def evaluate(
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
             shown = [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]
-            rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)] for k in shown]
-            columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
+            by_unit = rmse_ahead_by_unit(errors, channels)
+            rows = [
+                [str(k), f"{k * channels.dt:g}", *[number(x, 4) for x in by_unit[k - 1]]]
+                for k in shown
+            ]
+            columns = ["k", "horizon [s]", *[f"RMSE [{unit}]" for unit in channels.units]]
             terminal.print_tables(Table(columns, rows, title="k steps ahead"))
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
@@ -114,7 +132,8 @@ def evaluate(
             figure = free_run_figure(e, {label: score}, bands={label: bands[i]} if bands else {})
             write_figure(figure, figures, f"{e.name}.png")
         if errors is not None:
-            write_figure(ahead_figure({label: errors}, channels), figures, f"{_AHEAD_FIGURE}.png")
+            figure = ahead_figure({label: rmse_ahead_by_unit(errors, channels)}, channels)
+            write_figure(figure, figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
 
 
@@ -143,21 +162,28 @@ def _score_table(
     by_split: "Mapping[str, Sequence[Score]]", channels: "Channels", start: str
 ) -> "Table":
     """Table of the scores of every record, and of the means of the splits."""
-    from tustinnet.evaluate.scores import mean_rmse
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.starts import start_named
 
     # any model simulates the samples well that its start was fitted to
     start_samples = start_named(start).seen_samples
-    after = [f"from sample {start_samples}"] if start_samples else []
-    columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
+    columns = ["record", "split", *[f"RMSE [{unit}]" for unit in channels.units]]
+    if start_samples:
+        has_units = len(channels.units) > 1
+        columns += [f"from sample {start_samples}" + (f" [{unit}]" if has_units else "")
+                    for unit in channels.units]  # fmt: skip
     for c in channels.coordinates:
         columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+
+    def errors_of(s: "Score") -> list[float]:
+        after = s.rmse_after_by_unit(channels).values() if start_samples else ()
+        return [*s.rmse_by_unit(channels).values(), *after]
+
     rows = []
     for split, scores in by_split.items():
         for s in scores:
-            row = [s.experiment, split, number(s.rmse), *[number(s.rmse_after) for _ in after]]
+            row = [s.experiment, split, *map(number, errors_of(s))]
             for error, relative, percent in zip(
                 s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True
             ):
@@ -165,7 +191,7 @@ def _score_table(
             rows.append(row)
     # scores of training records are optimistic, so each split has a mean of its own
     for split, scores in by_split.items():
-        means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
+        means = [fmean(column) for column in zip(*map(errors_of, scores), strict=True)]
         rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
     horizon = horizon_words(next(iter(by_split.values()))[0].horizon)
     return Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")

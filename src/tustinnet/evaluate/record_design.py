@@ -453,7 +453,7 @@ def design_record(
     count = compared_samples(options.seconds, cutoff_for(options.highest, options.dt))
     known = _information(knowledge, dynamics)
     weights = count / len(judged) / noise**2
-    problem = _Problem(dynamics, shapes, box, known, weights, options.iterations, judged)
+    problem = _Problem(dynamics, shapes, box, known, weights, judged)
     by_start = [problem.information(x) for x in starts]
     first = by_start[0][0]
     results, stopped = [], False
@@ -467,7 +467,7 @@ def design_record(
             if on_progress is not None:
                 on_progress(DesignProgress(k + 1, options.starts, iteration, -cost - first))
 
-        found, is_late = _search(problem, x, deadline, on_step)
+        found, is_late = _search(problem, x, options.iterations, deadline, on_step)
         reached = _shrink(found, dynamics, shapes, box, every)
         results.append(x if reached is None else reached)
         stopped = stopped or is_late
@@ -672,7 +672,6 @@ class _Problem:
         box: the limits.
         known: information before the record, in standard deviations of the priors, (n_p, n_p).
         weights: weight of a squared force of each coordinate at a point, (n_q,).
-        iterations: steps of each stage of the search, at most.
         t: times at which motions are judged [s], (n,).
     """
 
@@ -683,13 +682,11 @@ class _Problem:
         box: _Box,
         known: Float[np.ndarray, "n_p n_p"],
         weights: Float[np.ndarray, " n_q"],
-        iterations: int,
         t: Float[np.ndarray, " n"],
     ) -> None:
         self._dynamics, self._shapes, self._box, self._known = dynamics, shapes, box, known
         self._weights, self._t, self._n = weights, t, len(weights)
         self._steps = _STEP * shapes.sizes.ravel()
-        self.iterations = iterations
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
@@ -867,6 +864,7 @@ def _shrink(
 def _search(
     problem: _Problem,
     x: Float[np.ndarray, "count n_q"],
+    iterations: int,
     deadline: float,
     on_step: Callable[[int, float], None],
 ) -> tuple[Float[np.ndarray, "count n_q"], bool]:
@@ -875,6 +873,7 @@ def _search(
     Args:
         problem: the problem.
         x: the motion that it starts from.
+        iterations: steps of each stage, at most.
         deadline: when it has to end, by the monotonic clock [s].
         on_step: called after each step with its number and the cost.
     """
@@ -889,10 +888,10 @@ def _search(
         if time.monotonic() > deadline:
             raise StopIteration
 
-    for penalty in _PENALTIES if problem.iterations else ():
+    for penalty in _PENALTIES if iterations else ():
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
-            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": problem.iterations},
+            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": iterations},
         ).x  # fmt: skip
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True

@@ -26,13 +26,7 @@ def gain_name(loop: PDLoop, gain: str) -> str:
 
 @dataclass(frozen=True)
 class PDFeedback(FeedbackLaw):
-    """Proportional and derivative feedback to set points.
-
-    Attributes:
-        plant: the system without the controller.
-        channels: coordinates and inputs of the closed loop, with the controller.
-        is_sampled: whether what it computes at a sample is held until the next.
-    """
+    """Proportional and derivative feedback to set points; attributes are those of `FeedbackLaw`."""
 
     @property
     def controller(self) -> PDController:

@@ -1,7 +1,7 @@
 """Tables for the terminal, for Markdown and for LaTeX."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
@@ -84,6 +84,11 @@ def number(value: float | None, digits: int = 3, scale: float | None = None) -> 
         return f"{value:.{digits - 1 - math.floor(math.log10(scale))}f}"
     small = 0 < abs(value) < 10.0 ** (1 - digits)
     return f"{value:.{digits}g}" if small else f"{value:.{digits}f}"
+
+
+def amounts(values: Mapping[str, float]) -> str:
+    """Text of numbers of different units, given by unit: `0.0012 m and 0.0076 rad`."""
+    return " and ".join(f"{number(value)} {unit}".strip() for unit, value in values.items())
 
 
 def scale_of(values: Iterable[float | None]) -> float:

@@ -114,6 +114,8 @@ def identify_task(
     member: Member,
     listener: Listener,
     should_stop: ShouldStopSearch = never_stop_search,
+    *,
+    checks_signs: bool = True,
 ) -> FitResult:
     """Identifies the system of a task from the records of a member's fold.
 
@@ -122,6 +124,8 @@ def identify_task(
         member: one of its members.
         listener: functions that are called while the search goes on.
         should_stop: see `identify`.
+        checks_signs: whether reversed signs are searched for, where the equations of motion explain
+            the records poorly.
 
     Raises:
         UnfinishedSearchError: it was stopped before a stage was finished.
@@ -142,7 +146,9 @@ def identify_task(
             "stopped at its time limit before a stage was finished",
             "time for the first stage", "allow more",
         )  # fmt: skip
-    reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
+    reversed_signs = ()
+    if checks_signs:
+        reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
     refit_result = refit_to_free_runs(problem, state)
     identification = make_identification(problem, state, reversed_signs, refit_result)
     return _make_fit_result(task, member, identification, start_time)

@@ -13,14 +13,19 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.fitting.report import Estimate, ForceError, Identification
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
+from tustinnet.fitting.shooting.base_parameters import (
+    LinearCoordinates,
+    find_combinations,
+    order_of,
+)
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.shooting.problem import (
@@ -32,7 +37,7 @@ from tustinnet.fitting.shooting.problem import (
 )
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
-from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS, INFORMED
 from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.signals.low_pass import low_pass, noise_bandwidth, occupied_band
 from tustinnet.systems.robot_equations import curve_terms
@@ -50,7 +55,6 @@ _FEWEST = 20  # samples that must be left of a record
 _REWEIGHTINGS = 3  # each after the iteration has converged
 _EXPLAINED = 0.67  # share of the missing forces that a friction curve leaves, to be worth a word
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
-_INFORMED = 0.5  # share of a prior's standard deviation below which records decide
 
 
 class MeasuredForces(NamedTuple):
@@ -345,21 +349,35 @@ def _evaluate(
         unit: size of the residuals of each coordinate [N m or N].
         vector: the parameters.
     """
-    columns, values = equations.free_columns(space), space.to_values(vector)
+    values = space.to_values(vector)
     matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
     for part in train:
         points = _with_parameters(equations, problem, part, values)
         residual = part.compare(evaluate(formula, points))
-        slopes = part.compare(evaluate(formula, points, derivatives=True))
-        slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
-        indices = np.repeat(problem.group_indices([part.record]), len(residual), axis=0)
-        chain = equations.coordinate_derivatives(space, vector, indices)
-        weighted = (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
+        weighted = _weighted_slopes(formula, equations, problem, space, part, unit, vector)
         matrices.append(part.weight * weighted.T @ weighted)
         gradients.append(part.weight * weighted.T @ (residual / unit).ravel())
         cost += part.weight * float(np.sum((residual / unit) ** 2) / 2)
         residuals.append(residual)
     return _Point(vector, cost, np.stack(matrices), np.stack(gradients), tuple(residuals))
+
+
+def _weighted_slopes(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    space: SearchSpace,
+    part: MeasuredForces,
+    unit: Float[np.ndarray, " n_q"],
+    vector: ParameterVector,
+) -> Float[np.ndarray, "n n_p"]:
+    """Derivatives of a record's residuals by a vector, by the size of each coordinate's."""
+    points = _with_parameters(equations, problem, part, space.to_values(vector))
+    slopes = part.compare(evaluate(formula, points, derivatives=True))
+    slopes = slopes.reshape(len(slopes), len(unit), -1)[:, :, equations.free_columns(space)]
+    indices = np.repeat(problem.group_indices([part.record]), len(slopes), axis=0)
+    chain = equations.coordinate_derivatives(space, vector, indices)
+    return (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
 
 
 def _propose(
@@ -491,12 +509,17 @@ def _make_identification(
         )
         for k, c in enumerate(problem.system.coordinates)
     ]  # fmt: skip
-    estimates = _estimates(point, space, deviations)
-    informed = deviations < _INFORMED * prior.spread
+    informed = deviations < INFORMED * prior.spread
+    estimates = _estimates(point, space, deviations, informed)
+    slopes = np.concatenate([
+        _weighted_slopes(formula, equations, problem, space, part, size, point.vector)
+        for part in train
+    ])  # fmt: skip
+    base_parameters = _estimate_base_parameters(slopes, space, prior, point, parameter_errors)
     sentences = [
         *state.remarks,
         findings.describe_forces(errors, cutoff),
-        *findings.describe_informed(space.names, informed, _rank(point, prior)),
+        *findings.describe_informed(space.names, informed, len(base_parameters)),
         *findings.describe_bounds(estimates, np.inf),
         *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
         *_describe_carried(space, point, parameter_errors),
@@ -534,6 +557,7 @@ def _make_identification(
         substeps=model.substeps,
         iterations=iterations,
         force_errors=tuple(errors),
+        base_parameters=base_parameters,
     )
 
 
@@ -622,11 +646,41 @@ def _describe_carried(
     return sentences
 
 
-def _rank(point: _Point, prior: Prior) -> int:
-    """How many combinations of parameters change the forces at all: the base parameters."""
-    matrix = point.matrices.sum(axis=0) * np.outer(prior.spread, prior.spread)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    return int(np.sum(eigenvalues > 1e-10 * eigenvalues[-1]))
+def _estimate_base_parameters(
+    slopes: Float[np.ndarray, "n n_p"],
+    space: SearchSpace,
+    prior: Prior,
+    point: _Point,
+    errors: _Errors,
+) -> tuple[BaseParameterEstimate, ...]:
+    """Estimates of the base parameters, in the order of the parameters that they are named after.
+
+    Args:
+        slopes: derivatives of the residuals along the records by the vector.
+        space: the search space.
+        prior: the priors.
+        point: the estimates.
+        errors: their errors; parameters at a bound count as exact.
+    """
+    scale, inside = space.derivatives(point.vector), space.inside(point.vector)
+    coordinates = LinearCoordinates(space, space.to_values_in_range(point.vector))
+    names, spread = coordinates.names, coordinates.spread(scale * prior.spread)
+    by_coordinate = slopes / scale @ coordinates.inverse
+    combinations = find_combinations(by_coordinate, spread, order_of(names))
+    estimates = []
+    for row, pivot in sorted(enumerate(combinations.pivots), key=lambda pair: pair[1]):
+        terms = combinations.terms(row, spread)
+        factors = np.zeros(len(names))
+        factors[[pivot, *terms]] = combinations.factors[row, [pivot, *terms]]
+        value = float(factors @ coordinates.values)
+        gradient = np.where(inside, factors @ coordinates.derivatives * scale, 0.0)
+        half = _QUANTILE * errors.deviation(gradient)
+        estimates.append(BaseParameterEstimate(
+            names[pivot], coordinates.units[pivot],
+            {names[i]: float(factors[i]) for i in terms}, value,
+            (value - half, value + half) if gradient.any() else None,
+        ))  # fmt: skip
+    return tuple(estimates)
 
 
 def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarray) -> _Errors:
@@ -661,7 +715,12 @@ def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarra
     return _Errors(noise, between)
 
 
-def _estimates(point: _Point, space: SearchSpace, deviations: np.ndarray) -> tuple[Estimate, ...]:
+def _estimates(
+    point: _Point,
+    space: SearchSpace,
+    deviations: Float[np.ndarray, " n_p"],
+    informed: Bool[np.ndarray, " n_p"],
+) -> tuple[Estimate, ...]:
     """Estimates of the free parameters, with errors and intervals of those not at a bound."""
     bounds, values = space.active_bounds(point.vector), space.to_values_in_range(point.vector)
     derivatives, lower, upper = space.derivatives(point.vector), space.lower, space.upper
@@ -677,5 +736,6 @@ def _estimates(point: _Point, space: SearchSpace, deviations: np.ndarray) -> tup
             naive_error=float(error) if has_error else None,
             interval=(float(interval[0]), float(interval[1])) if has_error else None,
             lower=p.lower, upper=p.upper, bound=bounds.get(p.name, ""),
+            is_informed=bool(informed[i]) or p.name in bounds,
         ))  # fmt: skip
     return tuple(estimates)

@@ -16,6 +16,8 @@ from tustinnet.fitting.shooting.segments import Segments
 
 FEWEST_RECORDS = 4  # for an estimate of how records differ
 CONFIDENCE = 0.95
+INFORMED = 0.5  # share of a prior's standard deviation below which records decide
+_NOTHING = 1e-9  # of the information on a parameter, that remains where nothing else tells of it
 _LARGEST = 1e100  # residuals above it cannot be squared and summed
 
 
@@ -61,6 +63,8 @@ def estimate_uncertainty(
     The clustered covariance leaves out one record at a time, to first order:
     `(n - 1) / n sum d_i d_i'` with `d_i = (H - H_i)^-1 g_i`, `H_i` and `g_i` being a record's
     share of the reduced normal equations. It holds whatever correlation a record has in itself.
+    A record without which nothing is known of some parameter, as the only one of a group, is not
+    left out, and that parameter's error is at least that of `J'J`.
 
     Args:
         products: the products at the estimate.
@@ -93,15 +97,22 @@ def estimate_uncertainty(
     by_prior = variance * len(samples) / samples.sum() * np.diag(prior_curvature[inside])
     spread = np.tensordot(variance / samples, matrices, 1) + by_prior
     naive[np.ix_(inside, inside)] = inverse @ spread @ inverse
-    clustered, n = None, len(matrices)
+    # parameters of which the other records say nothing, by the record that is left out
+    is_alone = np.diag(whole) - np.einsum("rii->ri", matrices) <= _NOTHING * np.diag(whole)
+    left_out = np.flatnonzero(~is_alone.any(axis=1))
+    clustered, n = None, len(left_out)
     if n >= FEWEST_RECORDS:
-        steps = np.stack(
-            [_inverse(whole - m) @ g for m, g in zip(matrices, gradients, strict=True)]
-        )
+        steps = np.stack([_inverse(whole - matrices[k]) @ gradients[k] for k in left_out])
         steps -= steps.mean(axis=0)
+        jackknife = (n - 1) / n * steps.T @ steps + inverse @ by_prior @ inverse
+        # no other record contradicts the only one of a group, so its residuals have to say it
+        lifts = np.ones(len(jackknife))
+        alone = is_alone.any(axis=0)
+        lifts[alone] = np.sqrt(
+            np.maximum(np.diag(naive)[inside] / np.maximum(np.diag(jackknife), 1e-300), 1.0)
+        )[alone]
         clustered = np.full((n_p, n_p), np.nan)
-        jackknife = (n - 1) / n * steps.T @ steps
-        clustered[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
+        clustered[np.ix_(inside, inside)] = jackknife * np.outer(lifts, lifts)
     unit = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     values, vectors = np.linalg.eigh(whole / np.outer(unit, unit))
     worst_direction, condition = np.zeros(n_p), 1.0
