@@ -30,7 +30,9 @@ def correlation_figure(result: Identification) -> Figure:
         height = (_MANY_ROW if is_part else _ROW) * n + _MARGIN
         size = 7 if is_part else None
         figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-        ranges, correlations = figure.subplots(1, 2, width_ratios=(1, 1.1))
+        # of many, a row of the matrix is beside the range of its parameter, which has the name
+        ratios = (1, 1.6) if is_part else (1, 1.1)
+        ranges, correlations = figure.subplots(1, 2, width_ratios=ratios, sharey=is_part)
         for i, e in enumerate(estimates):
             ranges.plot([0, 1], [i, i], color="0.85", linewidth=5, solid_capstyle="butt", zorder=1)
             if e.interval:
@@ -49,15 +51,16 @@ def correlation_figure(result: Identification) -> Figure:
         ranges.grid(visible=False)
         ranges.set_title("value and 95 % interval", loc="left")
         matrix = result.correlation[np.ix_(drawn, drawn)]
-        image = correlations.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r")
+        aspect = "auto" if is_part else "equal"
+        image = correlations.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r", aspect=aspect)
         correlations.set_xticks(range(n), names, rotation=90, fontsize=size)
-        correlations.set_yticks(range(n), names, fontsize=size)
+        if not is_part:
+            correlations.set_yticks(range(n), names, fontsize=size)
         correlations.grid(visible=False)
         correlations.set_title("correlation of the errors", loc="left")
         cross = "; cross: in the model" if result.refit else ""
-        ranges.set_xlabel(
-            f"range, logarithmic where all of it is positive; red: at a bound{cross}", fontsize=8
-        )
+        legend = f"range, logarithmic where all of it is positive; red: at a bound{cross}"
+        ranges.set_xlabel(legend.replace("; ", ";\n") if is_part else legend, fontsize=8)
         correlations.set_xlabel("blank: at a bound of its range", fontsize=8)
         title = result.system.name
         if is_part:
