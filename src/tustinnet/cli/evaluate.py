@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 _AHEAD_FIGURE = "ahead"
+_MOST_COORDINATES = 3  # whose scores have room beside one another
 _STEPS_SHOWN = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _SCORE_KEYS = ("experiment", "rmse", "rmse_after", "coordinate_rmse", "nrmse", "fit_percent")
 _Ahead = Annotated[
@@ -112,7 +113,7 @@ def evaluate(
             }
         terminal.print_json(content)
     else:
-        terminal.print_tables(_score_table(by_split, channels, runs.start))
+        terminal.print_tables(*_score_tables(by_split, channels, runs.start))
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
@@ -158,23 +159,29 @@ def _band_table(
     return Table(columns, rows, title=f"Bands of {100 * band_options.level:g} % {share}")
 
 
-def _score_table(
+def _score_tables(
     by_split: "Mapping[str, Sequence[Score]]", channels: "Channels", start: str
-) -> "Table":
-    """Table of the scores of every record, and of the means of the splits."""
+) -> "list[Table]":
+    """Tables of the scores of every record and of the means of the splits.
+
+    Where there are many coordinates, their scores are a table of their own, of the means alone.
+    """
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.starts import start_named
 
     # any model simulates the samples well that its start was fitted to
     start_samples = start_named(start).seen_samples
+    is_wide = channels.n_q > _MOST_COORDINATES
     columns = ["record", "split", *[f"RMSE [{unit}]" for unit in channels.units]]
     if start_samples:
         has_units = len(channels.units) > 1
         columns += [f"from sample {start_samples}" + (f" [{unit}]" if has_units else "")
                     for unit in channels.units]  # fmt: skip
     for c in channels.coordinates:
-        columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+        columns += (
+            [f"{c.name}, fit [%]"] if is_wide else [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+        )
 
     def errors_of(s: "Score") -> list[float]:
         after = s.rmse_after_by_unit(channels).values() if start_samples else ()
@@ -187,11 +194,23 @@ def _score_table(
             for error, relative, percent in zip(
                 s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True
             ):
-                row += [number(error), number(relative), number(percent, 1)]
+                row += [] if is_wide else [number(error), number(relative)]
+                row.append(number(percent, 1))
             rows.append(row)
     # scores of training records are optimistic, so each split has a mean of its own
     for split, scores in by_split.items():
         means = [fmean(column) for column in zip(*map(errors_of, scores), strict=True)]
-        rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
+        row = ["mean", split, *map(number, means)]
+        rows.append([*row, *[""] * (len(columns) - len(row))])
     horizon = horizon_words(next(iter(by_split.values()))[0].horizon)
-    return Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")
+    tables = [Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")]
+    if is_wide:
+        rows = [
+            [c.name, split, number(fmean(s.coordinate_rmse[j] for s in scores)), c.unit,
+             number(fmean(s.nrmse[j] for s in scores)),
+             number(fmean(s.fit_percent[j] for s in scores), 1)]
+            for split, scores in by_split.items() for j, c in enumerate(channels.coordinates)
+        ]  # fmt: skip
+        columns = ["coordinate", "split", "RMSE", "unit", "NRMSE", "fit [%]"]
+        tables.append(Table(columns, rows, title="Means over the records"))
+    return tables

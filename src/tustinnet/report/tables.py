@@ -41,8 +41,11 @@ class Table:
             rich_table.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
         for row in self.rows:
             rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        # a terminal may wrap a line that is too long; a table must not cut its text
-        console.print(rich_table, width=_WIDEST, crop=False, soft_wrap=True)
+        # a terminal may wrap a line that is too long; a table must not cut its text, as to the
+        # console's width, beyond which no width of a single print goes
+        width, console.width = console.width, _WIDEST
+        console.print(rich_table, crop=False, soft_wrap=True)
+        console.width = width
 
     def markdown(self) -> str:
         """The table in Markdown."""

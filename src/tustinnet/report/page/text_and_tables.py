@@ -91,10 +91,10 @@ def describe_accuracy(
         worst = max(scores, key=lambda s: s.mean_nrmse)
         best = min(scores, key=lambda s: s.mean_nrmse)
         low, high = (f"{100 * s.mean_nrmse:.2g} %" for s in (best, worst))
-        measure = "by the motion's standard deviation "
+        measure = " of the motion's standard deviation"
     spread = ""
     if scores[1:]:
-        spread = f" ({measure}{low} on {best.experiment}, {high} on {worst.experiment})"
+        spread = f" ({low}{measure} on {best.experiment}, {high} on {worst.experiment})"
     splits = " and ".join(dict.fromkeys(e.split for e in records if e.split))
     is_shortened = total_records is not None and total_records > len(records)
     record_text = (
