@@ -13,6 +13,7 @@ References:
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -60,7 +61,7 @@ def find_combinations(
         spread: standard deviations of what is known of the parameters beforehand, (n_p,).
         order: indices of the parameters; one that those before it make up names no combination.
     """
-    scaled = np.linalg.qr(slopes * spread, mode="r")
+    scaled: Any = np.linalg.qr(slopes * spread, mode="r")
     sizes = np.linalg.norm(scaled, axis=0)
     basis, pivots = np.zeros((len(scaled), 0)), []
     for j in order:
