@@ -111,7 +111,7 @@ def free_run_figure(
             height_ratios=(5, 3) * n_q if rows_each == 2 else None,
         )  # fmt: skip
         position_panels = panels[::rows_each, 0]
-        error_panels: Sequence[Axes] = panels[:, 1] if is_beside else panels[1::2, 0]
+        error_panels: Any = panels[:, 1] if is_beside else panels[1::2, 0]
         t = e.t - e.t[0]
         for j, (axes, coordinate) in enumerate(zip(position_panels, e.coordinates, strict=True)):
             plot_line(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
