@@ -7,7 +7,7 @@ from statistics import median
 from tustinnet.channels import Channels
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, Identification
-from tustinnet.report.tables import Table, number, numbers, scale_of
+from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import SUMMARY, Run
@@ -227,4 +227,5 @@ def folds_table(result: CrossValidationResult) -> Table:
         rows.append(["each seed", "", *seeds])
     columns = ["record", "fold", *[f"from {start}" for start in by_start]]
     title = f"{result.recipe}: free-run RMSE [{result.unit}] of models not fitted to the record"
+    title += norm_words(result.unit)
     return Table(columns, rows, title=title)

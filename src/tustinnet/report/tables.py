@@ -94,6 +94,15 @@ def amounts(values: Mapping[str, float]) -> str:
     return " and ".join(f"{number(value)} {unit}".strip() for unit, value in values.items())
 
 
+def norm_words(unit: str) -> str:
+    """Words for a title on numbers over coordinates of different units; empty for one unit.
+
+    Args:
+        unit: the units, as `Channels.unit` has them.
+    """
+    return f"; one norm over coordinates in {unit}" if " and " in unit else ""
+
+
 def scale_of(values: Iterable[float | None]) -> float:
     """Largest magnitude of some numbers, as the `scale` of `number`; 0 where none is finite."""
     return max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
