@@ -73,8 +73,13 @@ def test_few_parameters_are_all_drawn_and_of_many_those_with_correlated_errors()
 def test_of_many_parameters_the_table_has_those_that_the_records_tell_about():
     table = parameter_table(identified(40, np.eye(40)))
     assert len(table.rows) == 20
-    assert "without 20 parameters that the records tell little about" in table.title
-    assert len(parameter_table(identified(30, np.eye(30))).rows) == 30
+    assert "without 20 that the records tell little about" in table.title
+    few = identified(29, np.eye(29))
+    few = replace(few, fixed={"damping": 0.1})
+    assert len(parameter_table(few).rows) == 30
+    many = parameter_table(replace(identified(30, np.eye(30)), fixed={"damping": 0.1}))
+    assert len(many.rows) == 30
+    assert many.title.endswith("without 1 fixed ones, which are in summary.json")
 
 
 def test_base_parameters_are_written_as_combinations():

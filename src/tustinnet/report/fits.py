@@ -11,7 +11,6 @@ from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import SUMMARY, Run
-from tustinnet.wording import counted
 
 _MOST_ROWS = 30  # of parameters that are all shown
 
@@ -64,28 +63,32 @@ def parameter_table(result: Identification) -> Table:
     """
     shown, others = split_informed(result.estimates)
     rows = [estimate_cells(e) for e in shown]
-    rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
-             for name, value in result.fixed.items()]  # fmt: skip
+    has_room = not is_many([*result.estimates, *result.fixed])
+    if has_room:
+        rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
+                 for name, value in result.fixed.items()]  # fmt: skip
     refined = result.refit and result.refit.values
     title = f"{result.system.name}; {estimates_title(result.trust, refined)}"
+    left_out = []
     if others:
-        title += f"; {describe_uninformed(others)}: all are in {SUMMARY}"
+        left_out.append(f"{len(others)} that the records tell little about")
+    if result.fixed and not has_room:
+        left_out.append(f"{len(result.fixed)} fixed ones")
+    if left_out:
+        title += f"; without {' and '.join(left_out)}, which are in {SUMMARY}"
     return estimates_table(rows, refined, title)
+
+
+def is_many(parameters: Sequence[object]) -> bool:
+    """Whether there are too many parameters for a table to have them all."""
+    return len(parameters) > _MOST_ROWS
 
 
 def split_informed(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[Estimate]]:
     """Estimates to show first, and those of many that the records tell little about."""
-    if len(estimates) <= _MOST_ROWS:
+    if not is_many(estimates):
         return list(estimates), []
     return [e for e in estimates if e.is_informed], [e for e in estimates if not e.is_informed]
-
-
-def describe_uninformed(estimates: Sequence[Estimate]) -> str:
-    """Words on parameters that the records tell little about."""
-    return (
-        f"without {counted(len(estimates), 'parameter')} that the records tell little about and "
-        "that stay near their nominal values"
-    )
 
 
 def base_parameter_table(estimates: Sequence[BaseParameterEstimate], title: str = "") -> Table:

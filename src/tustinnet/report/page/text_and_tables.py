@@ -19,6 +19,7 @@ from tustinnet.report.fits import (
     estimate_cells,
     estimates_table,
     estimates_title,
+    is_many,
     position_in_range,
     split_informed,
 )
@@ -216,13 +217,18 @@ def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
     fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
              for name, value in identification.get("fixed", {}).items()]  # fmt: skip
     shown, others = split_informed(estimates)
-    table = estimates_table([*map(estimate_cells, shown), *fixed], refined)
-    places = [*map(_place, shown), *[None] * len(fixed)]
+    few_fixed, many_fixed = ([], fixed) if is_many([*estimates, *fixed]) else (fixed, [])
+    table = estimates_table([*map(estimate_cells, shown), *few_fixed], refined)
+    places = [*map(_place, shown), *[None] * len(few_fixed)]
     groups = [ParameterGroup(reported.label, title, table, places)]
-    if others:
-        table = estimates_table([*map(estimate_cells, others)], refined)
-        title = f"{counted(len(others), 'parameter')} that the records tell little about"
-        places = [*map(_place, others)]
+    if others or many_fixed:
+        table = estimates_table([*map(estimate_cells, others), *many_fixed], refined)
+        parts = [
+            *([f"{len(others)} that the records tell little about"] if others else []),
+            *([f"{len(many_fixed)} that are fixed"] if many_fixed else []),
+        ]
+        title = f"other parameters: {' and '.join(parts)}"
+        places = [*map(_place, others), *[None] * len(many_fixed)]
         groups.append(ParameterGroup(reported.label, title, table, places, is_collapsed=True))
     return groups
 
