@@ -21,17 +21,17 @@ import tustinnet as tn
 def measure(seconds: float, records: int, seed: int) -> dict[str, float]:
     """Relative errors of the parameters."""
     experiments = balanced(records, seconds, seed)
-    begun = time.perf_counter()
-    found = tn.identify(tn.DataSet("balanced", tuple(experiments)), SYSTEM)
-    print(f"seed {seed}: {found.outcome}; {time.perf_counter() - begun:.0f} s")
-    print(*(f"  {finding}" for finding in found.findings), sep="\n", flush=True)
+    start_time = time.perf_counter()
+    result = tn.identify(tn.DataSet("balanced", tuple(experiments)), SYSTEM)
+    print(f"seed {seed}: {result.outcome}; {time.perf_counter() - start_time:.0f} s")
+    print(*(f"  {finding}" for finding in result.findings), sep="\n", flush=True)
     held_out = balanced(2, seconds, seed + 1000)
-    scores = tn.evaluate(found.model, held_out, found.start, horizon=found.horizon)
-    print(f"  two new records, {found.horizon:.2g} s at once: {tn.mean_rmse(scores):.2g} rad")
+    scores = tn.evaluate(result.model, held_out, result.start, horizon=result.horizon)
+    print(f"  two new records, {result.horizon:.2g} s at once: {tn.mean_rmse(scores):.2g} rad")
     inside = [e.interval is not None and e.interval[0] <= TRUTH[e.name] <= e.interval[1]
-              for e in found.estimates]  # fmt: skip
+              for e in result.estimates]  # fmt: skip
     print(f"  {sum(inside)} of {len(inside)} intervals hold the truth")
-    return {e.name: e.value / TRUTH[e.name] - 1 for e in found.estimates}
+    return {e.name: e.value / TRUTH[e.name] - 1 for e in result.estimates}
 
 
 def main(seconds: float = 20.0, records: int = 10, seeds: int = 3) -> None:

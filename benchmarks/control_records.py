@@ -42,14 +42,14 @@ FAMILIES = {  # what is fitted, and to what in the first round
 
 def pool(draw: int) -> dict[str, list[tn.Experiment]]:
     """Training records of the twin by kind, those of each draw other ones."""
-    found: dict[str, list[tn.Experiment]] = {"falls": [], "noise": []}
+    by_kind: dict[str, list[tn.Experiment]] = {"falls": [], "noise": []}
     for part in range(3):
         for e in qube_servo2_twin.twin(100 * draw + part + 1):
             if e.split == "train":
-                kind = found["noise" if e.forced else "falls"]
+                kind = by_kind["noise" if e.forced else "falls"]
                 kind.append(replace(e, name=f"{e.name}_{part}"))
     generator = np.random.default_rng(draw)
-    return {kind: [es[i] for i in generator.permutation(len(es))] for kind, es in found.items()}
+    return {kind: [es[i] for i in generator.permutation(len(es))] for kind, es in by_kind.items()}
 
 
 def choose(draw: int, kind: str, count: int) -> list[tn.Experiment]:
@@ -64,9 +64,9 @@ def fit(folder: Path, training: Sequence[tn.Experiment], recipe: Sequence[str]) 
     """Fits a recipe to records by the command; the model's file."""
     data, file = folder / "logs", folder / "run" / "model.safetensors"
     if not file.is_file():
-        held = [replace(e, split="validation") for e in (training[-1],)]
+        held_out = [replace(e, split="validation") for e in (training[-1],)]
         split = [replace(e, split="train") for e in training] if len(training) < 3 else [
-            *(replace(e, split="train") for e in training[:-1]), *held
+            *(replace(e, split="train") for e in training[:-1]), *held_out
         ]  # fmt: skip
         write_data_set(tn.DataSet("twin", tuple(split)), data, "Simulated twin", overwrite=True)
         words = ["fit", str(data), *recipe, "--out", str(file.parent), "--no-report", "-q",

@@ -96,9 +96,9 @@ def fit(out: Path, names: list[str]) -> None:
         arguments = [str(data), *FITS[name], "--out", str(folder), "--no-report", "--overwrite"]
         if name == "hybrid":
             arguments += ["--physics", str(folder_of(out, GREY) / "model.safetensors")]
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         subprocess.run([sys.executable, "-m", "tustinnet", "fit", *arguments, "-q"], check=True)
-        print(f"{name}: {time.perf_counter() - begun:.0f} s", flush=True)
+        print(f"{name}: {time.perf_counter() - start_time:.0f} s", flush=True)
 
 
 @dataclass
@@ -135,7 +135,7 @@ def design_on(
     name: str, model: tn.Model, header: dict[str, object], training: list[tn.Experiment]
 ) -> Design:
     """Filter by the training records, plan and feedback by the model alone."""
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     try:
         point = tc.find_equilibrium(model, {"alpha": 0.0, "theta": 0.0})
     except InputError:
@@ -153,7 +153,7 @@ def design_on(
             "theta": (-1.8, 1.8), "der_theta": (low[0], high[0]), "der_alpha": (low[1], high[1])
         },
     )  # fmt: skip
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start_time
     noise = tc.find_noise(model, training)
     rest = tc.find_equilibrium(model, {"alpha": np.pi})
     settle = tc.lqr(
@@ -241,10 +241,10 @@ def twins(out: Path, names: list[str]) -> None:
 def robustness(out: Path, names: list[str]) -> None:
     """The table of a controller's robustness, and what came of it on the twins."""
     for made in designs(out, names or [GREY, "hybrid"]):
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         kinds = tc.make_variants(made.model, made.noise, made.header)
         table = tc.assess_robustness(kinds, made.controller, made.estimator, starts(), GOAL, STEPS)
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - start_time
         print(f"{made.name}: {len(kinds)} kinds of {STARTS} runs of 10 s in {seconds:.1f} s")
         for row in table.rows:
             worst, spent = row.worst["alpha"], row.energy

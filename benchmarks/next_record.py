@@ -49,23 +49,23 @@ QUICK = ["stages.*.epochs=40", "stages.*.windows.count=600"]
 
 def proposals() -> list[Proposal]:
     """What could be recorded."""
-    generator, found = np.random.default_rng(0), []
+    generator, proposals = np.random.default_rng(0), []
     t, still = np.arange(SAMPLES) * 0.01, np.zeros((SAMPLES, 1))
     for i in range(EACH):
         side = (-1) ** i
         tilt, arm = generator.uniform(0.2, 0.8), generator.uniform(-1.5, 1.5)
-        found.append(Proposal(f"fall {i}", np.array([arm, side * tilt]), np.zeros(2), still))
+        proposals.append(Proposal(f"fall {i}", np.array([arm, side * tilt]), np.zeros(2), still))
         low, arm = generator.uniform(0.2, 1.5), generator.uniform(-0.3, 0.3)
-        found.append(
+        proposals.append(
             Proposal(f"swing {i}", np.array([arm, np.pi + side * low]), np.zeros(2), still)
         )
         level = 0.5 + 0.7 * i
         u = generator.uniform(-level, level, (SAMPLES, 1))
-        found.append(Proposal(f"noise {level:.1f} V", np.array([0, np.pi]), np.zeros(2), u))
+        proposals.append(Proposal(f"noise {level:.1f} V", np.array([0, np.pi]), np.zeros(2), u))
         hertz = 0.5 * 1.5**i
         u = 2 * np.sin(2 * np.pi * hertz * t)[:, None]
-        found.append(Proposal(f"sine {hertz:.1f} Hz", np.array([0, np.pi]), np.zeros(2), u))
-    return found
+        proposals.append(Proposal(f"sine {hertz:.1f} Hz", np.array([0, np.pi]), np.zeros(2), u))
+    return proposals
 
 
 def recorded(of: Sequence[Proposal], channels: tn.Experiment) -> dict[str, tn.Experiment]:
@@ -95,17 +95,17 @@ class Arm:
 Ranked = tuple[list[float], Callable[[Sequence[Proposal]], list[str]]]
 
 
-def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.Experiment],
+def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
          tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
     """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
-    found: list[Ranked] = []
+    results: list[Ranked] = []
     # positions alone: their units are the same for all records, so that programs compile once
     recipe = tn.read_recipe("grey", ["search.initial=anchored"])
     for arm in arms:
         roles = Roles(tuple(made[name] for name in arm.names), ())
         task = Task(recipe, (Fold(roles),), system=WITH_MEMORY)
         result = fit_task(task, tell)[0]
-        scores = tn.evaluate(result.model, left, "model-20")
+        scores = tn.evaluate(result.model, held_out, "model-20")
         assert result.identification is not None
         off = [abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
                for e in result.identification.estimates if TWIN_VALUES[e.name] > 0]  # fmt: skip
@@ -114,11 +114,11 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.
             ranking = rank_proposals(result.model, result.as_header(), of)
             return [gain.name for gain in ranking.gains]
 
-        found.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
-    return found
+        results.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
+    return results
 
 
-def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[tn.Experiment],
+def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
             tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
     """Trains a committee for each arm: its RMSE, and who ranks."""
     recipe = tn.read_recipe(Path(__file__).parent / "recipes" / "short-network.toml", QUICK)
@@ -126,17 +126,17 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], left: Sequence[
     members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
                     for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
     results = fit_task(Task(recipe, folds, members), tell)
-    found: list[Ranked] = []
+    results: list[Ranked] = []
     for f in range(len(arms)):
         model = tn.committee([r.model for r in results if r.member.fold == f])
-        scores = tn.evaluate(model, left, "model-20")
+        scores = tn.evaluate(model, held_out, "model-20")
 
         def rank(of: Sequence[Proposal], model: tn.Model = model) -> list[str]:
             ranking = rank_proposals(model, {}, of, horizon=horizon)
             return [gain.name for gain in ranking.gains]
 
-        found.append(([tn.mean_rmse(scores)], rank))
-    return found
+        results.append(([tn.mean_rmse(scores)], rank))
+    return results
 
 
 def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], seeds: int) -> str:
@@ -152,16 +152,16 @@ def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], see
 
 def main() -> None:
     """Reads the arguments, runs the rounds, prints."""
-    asked = argparse.ArgumentParser()
-    asked.add_argument("what", choices=("grey", "network"))
-    asked.add_argument("--seeds", type=int, default=5)
-    asked.add_argument("--horizon", type=float)
-    asked.add_argument("--out", type=Path, default=Path("results"))
-    given = asked.parse_args()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=("grey", "network"))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--horizon", type=float)
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    given = parser.parse_args()
     fit, sizes = (grey, GREY) if given.what == "grey" else (network, NETWORK)
-    left = list(twin(7).split("validation"))
+    held_out = list(twin(7).split("validation"))
     pool = proposals()
-    made = recorded(pool, left[0])
+    made = recorded(pool, held_out[0])
     names = [p.name for p in pool]
     orders = [np.random.default_rng(s).permutation(names).tolist() for s in range(given.seeds)]
     arms = [
@@ -171,7 +171,7 @@ def main() -> None:
     with FitProgress(Console(stderr=True, soft_wrap=True), quiet=given.what == "grey") as progress:
         for n, more in zip(sizes, (*np.diff(sizes).tolist(), 0), strict=True):
             for arm, (figures, rank) in zip(
-                arms, fit(arms, made, left, progress.follow, given.horizon), strict=True
+                arms, fit(arms, made, held_out, progress.follow, given.horizon), strict=True
             ):
                 lines.append({"way": arm.way, "seed": arm.seed, "records": n, "figures": figures,
                               "names": list(arm.names)})  # fmt: skip
@@ -194,8 +194,8 @@ def main() -> None:
             row = [str(n)]
             for way in (RANDOM, CHOSEN):
                 each = [curves[way, s][k] for s in range(given.seeds)]
-                told = [number(f(each)) for f in (statistics.median, min, max)]
-                row.append(f"{told[0]} ({told[1]}..{told[2]})")
+                texts = [number(f(each)) for f in (statistics.median, min, max)]
+                row.append(f"{texts[0]} ({texts[1]}..{texts[2]})")
             rows.append(row)
         print(Table(["records", RANDOM, CHOSEN], rows).markdown())
         print(f"* {needed(curves, sizes, given.seeds)}\n")

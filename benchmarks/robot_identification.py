@@ -100,14 +100,14 @@ def missing_by_least_squares(
 ) -> np.ndarray:
     """Missing torques on the held-out record by those that it has, (n_q,)."""
     n = len(system.coordinates)
-    train, held = data.split("train"), data.split("validation")
+    train, held_out = data.split("train"), data.split("validation")
     cutoff = cutoff_for(max(occupied_band(e.q, e.dt) for e in train), train[0].dt)
-    found = []
-    for records in (train, held):
+    regressions = []
+    for records in (train, held_out):
         parts = [filter_record(e, cutoff) for e in records]
         rows = np.concatenate([regressor(system, part) for part in parts])
-        found.append((rows, np.concatenate([p.compare(p.points[:, 3 * n :]) for p in parts])))
-    (rows, torques), (held_rows, held_torques) = found
+        regressions.append((rows, np.concatenate([p.compare(p.points[:, 3 * n :]) for p in parts])))
+    (rows, torques), (held_rows, held_torques) = regressions
     weights = np.ones(n)
     parameters = least_squares(rows, torques, weights)
     if is_weighted:
@@ -211,14 +211,14 @@ def record_by_mujoco(
         omega = 2 * np.pi * rng.uniform(0.1, 1.2, (5, n))
         size, phase = 0.6 * rng.uniform(0.2, 0.5, (5, n)), rng.uniform(0, 2 * np.pi, (5, n))
         angle = omega * t[:, None, None] + phase
-        wanted = rng.uniform(-0.5, 0.5, n) + np.sum(size * np.sin(angle), axis=1)
+        set_points = rng.uniform(-0.5, 0.5, n) + np.sum(size * np.sin(angle), axis=1)
         speed = np.sum(size * omega * np.cos(angle), axis=1)
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = wanted[0], speed[0]
+        data.qpos[:], data.qvel[:] = set_points[0], speed[0]
         positions, torques = np.empty((len(t), n)), np.empty((len(t), n))
         for i in range(len(t)):
             positions[i] = data.qpos
-            asked = stiffness * (wanted[i] - data.qpos) + damping * (speed[i] - data.qvel)
+            asked = stiffness * (set_points[i] - data.qpos) + damping * (speed[i] - data.qvel)
             torques[i] = np.clip(asked, *model.jnt_actfrcrange.T)
             data.ctrl[:] = torques[i]
             mujoco.mj_step(model, data, steps)
@@ -302,18 +302,18 @@ def fit_by_mujoco(
 
     residuals = sysid.build_residual_fn(models_sequences=[sequences], build_model=build)
     limit = {} if iterations is None else {"max_iters": iterations}
-    found, _ = sysid.optimize(parameters, residuals, verbose=False, **limit)
-    return sysid.apply_param_modifiers(found, spec.copy())
+    optimum, _ = sysid.optimize(parameters, residuals, verbose=False, **limit)
+    return sysid.apply_param_modifiers(optimum, spec.copy())
 
 
 def torques_along(mujoco: Any, model: Any, motion: Sequence[np.ndarray]) -> np.ndarray:
     """Torques that a motion needs by MuJoCo, its own dry friction included, (n, n_q)."""
-    data, found = mujoco.MjData(model), np.empty_like(motion[0])
+    data, torques = mujoco.MjData(model), np.empty_like(motion[0])
     for i, (q, v, a) in enumerate(zip(*motion, strict=True)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
         mujoco.mj_inverse(model, data)
-        found[i] = data.qfrc_inverse
-    return found
+        torques[i] = data.qfrc_inverse
+    return torques
 
 
 def motion_error(
@@ -324,10 +324,10 @@ def motion_error(
     for positions, speeds, torques in pieces(*record, _HORIZON):
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = positions[0], speeds[0]
-        for torque, wanted in zip(torques[:-1], positions[1:], strict=True):
+        for torque, position in zip(torques[:-1], positions[1:], strict=True):
             data.ctrl[:] = torque
             mujoco.mj_step(model, data, steps)
-            squares.append((data.qpos - wanted) ** 2)
+            squares.append((data.qpos - position) ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -347,7 +347,7 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
     for seed in range(count):
         truth = true_values(system, seed) | offsets
         true_model = arm_for_mujoco(mujoco, truth, steps).compile()
-        *records, held = record_by_mujoco(mujoco, true_model, 4, 5.0, seed, steps)
+        *records, held_out = record_by_mujoco(mujoco, true_model, 4, 5.0, seed, steps)
         data = tn.DataSet("arm", tuple(
             tn.from_arrays(
                 q, u, dt=_STEP,
@@ -358,14 +358,14 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
             )
             for k, (q, u) in enumerate(records)
         ))  # fmt: skip
-        cutoff = cutoff_for(occupied_band(held[0], _STEP), _STEP)
-        motion = [low_pass(held[0], _STEP, 3 * cutoff, k) for k in range(3)]
-        measured, true = held[1], torques_along(mujoco, true_model, motion)
+        cutoff = cutoff_for(occupied_band(held_out[0], _STEP), _STEP)
+        motion = [low_pass(held_out[0], _STEP, 3 * cutoff, k) for k in range(3)]
+        measured, true = held_out[1], torques_along(mujoco, true_model, motion)
         edge = slice(round(1 / (cutoff * _STEP)), -round(1 / (cutoff * _STEP)))
         size = np.sqrt(np.mean(measured**2, axis=0))
         values, seconds = offsets, 0.0
         for name in rows:
-            begun = time.perf_counter()
+            start_time = time.perf_counter()
             if name == "sysid":
                 model, seconds = fit_by_mujoco(mujoco, system, records, iterations), 0.0
             else:
@@ -374,13 +374,13 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
                 model = arm_for_mujoco(mujoco, values).compile()
             # it has integrated with a step by sample; all are judged with those of the truth
             model.opt.timestep = _STEP / steps
-            seconds += time.perf_counter() - begun
+            seconds += time.perf_counter() - start_time
             own = torques_along(mujoco, model, motion)
             missing, off = (
                 100 * np.sqrt(np.mean(low_pass(own - x, _STEP, cutoff)[edge] ** 2, axis=0)) / size
                 for x in (measured, true)
             )
-            error = 1000 * motion_error(mujoco, model, held, steps)
+            error = 1000 * motion_error(mujoco, model, held_out, steps)
             row = [float(missing.mean()), float(off.mean()), error, seconds]
             rows[name].append(row)
             print(f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | "

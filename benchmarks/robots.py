@@ -184,17 +184,17 @@ def differences(path: Path, states: int = 3) -> tuple[LagrangianSystem, dict[str
 
     Tools that cannot read the file are left out.
     """
-    system, found = tn.load_system(path), find_system(path)
-    assert not isinstance(found, str)
+    system, file = tn.load_system(path), find_system(path)
+    assert not isinstance(file, str)
     is_urdf = path.suffix == ".urdf"
     names = [c.name for c in system.coordinates]
-    lead = find_lead((read_urdf if is_urdf else read_mjcf)(found.text, path), names)
+    lead = find_lead((read_urdf if is_urdf else read_mjcf)(file.text, path), names)
     points = 2 * np.random.default_rng(0).normal(size=(states, 2 * len(names)))
     own, worst = own_terms(system, points), dict[str, float]()
     tools = {"Pinocchio": pinocchio_terms} if is_urdf else {}
     for tool, terms in (tools | {"MuJoCo": mujoco_terms}).items():
         try:
-            others = terms(found.text, lead, points)
+            others = terms(file.text, lead, points)
         except (ValueError, RuntimeError, KeyError):
             continue
         for mine, other in zip(own, others, strict=True):
@@ -265,9 +265,9 @@ def descriptions(folders: Sequence[str]) -> None:
         largest = f"{max(worst.values()):.1e}" if worst else "read by no other tool"
         print(f"| {file.name} | {len(system.coordinates)} | {largest} |", flush=True)
     print(f"{len(files)} files, {loaded} read, {alone} of them by no other tool")
-    for key, found in errors.items():
-        print(f"{key:32s} {len(found)} robots, median {np.median(found):.1e}, "
-              f"worst {max(found):.1e}")  # fmt: skip
+    for key, sizes in errors.items():
+        print(f"{key:32s} {len(sizes)} robots, median {np.median(sizes):.1e}, "
+              f"worst {max(sizes):.1e}")  # fmt: skip
     for sentences in sorted(refused.values(), key=len, reverse=True):
         print(f"{len(sentences)} times: {sentences[0]}")
 
@@ -278,7 +278,7 @@ def fit(folder: Path, data: tn.DataSet) -> tuple[dict[str, Any], float, float]:
     write_data_set(tn.DataSet("arm", tuple(data)), logs, "Simulated arm", overwrite=True)
     words = ["fit", str(logs), "--recipe", "inverse-dynamics", "--system", str(ARM), "--out",
              str(run), "--no-report", "--overwrite", "-q"]  # fmt: skip
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     child = subprocess.Popen(
         [sys.executable, "-m", "tustinnet", *words], stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -287,20 +287,21 @@ def fit(folder: Path, data: tn.DataSet) -> tuple[dict[str, Any], float, float]:
     child.returncode = status
     if status:
         sys.exit(f"{folder}: the fit ended with {status}")
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start_time
     return tn.read_header(run / "model.safetensors"), seconds, usage.ru_maxrss / 2**20
 
 
 def estimates(header: dict[str, Any]) -> tuple[list[str], np.ndarray, np.ndarray, float]:
     """Names, values and covariance of the free parameters, and the 95 % factor of the errors."""
-    found = header["identification"]
-    rows = found["estimates"]
+    identification = header["identification"]
+    rows = identification["estimates"]
     errors = np.array([row["error"] or 0.0 for row in rows])
     factors = [
         (row["interval"][1] - row["value"]) / row["error"]
         for row in rows if row["error"] and row["interval"] and row["lower"] < 0
     ]  # fmt: skip
-    covariance = np.nan_to_num(np.array(found["correlation"], float)) * np.outer(errors, errors)
+    correlation = np.nan_to_num(np.array(identification["correlation"], float))
+    covariance = correlation * np.outer(errors, errors)
     np.fill_diagonal(covariance, errors**2)
     values = np.array([row["value"] for row in rows])
     return [row["name"] for row in rows], values, covariance, float(np.median(factors))
@@ -310,15 +311,15 @@ def linear_parameters(system: LagrangianSystem, names: Sequence[str], vector: An
     """Parameters in which forces are linear: of each link mass, moments, inertia at its frame."""
     values = system.nominal() | dict(zip(names, vector, strict=True))
     links = [name.removesuffix(".mass") for name in values if name.endswith(".mass")]
-    found = []
+    inertias = []
     for link in links:
         body = body_inertia(SimpleNamespace(name=link, anchor=(0.0, 0.0, 0.0)), values)  # pyright: ignore[reportArgumentType]
         tensor = jnp.asarray(body.tensor)[np.triu_indices(3)]
-        found += [jnp.atleast_1d(body.mass), jnp.asarray(body.moment), tensor]
+        inertias += [jnp.atleast_1d(body.mass), jnp.asarray(body.moment), tensor]
     inertial = {f"{link}.{name}" for link in links for name in INERTIAL}
     others = [jnp.atleast_1d(x) for name, x in zip(names, vector, strict=True)
               if name not in inertial]  # fmt: skip
-    return jnp.concatenate([*found, *others])
+    return jnp.concatenate([*inertias, *others])
 
 
 def deviations(
@@ -339,12 +340,12 @@ def deviations(
     """
     slopes = np.asarray(jax.jacobian(lambda v: linear_parameters(system, names, v))(values))
     prior = slopes @ np.diag(spreads(names, system) ** 2) @ slopes.T
-    found = slopes @ covariance @ slopes.T
+    combined = slopes @ covariance @ slopes.T
     # in units in which all priors are 1; those that no record moves have none
     sizes, axes = np.linalg.eigh(prior)
     kept = sizes > 1e-12 * sizes.max()
     unit = axes[:, kept] / np.sqrt(sizes[kept])
-    shares, turned = np.linalg.eigh(unit.T @ found @ unit)
+    shares, turned = np.linalg.eigh(unit.T @ combined @ unit)
     base = (shares > 0) & (shares < _DECIDED**2)
     difference = linear_parameters(system, names, values) - linear_parameters(system, names, others)
     return (turned.T @ unit.T @ np.asarray(difference))[base] / np.sqrt(shares[base])
@@ -398,13 +399,13 @@ def halves(out: Path, count: int, first: int = 0) -> None:
     shares: list[float] = []
     for seed in range(first, first + count):
         records = list(record_in_loop(system, true_values(system, seed), 11, 10.0, seed=seed))
-        held = records.pop()
-        found = []
+        held_out = records.pop()
+        halves = []
         for half in (records[::2], records[1::2]):
-            part = tn.DataSet("arm", (*(replace(e, split="train") for e in half), held))
-            header, _, _ = fit(out / f"half{seed}-{len(found)}", part)
-            found.append(estimates(header))
-        (names, first, one, factor), (_, second, other, _) = found
+            part = tn.DataSet("arm", (*(replace(e, split="train") for e in half), held_out))
+            header, _, _ = fit(out / f"half{seed}-{len(halves)}", part)
+            halves.append(estimates(header))
+        (names, first, one, factor), (_, second, other, _) = halves
         # of what both know: priors draw both to the same values, which would agree too well
         z = deviations(system, names, first, second, one + other)
         agreed, compared = agreed + int((np.abs(z) < factor).sum()), compared + len(z)
@@ -427,10 +428,10 @@ def payload(count: int) -> None:
             )
             for e in record_in_loop(system, values, 5, 10.0, seed=seed + more)
         ]  # fmt: skip
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         result = tn.identify(tn.DataSet("arm", tuple(records)), robot, "inverse-dynamics")
         (sentence,) = [s for s in result.findings if "carries" in s]
-        print(f"{seed}: {sentence}; {time.perf_counter() - begun:.0f} s", flush=True)
+        print(f"{seed}: {sentence}; {time.perf_counter() - start_time:.0f} s", flush=True)
 
 
 def torque_errors(
@@ -477,13 +478,13 @@ def design(count: int) -> None:
           "random states [%] | along other motions [%] |")  # fmt: skip
     for seed in range(count):
         truth = true_values(system, seed)
-        begun = time.perf_counter()
-        found = design_record(system, knowledge, limits, replace(options, seed=seed))
-        print(f"designed in {time.perf_counter() - begun:.0f} s, errors by random motions "
-              f"{found.by_random:.2f} times as large", flush=True)  # fmt: skip
+        start_time = time.perf_counter()
+        design = design_record(system, knowledge, limits, replace(options, seed=seed))
+        print(f"designed in {time.perf_counter() - start_time:.0f} s, errors by random motions "
+              f"{design.by_random:.2f} times as large", flush=True)  # fmt: skip
         start = replace(options, seed=seed, iterations=0, starts=1)
         other = design_record(system, knowledge, limits, start)
-        for law, noise in (("one sensor", found.noise), ("by record", 0.02)):
+        for law, noise in (("one sensor", design.noise), ("by record", 0.02)):
             others = [
                 replace(e, split="validation", name=f"other{k}")
                 for k, e in enumerate(
@@ -493,7 +494,8 @@ def design(count: int) -> None:
             along = np.concatenate([filter_record(e, 5.0).points for e in others])
             stated: dict[str, np.ndarray] = {}
             for name, motions in (
-                ("designed", [(found.q, found.v)]), ("random", [(other.q, other.v)]), ("sines", []),
+                ("designed", [(design.q, design.v)]), ("random", [(other.q, other.v)]),
+                ("sines", []),
             ):  # fmt: skip
                 record = record_in_loop(
                     system, truth, 2, 10.0, noise=noise, seed=seed, motions=motions
@@ -533,13 +535,14 @@ def loop(count: int, records: int) -> None:
             )
             for knows in (True, False)
         )
-        held = list(in_loop.split("validation"))
+        held_out = list(in_loop.split("validation"))
         first = tn.identify(in_loop, system, "inverse-dynamics")
         begin = {name: first.values[name] for name in system.nominal() if name in first.values}
         by_horizons = tn.identify(driven, system, short, begin=begin)
         closed = tn.identify(in_loop, system, "grey", begin=begin)
         scores = [
-            score_in_loop(closed, result.values, held) for result in (first, by_horizons, closed)
+            score_in_loop(closed, result.values, held_out)
+            for result in (first, by_horizons, closed)
         ]
         as_recorded = tn.evaluate(
             by_horizons.model, list(driven.split("validation")), "derived-6"

@@ -281,10 +281,15 @@ class Channels:
         """Encoder counts [rad or m], 0 where unknown."""
         return np.array([c.resolution or 0.0 for c in self.coordinates])
 
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """The units of the coordinates, each once, in the order of their first coordinates."""
+        return tuple(dict.fromkeys(c.unit for c in self.coordinates))
+
     @property
     def unit(self) -> str:
         """Unit of a number over all coordinates: `rad`, `m`, `rad and m`, `rad and V`."""
-        return " and ".join(dict.fromkeys(c.unit for c in self.coordinates))
+        return " and ".join(self.units)
 
     def require_same(
         self, other: "Channels", other_name: object, own_name: str, *, open_holds: bool = True

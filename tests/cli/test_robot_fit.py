@@ -1,5 +1,6 @@
 """A robot's file as the system of a command: fit, the copy that is kept, and what is refused."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -61,6 +62,14 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     errors = summary["identification"]["force_errors"]
     assert [e["coordinate"] for e in errors] == ["pole", "slide"], "in the order of the card"
     assert errors[1]["held_out"] < 0.05 * errors[1]["size"]
+    assert set(summary["scores"]["mean_by_unit"]) == {"rad", "m"}
+    for text in ("RMSE [rad]", "RMSE [m]", "base_parameters.csv", "\ntime: "):
+        assert text in out
+    with (run / "base_parameters.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    base_parameters = summary["identification"]["base_parameters"]
+    assert [float(row["value"]) for row in rows] == [b["value"] for b in base_parameters]
+    assert float(rows[0]["low (95 %)"]) < float(rows[0]["value"]) < float(rows[0]["high (95 %)"])
     # later verbs read the copy without a question; the report draws the links
     code, out, err = tustinnet(
         capsys, "evaluate", run / "model.safetensors", logs, "--split", "validation"
@@ -69,6 +78,7 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert "run2" in out
     page = (run / "report.html").read_text()
     assert "Missing forces" in page
+    assert f"{len(rows)} base parameters" in page
     assert 'id="search"' not in page, "an empty chart"
     # a search by simulation begins with it
     more = tmp_path / "more"

@@ -98,7 +98,7 @@ def test_the_derivatives_of_the_search_are_those_of_its_cost():
     dynamics = record_design._Dynamics(system, prior_knowledge(system, {}), {})
     shapes, box = record_design._Shapes(limits, OPTIONS), record_design._Box(limits, 0.1)
     problem = record_design._Problem(
-        dynamics, shapes, box, np.eye(len(dynamics.units)), np.full(4, 1e3), 0, np.arange(48) / 12
+        dynamics, shapes, box, np.eye(len(dynamics.units)), np.full(4, 1e3), np.arange(48) / 12
     )
     rng = np.random.default_rng(0)
     x, along, h = rng.normal(size=(shapes.count, 4)), rng.normal(size=(shapes.count, 4)), 1e-4

@@ -138,7 +138,7 @@ def test_signals_are_those_of_the_evaluation(page, pendulum, trained_once):
     model = tn.load_model(trained_once / "model.safetensors")
     scores = tn.evaluate(model, list(pendulum), "derived-6")
     for e, score, of in zip(pendulum, scores, told["records"], strict=True):
-        assert of["runs"][0]["rmse"] == pytest.approx(score.rmse, rel=1e-6)
+        assert of["runs"][0]["rmse"] == [pytest.approx(score.rmse, rel=1e-6)]
         error = score.simulated[:, 0] - e.q[:, 0]
         for signal, values in ((of["q"][0], e.q[:, 0]), (of["runs"][0]["error"][0], error)):
             span = signal["high"] - signal["low"]

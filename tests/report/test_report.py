@@ -56,7 +56,7 @@ def test_units_in_brackets_are_printed_as_they_are():
 def test_the_bytes_of_a_figure_say_nothing_of_when_it_was_written(name, pendulum, tmp_path):
     folders = [tmp_path / "first", tmp_path / "second"]
     for folder in folders:
-        write_figure(ahead_figure({"m": np.array([0.1, 0.2])}, pendulum.channels), folder, name)
+        write_figure(ahead_figure({"m": np.array([[0.1], [0.2]])}, pendulum.channels), folder, name)
     first, second = ((folder / name).read_bytes() for folder in folders)
     assert first == second
     assert b"CreationDate" not in first
@@ -74,7 +74,7 @@ def test_figures_are_written_whole_or_not_at_all(pendulum, tmp_path):
     pictures = {
         "run.png": free_run_figure(e, {"model": score}),
         "training.svg": training_figure({"seed-0": lines, "seed-1": lines}),
-        "ahead.pdf": ahead_figure({"model": np.array([0.1, 0.2])}, pendulum.channels),
+        "ahead.pdf": ahead_figure({"model": np.array([[0.1], [0.2]])}, pendulum.channels),
         "records.png": inspection_figure(
             list(pendulum), [tn.inspect_experiment(x) for x in pendulum]
         ),

@@ -45,7 +45,12 @@ def compare(
     """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
     from tustinnet.errors import InputError
-    from tustinnet.evaluate.scores import evaluate, mean_rmse, rmse_by_record
+    from tustinnet.evaluate.scores import (
+        evaluate,
+        mean_rmse,
+        mean_rmse_by_unit,
+        rmse_by_record,
+    )
     from tustinnet.report.comparison import comparison_table
     from tustinnet.report.page.reported_model import labels
     from tustinnet.store.model_file import load_models
@@ -85,6 +90,7 @@ def compare(
             label: {
                 "file": str(path),
                 "mean": mean_rmse(scores[label]),
+                "mean_by_unit": mean_rmse_by_unit(scores[label], records[0].channels),
                 "rmse": rmse_by_record(scores[label]),
             }
             for label, path in zip(scores, models, strict=True)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 _AHEAD_FIGURE = "ahead"
+_MOST_COORDINATES = 3  # whose scores have room beside one another
 _STEPS_SHOWN = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _SCORE_KEYS = ("experiment", "rmse", "rmse_after", "coordinate_rmse", "nrmse", "fit_percent")
 _Ahead = Annotated[
@@ -51,9 +52,13 @@ def evaluate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.evaluate.ahead import rmse_ahead
+    from tustinnet.evaluate.ahead import (
+        coordinate_rmse_ahead,
+        joint_rmse,
+        rmse_ahead_by_unit,
+    )
     from tustinnet.evaluate.coverage import compute_coverage
-    from tustinnet.evaluate.scores import Score, mean_rmse
+    from tustinnet.evaluate.scores import Score, mean_rmse, mean_rmse_by_unit
     from tustinnet.evaluate.scores import evaluate as score_records
     from tustinnet.report.tables import Table, number
 
@@ -77,34 +82,48 @@ def evaluate(
     if band_options is not None:
         bands = request.compute_bands(model, simulator, records, scores, band_options)
         coverage = compute_coverage(records, bands)
-    errors = None if ahead is None else rmse_ahead(simulator, records, ahead)
+    errors = None if ahead is None else coordinate_rmse_ahead(simulator, records, ahead)
     runs.print_notes()
     if json:
         experiments = []
         for e, score in zip(records, scores, strict=True):
             values = {key: getattr(score, key) for key in _SCORE_KEYS}
-            experiments.append({**values, "split": e.split})
+            by_unit = score.rmse_by_unit(channels)
+            experiments.append({**values, "rmse_by_unit": by_unit, "split": e.split})
         content = {
             **runs.as_plain(),
             "coordinates": [c.name for c in channels.coordinates],
             "experiments": experiments,
             "mean": mean_rmse(scores),
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
+            "mean_by_unit": mean_rmse_by_unit(scores, channels),
+            "means_by_unit": {
+                name: mean_rmse_by_unit(group, channels) for name, group in by_split.items()
+            },
         }
         if band_options is not None:
             content["band"] = {"level": band_options.level, "of": band_options.scope,
                                "covered": [asdict(share) for share in coverage]}  # fmt: skip
         if errors is not None:
-            content["ahead"] = {"dt": simulator.dt, "rmse": errors.tolist()}
+            by_unit = rmse_ahead_by_unit(errors, channels).T.tolist()
+            content["ahead"] = {
+                "dt": simulator.dt,
+                "rmse": joint_rmse(errors).tolist(),
+                "rmse_by_unit": dict(zip(channels.units, by_unit, strict=True)),
+            }
         terminal.print_json(content)
     else:
-        terminal.print_tables(_score_table(by_split, channels, runs.start))
+        terminal.print_tables(*_score_tables(by_split, channels, runs.start))
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
             shown = [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]
-            rows = [[str(k), f"{k * channels.dt:g}", number(errors[k - 1], 4)] for k in shown]
-            columns = ["k", "horizon [s]", f"RMSE [{channels.unit}]"]
+            by_unit = rmse_ahead_by_unit(errors, channels)
+            rows = [
+                [str(k), f"{k * channels.dt:g}", *[number(x, 4) for x in by_unit[k - 1]]]
+                for k in shown
+            ]
+            columns = ["k", "horizon [s]", *[f"RMSE [{unit}]" for unit in channels.units]]
             terminal.print_tables(Table(columns, rows, title="k steps ahead"))
     if figures is not None:
         from tustinnet.report.figures import ahead_figure, free_run_figure, write_figure
@@ -114,7 +133,8 @@ def evaluate(
             figure = free_run_figure(e, {label: score}, bands={label: bands[i]} if bands else {})
             write_figure(figure, figures, f"{e.name}.png")
         if errors is not None:
-            write_figure(ahead_figure({label: errors}, channels), figures, f"{_AHEAD_FIGURE}.png")
+            figure = ahead_figure({label: rmse_ahead_by_unit(errors, channels)}, channels)
+            write_figure(figure, figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
 
 
@@ -139,33 +159,58 @@ def _band_table(
     return Table(columns, rows, title=f"Bands of {100 * band_options.level:g} % {share}")
 
 
-def _score_table(
+def _score_tables(
     by_split: "Mapping[str, Sequence[Score]]", channels: "Channels", start: str
-) -> "Table":
-    """Table of the scores of every record, and of the means of the splits."""
-    from tustinnet.evaluate.scores import mean_rmse
+) -> "list[Table]":
+    """Tables of the scores of every record and of the means of the splits.
+
+    Where there are many coordinates, their scores are a table of their own, of the means alone.
+    """
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.simulate.starts import start_named
 
     # any model simulates the samples well that its start was fitted to
     start_samples = start_named(start).seen_samples
-    after = [f"from sample {start_samples}"] if start_samples else []
-    columns = ["record", "split", f"RMSE [{channels.unit}]", *after]
+    is_wide = channels.n_q > _MOST_COORDINATES
+    columns = ["record", "split", *[f"RMSE [{unit}]" for unit in channels.units]]
+    if start_samples:
+        has_units = len(channels.units) > 1
+        columns += [f"from sample {start_samples}" + (f" [{unit}]" if has_units else "")
+                    for unit in channels.units]  # fmt: skip
     for c in channels.coordinates:
-        columns += [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+        columns += (
+            [f"{c.name}, fit [%]"] if is_wide else [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
+        )
+
+    def errors_of(s: "Score") -> list[float]:
+        after = s.rmse_after_by_unit(channels).values() if start_samples else ()
+        return [*s.rmse_by_unit(channels).values(), *after]
+
     rows = []
     for split, scores in by_split.items():
         for s in scores:
-            row = [s.experiment, split, number(s.rmse), *[number(s.rmse_after) for _ in after]]
+            row = [s.experiment, split, *map(number, errors_of(s))]
             for error, relative, percent in zip(
                 s.coordinate_rmse, s.nrmse, s.fit_percent, strict=True
             ):
-                row += [number(error), number(relative), number(percent, 1)]
+                row += [] if is_wide else [number(error), number(relative)]
+                row.append(number(percent, 1))
             rows.append(row)
     # scores of training records are optimistic, so each split has a mean of its own
     for split, scores in by_split.items():
-        means = [mean_rmse(scores), *[fmean(s.rmse_after for s in scores) for _ in after]]
-        rows.append(["mean", split, *map(number, means), *[""] * (3 * channels.n_q)])
+        means = [fmean(column) for column in zip(*map(errors_of, scores), strict=True)]
+        row = ["mean", split, *map(number, means)]
+        rows.append([*row, *[""] * (len(columns) - len(row))])
     horizon = horizon_words(next(iter(by_split.values()))[0].horizon)
-    return Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")
+    tables = [Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")]
+    if is_wide:
+        rows = [
+            [c.name, split, number(fmean(s.coordinate_rmse[j] for s in scores)), c.unit,
+             number(fmean(s.nrmse[j] for s in scores)),
+             number(fmean(s.fit_percent[j] for s in scores), 1)]
+            for split, scores in by_split.items() for j, c in enumerate(channels.coordinates)
+        ]  # fmt: skip
+        columns = ["coordinate", "split", "RMSE", "unit", "NRMSE", "fit [%]"]
+        tables.append(Table(columns, rows, title="Means over the records"))
+    return tables

@@ -1,5 +1,6 @@
 """`tustinnet fit`: a model from a folder of logs."""
 
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -82,6 +83,7 @@ def fit(
         require_system_of_card,
     )
 
+    start_time = time.perf_counter()
     require_cores(cluster, device)
     require_readable_robot(system)
     terminal.prepare_jax(device)
@@ -147,7 +149,7 @@ def fit(
     else:
         _fit_recipe(
             fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,
-            origin=origin,
+            origin=origin, start_time=start_time,
         )  # fmt: skip
 
 
@@ -159,12 +161,14 @@ def _fit_recipe(
     seeds: str | None,
     physics: Path | None,
     origin: Path | None,
+    start_time: float,
 ) -> None:
-    """Fits one recipe, writes and prints the results."""
+    """Fits one recipe, writes and prints the results, and the time since the start time."""
     from tustinnet.cli import request
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
+    from tustinnet.report.summary import time_sentence
     from tustinnet.store.files import lock_folder
     from tustinnet.store.model_file import load_model, read_system_name
     from tustinnet.store.run import MODEL
@@ -194,7 +198,9 @@ def _fit_recipe(
         make_task, recipe=recipe, members=members, physics=physics_model, system=task_system,
         origin=initial_model,
     )  # fmt: skip
+    timing_start = time.perf_counter()
     task, records = _with_timing(make_task_of(records), records, quiet=fit_options.quiet)
+    timing_seconds = time.perf_counter() - timing_start
     request.print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
@@ -223,6 +229,9 @@ def _fit_recipe(
     if not fit_options.json:
         figures = run.folder / "figures"
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
+        if not fit_options.quiet:
+            seconds = time.perf_counter() - start_time
+            typer.echo(time_sentence(seconds, run.seconds, timing_seconds))
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
         member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
@@ -351,6 +360,7 @@ def _print_run(run: "Run", data: str) -> None:
         validation_table,
     )
     from tustinnet.report.summary import fit_summary
+    from tustinnet.store.run import BASE_PARAMETERS
 
     identification = run.best.result.identification
     if identification is None:
@@ -364,6 +374,10 @@ def _print_run(run: "Run", data: str) -> None:
         )
         for finding in identification.findings:
             typer.echo(f"* {finding}")
+        if identification.base_parameters:
+            typer.echo(
+                f"* base parameters, with values and intervals: {run.folder / BASE_PARAMETERS}"
+            )
         typer.echo(
             f"initial states: {identification.initial}; "
             f"condition {identification.condition:.3g}; "

@@ -93,11 +93,16 @@ def _score_lines(header: dict[str, Any]) -> Lines:
     if not scores:
         return []
     unit, start = scores.get("unit", ""), scores.get("start", "")
-    mean = "diverged" if scores.get("mean") is None else f"{scores['mean']:.4g} {unit}".strip()
+    means = scores.get("mean_by_unit") or {unit: scores.get("mean")}
+    mean = " and ".join(
+        "diverged" if value is None else f"{value:.4g} {key}".strip()
+        for key, value in means.items()
+    )
     split = "records left out" if scores.get("split") == "left out" else scores.get("split")
     horizon = scores.get("horizon")
     length = "whole records" if horizon is None else f"segments of {horizon:g} s"
     parts = [split, f"mean RMSE {mean}", f"start '{start}'" if start else "", length]
     lines = [("score", ", ".join(part for part in parts if part))]
-    return lines + [("", f"{name} {value:.4g}" if value is not None else f"{name} diverged")
+    norm = " (norm over all coordinates)" if " and " in unit else ""
+    return lines + [("", f"{name} {value:.4g}{norm}" if value is not None else f"{name} diverged")
                     for name, value in scores.get("rmse", {}).items()]  # fmt: skip

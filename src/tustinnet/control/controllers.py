@@ -34,9 +34,9 @@ class LinearFeedback:
         feedback = self.feedback
         error = wrap(x - feedback.x0, feedback.periodic)
         z = np.concatenate([error, self._integral, self._previous - self._rest])
-        wanted = feedback.u0 - feedback.gain @ z
-        command = np.clip(wanted, feedback.lower, feedback.upper)
-        if np.array_equal(command, wanted):
+        unlimited = feedback.u0 - feedback.gain @ z
+        command = np.clip(unlimited, feedback.lower, feedback.upper)
+        if np.array_equal(command, unlimited):
             self._integral = self._integral + feedback.dt * error[list(feedback.integral)]
         self._previous = np.concatenate([command, self._previous])[: len(self._rest)]
         return command

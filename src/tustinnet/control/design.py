@@ -305,14 +305,14 @@ def _plan_motion(
         f"{c.name} = {value:.3g} {c.unit}"
         for c, value in zip(channels.coordinates, best.x[-1][channels.position], strict=True)
     )
-    wanted = ", ".join(
+    goal = ", ".join(
         f"{c.name} = {value:.3g}"
         for c, value in zip(channels.coordinates, best.goal[channels.position], strict=True)
     )
     end = "does not arrive" if best.converged else "did not converge"
     raise InputError(
         "the motion", f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
-        wanted, "give it more time (--seconds), wider limits, or other weights (--weight)",
+        goal, "give it more time (--seconds), wider limits, or other weights (--weight)",
     )  # fmt: skip
 
 

@@ -153,14 +153,14 @@ def find_equilibrium(
         if not np.isfinite(value):
             raise InputError("equilibrium", f"{name} = {value}", "a finite position")
     n_x = system.n_x
-    wanted = np.zeros(n_x)
-    wanted[channels.position] = [at.get(name, 0.0) for name in positions]
+    target = np.zeros(n_x)
+    target[channels.position] = [at.get(name, 0.0) for name in positions]
     price = np.full(n_x, _INTERNAL)
     price[channels.position] = [_NAMED if name in at else _OTHER for name in positions]
     price[channels.velocity] = _VELOCITY
     half = (bounds.upper - bounds.lower) / 2
     unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(_INPUT)])
-    centre = np.concatenate([wanted, bounds.clip(np.zeros(system.n_u))])
+    centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
     ends = [(None, None)] * n_x + [
         ((low - c) / s, (high - c) / s)
         for low, high, c, s in zip(*bounds, centre[n_x:], unit[n_x:], strict=True)
@@ -180,7 +180,7 @@ def find_equilibrium(
         def change(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return change_at(y.tobytes())
 
-        y = np.concatenate([(first - wanted) / unit[:n_x], np.zeros(system.n_u)])
+        y = np.concatenate([(first - target) / unit[:n_x], np.zeros(system.n_u)])
         with np.errstate(all="ignore"):
             result = scipy.optimize.minimize(
                 lambda y: (y @ y / 2, y), y, jac=True, method="SLSQP", bounds=ends,
@@ -198,22 +198,22 @@ def find_equilibrium(
 
     def distance(point: Float[np.ndarray, " n_xu"]) -> float:
         """The largest distance from a named position."""
-        off = [abs(point[i] - wanted[i]) for i, name in enumerate(positions) if name in at]
+        off = [abs(point[i] - target[i]) for i, name in enumerate(positions) if name in at]
         return max(off, default=0.0)
 
-    found = settle(wanted)
-    if found is None or distance(found) > tolerance:
-        others = [settle(first) for first in _other_starts(wanted, channels.angular, positions, at)]
-        candidates = [point for point in (found, *others) if point is not None]
-        found = min(candidates, key=distance) if candidates else None
-    if found is None or distance(found) > tolerance:
-        raise _no_equilibrium(at, found, positions, bounds, channels.inputs)
-    x, u = found[:n_x], bounds.clip(found[n_x:])
+    nearest = settle(target)
+    if nearest is None or distance(nearest) > tolerance:
+        others = [settle(first) for first in _other_starts(target, channels.angular, positions, at)]
+        candidates = [point for point in (nearest, *others) if point is not None]
+        nearest = min(candidates, key=distance) if candidates else None
+    if nearest is None or distance(nearest) > tolerance:
+        raise _no_equilibrium(at, nearest, positions, bounds, channels.inputs)
+    x, u = nearest[:n_x], bounds.clip(nearest[n_x:])
     return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
 
 
 def _other_starts(
-    wanted: Float[np.ndarray, " n_x"], angular: np.ndarray, positions: list[str],
+    target: Float[np.ndarray, " n_x"], angular: np.ndarray, positions: list[str],
     at: Mapping[str, float],
 ) -> list[Float[np.ndarray, " n_x"]]:  # fmt: skip
     """States whose named angles are turned, one at a time."""
@@ -221,7 +221,7 @@ def _other_starts(
     for i, name in enumerate(positions):
         if name in at and angular[i]:
             for turn in _TURNS[_TURNS != 0]:
-                start = wanted.copy()
+                start = target.copy()
                 start[i] += turn
                 starts.append(start)
     return starts

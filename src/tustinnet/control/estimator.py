@@ -216,10 +216,10 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
     speed = _spread([e.velocities() for e in parts])
     travel = _spread([e.q - e.q.mean(axis=0) for e in parts])
     resolution = _resolution(channels, parts)
-    known = resolution > 0
+    has_resolution = resolution > 0
     spread = np.asarray(model.internal_spread, np.float64)
     guess = np.concatenate([
-        np.log(_GUESS * speed), np.zeros(min(n_z, 1)), np.zeros(np.count_nonzero(~known)),
+        np.log(_GUESS * speed), np.zeros(min(n_z, 1)), np.zeros(np.count_nonzero(~has_resolution)),
     ])  # fmt: skip
 
     def noise(logarithms: Vector) -> FilterNoise:
@@ -228,7 +228,7 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
         velocity = np.maximum(velocity, _LEAST * speed)
         internal = np.maximum(_GUESS * (rest[0] if n_z else 1.0), _LEAST) * spread
         measured = resolution / math.sqrt(12)  # rounding is uniform within a count
-        measured[~known] = _UNKNOWN * travel[~known] * rest[min(n_z, 1) :]
+        measured[~has_resolution] = _UNKNOWN * travel[~has_resolution] * rest[min(n_z, 1) :]
         return FilterNoise(
             start=np.concatenate([measured, speed, spread]),
             process=np.concatenate([velocity * channels.dt / 2, velocity, internal]),
@@ -249,14 +249,14 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
         raise InputError(
             "find_noise", "a model that diverges along the records", "one that simulates them"
         )
-    found = scipy.optimize.minimize(
+    result = scipy.optimize.minimize(
         misfit, guess, method="Nelder-Mead",
         options={
             "maxfev": _CALLS, "xatol": 0.05, "fatol": 1e-3,
             "initial_simplex": np.vstack([guess, guess + 1.5 * np.eye(len(guess))]),
         },
     )  # fmt: skip
-    return noise(found.x)
+    return noise(result.x)
 
 
 def check_filter(

@@ -102,8 +102,8 @@ class Solver:
                 reference.u, policy.feedforward, policy.gain.reshape(count, -1), reference.z[:-1]
             ], axis=1,
         )  # fmt: skip
-        held = int(first.max())
-        drive = np.zeros((count + held + 1, 1, rows.shape[1]))
+        longest_lead = int(first.max())
+        drive = np.zeros((count + longest_lead + 1, 1, rows.shape[1]))
         drive[:count, 0], drive[count:, 0] = rows, rows[-1]
         parameters = np.empty((runs, 1 + 2 * n_u))
         parameters[:, 0], parameters[:, 1:] = shares, np.concatenate(self.limits)
@@ -277,11 +277,11 @@ def ilqr(
     first = system.augment(x0, before)
     targets = _targets(system, x0, x_end) if turns else [x_end]
     solvers = [Solver(system, bounds, replace(cost, x=target)) for target in targets]
-    begun = [
+    first_searches = [
         (solver, *solver.minimise(motion, min(iterations, _BEGUN)))
         for solver, motion in _first_motions(solvers, first, guesses, steps, seed)
     ]
-    finite = [search for search in begun if np.isfinite(search[1].cost)]
+    finite = [search for search in first_searches if np.isfinite(search[1].cost)]
     if not finite:
         raise InputError(
             "ilqr", f"{system.where} diverges under every first guess", "a motion to begin with",

@@ -177,9 +177,9 @@ def lqr(
     for name, i in zip(integral, indices, strict=True):
         default = _SECONDS / np.sqrt(weights.states[i]) if weights.states[i] else _SECONDS
         sums.append(1 / (deviations or {}).get(f"integral_{name}", default) ** 2)
-    known = {f"integral_{name}" for name in integral}
+    sum_names = {f"integral_{name}" for name in integral}
     require_known(
-        dict.fromkeys(set(deviations or {}) - set(own)), sorted(known) or ["states"], "weights",
+        dict.fromkeys(set(deviations or {}) - set(own)), sorted(sum_names) or ["states"], "weights",
         "integrals",
     )  # fmt: skip
     speeds = weights.usual_speeds(model.channels)

@@ -104,8 +104,8 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         )
     # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
     sensitivity = StateSpace(a - b @ gain, b, -gain, np.eye(system.n_u), dt)
-    found: Any = frequency_response(sensitivity, frequencies, squeeze=False)
-    response = found.complex
+    responses: Any = frequency_response(sensitivity, frequencies, squeeze=False)
+    response = responses.complex
     peaks = np.linalg.norm(np.moveaxis(response, 2, 0), 2, axis=(1, 2))
     highest = int(np.argmax(peaks))
     return Margins(tuple(results), float(peaks[highest]), float(frequencies[highest]))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
@@ -42,6 +43,32 @@ def rmse_ahead(
     Raises:
         InputError: a horizon that no record has; see also `free_run`.
     """
+    return joint_rmse(coordinate_rmse_ahead(model, experiments, horizon, velocity, every))
+
+
+def joint_rmse(errors: Float[np.ndarray, "horizon n_q"]) -> Float[np.ndarray, " horizon"]:
+    """k-step-ahead RMSE of the 2-norm over all coordinates, by that of each."""
+    return np.sqrt(np.sum(errors**2, axis=1))
+
+
+def rmse_ahead_by_unit(
+    errors: Float[np.ndarray, "horizon n_q"], channels: Channels
+) -> Float[np.ndarray, "horizon n_units"]:
+    """k-step-ahead RMSE of the 2-norm over the coordinates of each of `channels.units`."""
+    columns = [
+        np.flatnonzero([c.unit == unit for c in channels.coordinates]) for unit in channels.units
+    ]
+    return np.stack([joint_rmse(errors[:, j]) for j in columns], axis=1)
+
+
+def coordinate_rmse_ahead(
+    model: Model,
+    experiments: Sequence[Experiment],
+    horizon: int,
+    velocity: VelocitySource = "auto",
+    every: int = 1,
+) -> Float[np.ndarray, "horizon n_q"]:
+    """k-step-ahead RMSE of each coordinate for k = 1..horizon [rad or m], see `rmse_ahead`."""
     require_float64("rmse_ahead")
     evaluated = with_dtype(model, np.float64).simplify()
     longest = max(len(e) for e in experiments) - evaluated.warm_up
@@ -49,7 +76,8 @@ def rmse_ahead(
         raise InputError("horizon", f"{horizon} steps", f"1 to {longest - 1}")
     for e in experiments:
         require_fit(model, e)
-    squares, count = np.zeros(horizon), np.zeros(horizon)
+    squares = np.zeros((horizon, model.channels.n_q))
+    count = np.zeros(horizon)
     along = states_along(evaluated, experiments, velocity)
     start_indices = [np.arange(evaluated.warm_up, len(e) - 1, every) for e in experiments]
     # as many at once everywhere, so that one compiled program serves records of all lengths
@@ -64,7 +92,7 @@ def rmse_ahead(
             index = np.minimum(index, len(e) - 2)  # beyond the end any input will do
             drive = InputSignal(inputs[index])
             runs = np.asarray(simulate_runs(simulator, states[index[:, 0]], drive))
-            error = np.sum((runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2, axis=2)
-            squares += np.sum(np.where(inside, error, 0.0), axis=0)
+            error = (runs[:, 1:, e.channels.position] - e.q[index + 1]) ** 2
+            squares += np.sum(np.where(inside[:, :, None], error, 0.0), axis=0)
             count += np.sum(inside, axis=0)
-    return np.sqrt(squares / count)
+    return np.sqrt(squares / count[:, None])

@@ -451,9 +451,9 @@ def design_record(
     ]
     noise = _choose_noise(knowledge, options, dynamics, shapes, starts, judged)
     count = compared_samples(options.seconds, cutoff_for(options.highest, options.dt))
-    known = _information(knowledge, dynamics)
+    prior_information = _information(knowledge, dynamics)
     weights = count / len(judged) / noise**2
-    problem = _Problem(dynamics, shapes, box, known, weights, options.iterations, judged)
+    problem = _Problem(dynamics, shapes, box, prior_information, weights, judged)
     by_start = [problem.information(x) for x in starts]
     first = by_start[0][0]
     results, stopped = [], False
@@ -467,15 +467,15 @@ def design_record(
             if on_progress is not None:
                 on_progress(DesignProgress(k + 1, options.starts, iteration, -cost - first))
 
-        found, is_late = _search(problem, x, deadline, on_step)
-        reached = _shrink(found, dynamics, shapes, box, every)
+        solution, is_late = _search(problem, x, options.iterations, deadline, on_step)
+        reached = _shrink(solution, dynamics, shapes, box, every)
         results.append(x if reached is None else reached)
         stopped = stopped or is_late
     by_result = [problem.information(x) for x in results]
     best = int(np.argmax([logarithm for logarithm, _ in by_result]))
     combinations, pivots = _find_combinations(dynamics, shapes, noise, rng)
-    file = _errors(combinations, np.eye(len(known)))
-    before = None if knowledge.covariance is None else _errors(combinations, known)
+    file = _errors(combinations, np.eye(len(prior_information)))
+    before = None if knowledge.covariance is None else _errors(combinations, prior_information)
     expected = _errors(combinations, by_result[best][1])
     ratios = [
         np.exp(np.mean(np.log(_errors(combinations, matrix) / expected))) for _, matrix in by_start
@@ -670,9 +670,9 @@ class _Problem:
         dynamics: the dynamics.
         shapes: the motions.
         box: the limits.
-        known: information before the record, in standard deviations of the priors, (n_p, n_p).
+        prior_information: information before the record, in standard deviations of the priors,
+            (n_p, n_p).
         weights: weight of a squared force of each coordinate at a point, (n_q,).
-        iterations: steps of each stage of the search, at most.
         t: times at which motions are judged [s], (n,).
     """
 
@@ -681,15 +681,14 @@ class _Problem:
         dynamics: _Dynamics,
         shapes: _Shapes,
         box: _Box,
-        known: Float[np.ndarray, "n_p n_p"],
+        prior_information: Float[np.ndarray, "n_p n_p"],
         weights: Float[np.ndarray, " n_q"],
-        iterations: int,
         t: Float[np.ndarray, " n"],
     ) -> None:
-        self._dynamics, self._shapes, self._box, self._known = dynamics, shapes, box, known
+        self._dynamics, self._shapes, self._box = dynamics, shapes, box
+        self._prior_information = prior_information
         self._weights, self._t, self._n = weights, t, len(weights)
         self._steps = _STEP * shapes.sizes.ravel()
-        self.iterations = iterations
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
@@ -702,7 +701,7 @@ class _Problem:
 
     def _matrix(self, slopes: Float[np.ndarray, "n n_q n_p"]) -> Float[np.ndarray, "n_p n_p"]:
         rows = (slopes * np.sqrt(self._weights)[:, None]).reshape(-1, slopes.shape[2])
-        return self._known + rows.T @ rows
+        return self._prior_information + rows.T @ rows
 
     def cost(
         self, x: Float[np.ndarray, "count n_q"], penalty: float
@@ -807,9 +806,9 @@ def _random_motion(
         x = rng.normal(size=(shapes.count, len(shapes.middle)))
         x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
         x[1:] *= 4.0  # larger than any limit allows
-        found = _shrink(x, dynamics, shapes, box, t)
-        if found is not None:
-            return found
+        motion = _shrink(x, dynamics, shapes, box, t)
+        if motion is not None:
+            return motion
         x[1:] = 0.0
         shares = np.abs(_limit_shares(x, dynamics, shapes, box, t[:1])[0])
         if shares.max() < nearest.max():
@@ -867,6 +866,7 @@ def _shrink(
 def _search(
     problem: _Problem,
     x: Float[np.ndarray, "count n_q"],
+    iterations: int,
     deadline: float,
     on_step: Callable[[int, float], None],
 ) -> tuple[Float[np.ndarray, "count n_q"], bool]:
@@ -875,6 +875,7 @@ def _search(
     Args:
         problem: the problem.
         x: the motion that it starts from.
+        iterations: steps of each stage, at most.
         deadline: when it has to end, by the monotonic clock [s].
         on_step: called after each step with its number and the cost.
     """
@@ -889,10 +890,10 @@ def _search(
         if time.monotonic() > deadline:
             raise StopIteration
 
-    for penalty in _PENALTIES if problem.iterations else ():
+    for penalty in _PENALTIES if iterations else ():
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
-            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": problem.iterations},
+            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": iterations},
         ).x  # fmt: skip
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True
@@ -974,7 +975,7 @@ def _base_parameters(
     expected: Float[np.ndarray, " n_b"],
 ) -> tuple[BaseParameter, ...]:
     """The base parameters with their errors, the best determined one first."""
-    names, found = dynamics.space.names, []
+    names, parameters = dynamics.space.names, []
     for b, (i, row) in enumerate(zip(pivots, combinations, strict=True)):
         unit = dynamics.units[i]
         terms = {
@@ -982,8 +983,8 @@ def _base_parameters(
             for j in np.flatnonzero(np.abs(row) > _SMALLEST_TERM)
             if j != i
         }
-        found.append(BaseParameter(
+        parameters.append(BaseParameter(
             names[i], dynamics.space.free_parameters[i].unit, terms, float(unit * file[b]),
             None if known is None else float(unit * known[b]), float(unit * expected[b]),
         ))  # fmt: skip
-    return tuple(sorted(found, key=lambda parameter: parameter.remaining))
+    return tuple(sorted(parameters, key=lambda parameter: parameter.remaining))

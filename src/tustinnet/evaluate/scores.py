@@ -34,6 +34,7 @@ class Score:
         fit_percent: per coordinate, 100 (1 - NRMSE).
         simulated: the free run's states, (n, n_x); before it begins, those along the record.
         horizon: how long a free run lasted at most [s]; None for the whole record at once.
+        coordinate_rmse_after: per coordinate, without the samples that the start was fitted to.
     """
 
     experiment: str
@@ -45,6 +46,21 @@ class Score:
     fit_percent: tuple[float, ...]
     simulated: Float[np.ndarray, "n n_x"]
     horizon: float | None = None
+    coordinate_rmse_after: tuple[float, ...] = ()
+
+    def rmse_by_unit(self, channels: Channels) -> dict[str, float]:
+        """RMSE of the 2-norm over the coordinates of each unit, by unit."""
+        return _norm_by_unit(self.coordinate_rmse, self.rmse, channels)
+
+    def rmse_after_by_unit(self, channels: Channels) -> dict[str, float]:
+        """RMSE by unit without the samples that the start was fitted to."""
+        return _norm_by_unit(self.coordinate_rmse_after, self.rmse_after, channels)
+
+    @property
+    def mean_nrmse(self) -> float:
+        """Mean NRMSE of the coordinates that move: one number where their units differ."""
+        finite = [x for x in self.nrmse if not np.isnan(x)]
+        return float(np.mean(finite)) if finite else np.nan
 
 
 def free_run(
@@ -143,6 +159,9 @@ def evaluate(
                     fit_percent=tuple(metrics.fit_percent(q, measured).tolist()),
                     simulated=x,
                     horizon=horizon,
+                    coordinate_rmse_after=tuple(
+                        metrics.coordinate_rmse(q[after], measured[after]).tolist()
+                    ),
                 )
             )
     return scores
@@ -160,15 +179,62 @@ def mean_rmse(scores: Sequence[Score]) -> float:
     return metrics.mean_and_error(score.rmse for score in scores)[0]
 
 
+def mean_rmse_by_unit(scores: Sequence[Score], channels: Channels) -> dict[str, float]:
+    """Mean over records of the RMSE over the coordinates of each unit, by unit.
+
+    Errors of different units are not added up, as in `mean_rmse`.
+    """
+    by_record = [score.rmse_by_unit(channels) for score in scores]
+    return {
+        unit: metrics.mean_and_error(rmse[unit] for rmse in by_record)[0] for unit in channels.units
+    }
+
+
+def _norm_by_unit(
+    coordinate_rmse: Sequence[float], rmse: float, channels: Channels
+) -> dict[str, float]:
+    """RMSE over the coordinates of each unit, by unit.
+
+    Args:
+        coordinate_rmse: RMSE of each coordinate, (n_q,).
+        rmse: that over all coordinates, for those of one unit.
+        channels: the coordinates.
+    """
+    if len(channels.units) == 1:
+        return {channels.unit: rmse}
+    with np.errstate(over="ignore"):
+        return {
+            unit: float(np.sqrt(sum(
+                x**2 for c, x in zip(channels.coordinates, coordinate_rmse, strict=True)
+                if c.unit == unit
+            )))
+            for unit in channels.units
+        }  # fmt: skip
+
+
 def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:
     """RMSE of each record by name."""
     return {score.experiment: score.rmse for score in scores}
 
 
 def scores_header(
-    split: str, start: str, channels: Channels, horizon: float | None, rmse: Mapping[str, float]
+    split: str,
+    start: str,
+    channels: Channels,
+    horizon: float | None,
+    rmse: Mapping[str, float],
+    mean_by_unit: Mapping[str, float] | None = None,
 ) -> Mapping[str, Any]:
-    """The scores of a model on a split of the records, as files have them."""
+    """The scores of a model on a split of the records, as files have them.
+
+    Args:
+        split: the split.
+        start: where the free runs started.
+        channels: the coordinates.
+        horizon: how long a free run lasted at most [s], None for whole records.
+        rmse: over all coordinates, by record.
+        mean_by_unit: means over the records for coordinates of each unit; None where unknown.
+    """
     return {
         "split": split,
         "start": start,
@@ -176,4 +242,5 @@ def scores_header(
         "unit": channels.unit,
         "rmse": dict(rmse),
         "mean": metrics.mean_and_error(rmse.values())[0],
+        **({} if mean_by_unit is None else {"mean_by_unit": dict(mean_by_unit)}),
     }

@@ -1,6 +1,7 @@
 """The file of a robot with identified values, in the format that it had."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -72,7 +73,7 @@ class RobotTarget(Target):
     def _written(self, source: Source) -> tuple[str, tuple[str, ...]]:
         """The text of the file, and names of parameters that it cannot hold."""
         equations, file = self._robot(source)
-        return file.with_values({name: float(x) for name, x in equations.values.items()})
+        return _write_values(file, tuple((name, float(x)) for name, x in equations.values.items()))
 
     def _robot(self, source: Source) -> tuple[LagrangianModel, RobotFile]:
         """The equations of the robot, and the file from which they were made."""
@@ -89,6 +90,14 @@ class RobotTarget(Target):
                 f"--to {'mjcf' if self.name == 'urdf' else 'urdf'}",
             )  # fmt: skip
         return robot
+
+
+@lru_cache(maxsize=1)  # an export needs the text and its gaps three times
+def _write_values(
+    file: RobotFile, values: tuple[tuple[str, float], ...]
+) -> tuple[str, tuple[str, ...]]:
+    """The text of a robot's file with values of parameters, see `RobotFile.with_values`."""
+    return file.with_values(dict(values))
 
 
 URDF = RobotTarget("urdf", (".urdf",), "a URDF")

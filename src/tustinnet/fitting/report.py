@@ -36,6 +36,8 @@ class Estimate:
         lower: smallest value allowed.
         upper: largest.
         bound: `lower` or `upper` where it is at this bound, else "".
+        is_informed: whether the records tell more of it than its prior: its error is less than half
+            of what was known beforehand.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Estimate:
     lower: float
     upper: float
     bound: str = ""
+    is_informed: bool = True
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,34 @@ class ForceError:
 
 
 @dataclass(frozen=True)
+class BaseParameterEstimate:
+    """An identified combination of parameters that forces tell by itself.
+
+    Attributes:
+        name: the parameter that it is named after, whose factor is 1.
+        unit: its SI unit.
+        terms: factors of the other parameters by name.
+        value: the value of the combination.
+        interval: 95 % interval, None where all its parameters are at a bound.
+    """
+
+    name: str
+    unit: str
+    terms: Mapping[str, float]
+    value: float
+    interval: tuple[float, float] | None
+
+    @property
+    def expression(self) -> str:
+        """The combination as text: `arm.inertia_zz + 0.09 hand.mass`, factors to three digits."""
+        parts = [self.name]
+        for name, factor in self.terms.items():
+            size = f"{abs(factor):.3g}"
+            parts.append(f"{'-' if factor < 0 else '+'} {'' if size == '1' else f'{size} '}{name}")
+        return " ".join(parts)
+
+
+@dataclass(frozen=True)
 class Identification:
     """The result of an identification.
 
@@ -175,6 +206,7 @@ class Identification:
             to free runs; `estimates`, their errors and `rmse` are of the search before it.
         force_errors: errors of the forces of each coordinate, where it was identified by inverse
             dynamics; `rmse` is then that of these errors, each relative to the size of its force.
+        base_parameters: combinations of the parameters that change these forces.
     """
 
     system: LagrangianSystem
@@ -203,6 +235,7 @@ class Identification:
     hold_errors: Mapping[str, float] = field(default_factory=dict)
     refit: Refit | None = None
     force_errors: tuple[ForceError, ...] = ()
+    base_parameters: tuple[BaseParameterEstimate, ...] = ()
 
     @property
     def sound(self) -> bool:
@@ -243,6 +276,11 @@ class Identification:
             **(
                 {"force_errors": [dataclasses.asdict(e) for e in self.force_errors]}
                 if self.force_errors
+                else {}
+            ),
+            **(
+                {"base_parameters": [dataclasses.asdict(b) for b in self.base_parameters]}
+                if self.base_parameters
                 else {}
             ),
         }

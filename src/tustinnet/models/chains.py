@@ -27,6 +27,12 @@ CENTER = ("center_x", "center_y", "center_z")
 DIAGONAL = ("spread_x", "spread_y", "spread_z")
 OFF_DIAGONAL = ("spread_xy", "spread_xz", "spread_yz")
 INERTIAL = ("mass", *CENTER, *DIAGONAL, *OFF_DIAGONAL)  # the ten parameters of a body
+# the parameters in which forces are linear, in the place of those of a body, with their units
+STANDARD = {
+    "mass": "kg",
+    **{f"mass*{name}": "kg m" for name in CENTER},
+    **{f"inertia_{axes}": "kg m^2" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")},
+}
 # the places of the spreads in the upper triangular factor
 _PLACES = dict(zip((*DIAGONAL, *OFF_DIAGONAL), ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
                    strict=True))  # fmt: skip
@@ -336,6 +342,42 @@ def inertial_parameters(
     upper = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
     spreads = {name: float(upper[place]) for name, place in _PLACES.items()}
     return {"mass": float(mass), **dict(zip(CENTER, map(float, center), strict=True)), **spreads}
+
+
+def standard_inertia(
+    values: Float[np.ndarray, " 10"],
+) -> tuple[Float[np.ndarray, " 10"], Float[np.ndarray, "10 10"]]:
+    """The standard inertial parameters of a body, in which forces are linear, and derivatives.
+
+    Args:
+        values: those of `INERTIAL`.
+
+    Returns:
+        Mass [kg], first moments [kg m] and the inertia about the origin of the frame in which the
+        centre is given [kg m^2], as `STANDARD` names them; their derivatives by `values`.
+    """
+    mass, center = float(values[0]), values[1:4]
+    upper = np.zeros((3, 3))
+    for place, value in zip(_PLACES.values(), values[4:], strict=True):
+        upper[place] = value
+    unit = np.eye(3)
+    second = np.outer(center, center) + upper @ upper.T  # by mass
+    columns = [second]
+    columns += [mass * (np.outer(e, center) + np.outer(center, e)) for e in unit]
+    for i, j in _PLACES.values():
+        column = np.outer(unit[i], upper[:, j])
+        columns.append(mass * (column + column.T))
+    derivatives = np.zeros((10, 10))
+    derivatives[0, 0] = 1.0
+    derivatives[1:4, 0], derivatives[1:4, 1:4] = center, mass * unit
+    derivatives[4:] = np.transpose([_inertia_entries(column) for column in columns])
+    return np.concatenate([[mass], mass * center, _inertia_entries(mass * second)]), derivatives
+
+
+def _inertia_entries(second: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 6"]:
+    """Inertia xx, yy, zz, xy, xz, yz by the second moment of the mass."""
+    tensor = np.trace(second) * np.eye(3) - second
+    return np.array([*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]])
 
 
 def _in_parent(inertia: BodyInertia, placement: _Placement) -> BodyInertia:

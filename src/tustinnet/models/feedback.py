@@ -71,13 +71,13 @@ class PDFeedback(FeedbackLaw):
         """
         acting, rates, remaining = [], [], list(s)
         for loop in self.controller.loops:
-            error, wanted, speed, extra = self._signals(loop, q, v, w)
+            error, rate, speed, extra = self._signals(loop, q, v, w)
             integral = remaining.pop(0) if "ki" in loop.gains else None
             slowing = None
             if loop.velocity_filter:
                 speed, slowing = self._filter(loop, speed, remaining.pop(0))
             u = p[gain_name(loop, "kp")] * error
-            u = u + p[gain_name(loop, "kd")] * (wanted - speed)
+            u = u + p[gain_name(loop, "kd")] * (rate - speed)
             if extra is not None:
                 u = u + extra
             limits = self._limits(loop)
@@ -113,8 +113,8 @@ class PDFeedback(FeedbackLaw):
         has_integrals = any("ki" in loop.gains for loop in self.controller.loops)
         holding = self._holding_inputs(q, v, w, p) if has_integrals else None
         for k, loop in enumerate(self.controller.loops):
-            error, wanted, speed, extra = self._signals(loop, q, v, w)
-            u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * (wanted - speed)
+            error, rate, speed, extra = self._signals(loop, q, v, w)
+            u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * (rate - speed)
             u = u if extra is None else u + extra
             if "ki" in loop.gains:
                 assert holding is not None
@@ -140,9 +140,9 @@ class PDFeedback(FeedbackLaw):
         """Deviation, set point of the velocity, velocity, and feed-forward or None of a loop."""
         j = [c.name for c in self.channels.coordinates].index(loop.coordinate)
         names = [i.name for i in self.channels.inputs]
-        wanted = w[names.index(loop.velocity)] if loop.velocity else 0.0
+        rate = w[names.index(loop.velocity)] if loop.velocity else 0.0
         extra = w[names.index(loop.feedforward)] if loop.feedforward else None
-        return w[names.index(loop.position)] - q[j], wanted, v[j], extra
+        return w[names.index(loop.position)] - q[j], rate, v[j], extra
 
     def _limits(self, loop: PDLoop) -> tuple[float, float] | None:
         """The limits of the input that a loop computes."""

@@ -19,6 +19,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.report.page.signals import bounded, find_extremes
+from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, write_into
 
@@ -31,6 +32,9 @@ _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a co
 _BINS = 1200  # fewest along a line of a figure, more than it has pixels
 _LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
 _DOTS = 150  # an inch
+_COVERED = 0.1  # NRMSE below which the lines of measured and simulated positions are one
+_MANY_COORDINATES = 3  # with errors beside positions, as below them the figure would be too high
+_PANEL, _PANEL_WITH_ERROR = 1.9, 3.1  # in: height for a coordinate
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -80,8 +84,8 @@ def free_run_figure(
 ) -> Figure:
     """Figure of measured and simulated positions of one record, with a panel for each coordinate.
 
-    Of a long record only the extremes are drawn, which looks the same. There a second panel shows
-    the error, because lines that cover each other cannot be compared.
+    Where lines cover each other, further panels show the errors: of long records, of which only the
+    extremes are drawn, of free runs over a horizon, and where every error is small.
 
     Args:
         experiment: the record.
@@ -90,15 +94,24 @@ def free_run_figure(
         recorded: label of the record's own line.
         bands: bands around the free runs by label.
     """
-    e, unit, is_long = experiment, experiment.channels.unit, len(experiment) > _LONG
-    n_q, panels_each = e.channels.n_q, 2 if is_long else 1
+    e, is_long = experiment, len(experiment) > _LONG
+    n_q = e.channels.n_q
+    horizon = next((score.horizon for score in runs.values()), None)
+    nrmse = np.array([score.nrmse for score in runs.values()])
+    has_errors = is_long or horizon is not None or bool(np.nanmax(nrmse, initial=0.0) < _COVERED)
+    is_beside = has_errors and n_q >= _MANY_COORDINATES
+    columns, rows_each = (2, 1) if is_beside else (1, 2 if has_errors else 1)
+    height = _PANEL if is_beside else _PANEL_WITH_ERROR if has_errors else _PANEL
     with figure_style():
-        figure = Figure(figsize=(7.0, (3.1 if is_long else 1.9) * n_q + 0.5), layout="constrained")
+        figure = Figure(
+            figsize=(11.0 if is_beside else 7.0, height * n_q + 0.5), layout="constrained"
+        )
         panels = figure.subplots(
-            panels_each * n_q, 1, sharex=True, squeeze=False,
-            height_ratios=(5, 3) * n_q if is_long else None,
-        )[:, 0]  # fmt: skip
-        position_panels, error_panels = (panels[::2], panels[1::2]) if is_long else (panels, ())
+            rows_each * n_q, columns, sharex=True, squeeze=False,
+            height_ratios=(5, 3) * n_q if rows_each == 2 else None,
+        )  # fmt: skip
+        position_panels = panels[::rows_each, 0]
+        error_panels: Any = panels[:, 1] if is_beside else panels[1::2, 0]
         t = e.t - e.t[0]
         for j, (axes, coordinate) in enumerate(zip(position_panels, e.coordinates, strict=True)):
             plot_line(axes, t, e.q[:, j], color=MEASURED, label=recorded, linewidth=1.4)
@@ -106,29 +119,32 @@ def free_run_figure(
                 colour, dash = (styles or {}).get(
                     label, (COLOURS[i % len(COLOURS)], _DASHES[i % len(_DASHES)])
                 )
-                legend = f"{label} (RMSE {score.rmse:.3g} {unit})"
+                legend = f"{label} (RMSE {amounts(score.rmse_by_unit(e.channels))})"
                 line = bounded(score.simulated[:, j], e.q[:, j])
                 if (band := (bands or {}).get(label)) is not None:
                     _draw_band(axes, t, band, j, e, colour)
-                if not is_long:
+                if is_long:
+                    plot_line(axes, t, line, color=colour, label=legend, linewidth=0.7, alpha=0.8)
+                else:
                     axes.plot(t, line, color=colour, linestyle=dash, label=legend)
-                    continue
-                plot_line(axes, t, line, color=colour, label=legend, linewidth=0.7, alpha=0.8)
-                error = line - e.q[:, j]
-                plot_line(error_panels[j], t, error, color=colour, linewidth=0.7, alpha=0.8)
+                if has_errors:
+                    error = line - e.q[:, j]
+                    plot_line(error_panels[j], t, error, color=colour, linewidth=0.7, alpha=0.8)
             axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
-            if is_long:
+            if has_errors:
                 error_panels[j].set_ylabel(f"error [{coordinate.unit}]")
         figure.align_ylabels()
-        panels[-1].set_xlabel("time [s]")
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
         starts = sorted({score.start for score in runs.values()})
-        horizon = horizon_words(next((score.horizon for score in runs.values()), None))
-        title = f"{e.name}: free run, start '{', '.join(starts)}'{horizon}"
-        panels[0].set_title(title, loc="left")
-        handles, labels = panels[0].get_legend_handles_labels()
+        title = f"{e.name}: free run, start '{', '.join(starts)}'{horizon_words(horizon)}"
+        position_panels[0].set_title(title, loc="left")
+        if is_beside:
+            error_panels[0].set_title("simulated less measured", loc="left")
+        handles, labels = position_panels[0].get_legend_handles_labels()
         # as many columns as the figure's width has room for
-        columns = max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
-        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8)
+        legend_columns = max(1, min(len(labels), 3, _LEGEND_WIDTH // (max(map(len, labels)) + 7)))
+        figure.legend(handles, labels, loc="outside lower center", ncols=legend_columns, fontsize=8)
         return figure
 
 
@@ -196,23 +212,27 @@ def _find_stage_begins(lines: Sequence[Mapping[str, Any]]) -> list[int]:
     return [k for k in range(1, len(lines)) if lines[k]["stage"] != lines[k - 1]["stage"]]
 
 
-def ahead_figure(errors: Mapping[str, Float[np.ndarray, " horizon"]], channels: Channels) -> Figure:
-    """Figure of the k-step-ahead RMSE against the horizon.
+def ahead_figure(
+    errors: Mapping[str, Float[np.ndarray, "horizon n_units"]], channels: Channels
+) -> Figure:
+    """Figure of the k-step-ahead RMSE against the horizon, with a panel for each unit.
 
     Args:
-        errors: RMSE by number of steps, by label.
-        channels: sampling period and unit.
+        errors: RMSE by number of steps and unit, by label.
+        channels: sampling period and units.
     """
+    n = len(channels.units)
     with figure_style():
-        figure = Figure(figsize=(5.0, 3.2), layout="constrained")
-        axes = figure.subplots()
-        for i, (label, rmse) in enumerate(errors.items()):
-            steps = np.arange(1, len(rmse) + 1)
-            axes.plot(steps * channels.dt, rmse, color=COLOURS[i % len(COLOURS)], label=label)
-        axes.set_xlabel("horizon [s]")
-        axes.set_ylabel(f"k-step-ahead RMSE [{channels.unit}]")
-        axes.set_ylim(bottom=0)
-        axes.legend()
+        figure = Figure(figsize=(5.0, 3.2 if n == 1 else 2.3 * n + 0.5), layout="constrained")
+        panels = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+        for k, (axes, unit) in enumerate(zip(panels, channels.units, strict=True)):
+            for i, (label, rmse) in enumerate(errors.items()):
+                t = np.arange(1, len(rmse) + 1) * channels.dt
+                axes.plot(t, rmse[:, k], color=COLOURS[i % len(COLOURS)], label=label)
+            axes.set_ylabel(f"k-step-ahead RMSE [{unit}]")
+            axes.set_ylim(bottom=0)
+        panels[-1].set_xlabel("horizon [s]")
+        panels[0].legend()
         return figure
 
 

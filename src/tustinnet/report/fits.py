@@ -2,24 +2,30 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from statistics import median
 
-from tustinnet.evaluate.scores import rmse_by_record
-from tustinnet.fitting.report import Estimate, Identification
-from tustinnet.report.tables import Table, number, numbers, scale_of
+from tustinnet.channels import Channels
+from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate, Identification
+from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.run import Run
+from tustinnet.store.run import SUMMARY, Run
+
+_MOST_ROWS = 30  # of parameters that are all shown
 
 
 def members_table(run: Run) -> Table:
     """Table of the members of a training, with median and range where there are several."""
-    unit, is_several = run.roles.train[0].channels.unit, len(run.members) > 1
+    units, is_several = run.channels.units, len(run.members) > 1
+    means = [mean_rmse_by_unit(member.scores, run.channels) for member in run.members]
+    columns = [[mean[unit] for mean in means] for unit in units]
     rows = []
-    for member, mean in zip(run.members, numbers([m.mean for m in run.members]), strict=True):
+    for member, cells in zip(run.members, zip(*map(numbers, columns), strict=True), strict=True):
         result = member.result
         rows.append([
             result.member.name.removeprefix("seed-"),
-            mean,
+            *cells,
             " + ".join(map(str, result.detail("windows"))),
             " + ".join(map(str, result.detail("epochs"))),
             str(result.detail("kept_epoch")),
@@ -27,13 +33,23 @@ def members_table(run: Run) -> Table:
             result.outcome.split(":")[0],
         ])  # fmt: skip
     if is_several:
-        spread = run.spread()
-        median, low, high = numbers([spread["median"], spread["min"], spread["max"]])
-        total = f"{sum(member.result.seconds for member in run.members):.0f} in all"
-        rows.append(["median (range)", f"{median} ({low}..{high})", "", "", "", total, ""])
+        cells = []
+        for column in columns:
+            middle, low, high = numbers([median(column), min(column), max(column)])
+            cells.append(f"{middle} ({low}..{high})")
+        total = f"{run.seconds:.0f} in all"
+        rows.append(["median (range)", *cells, "", "", "", total, ""])
     seconds = "share of seconds" if is_several else "seconds"
     return Table(
-        ["seed", f"mean RMSE [{unit}]", "windows", "epochs", "kept", seconds, "outcome"],
+        [
+            "seed",
+            *[f"mean RMSE [{unit}]" for unit in units],
+            "windows",
+            "epochs",
+            "kept",
+            seconds,
+            "outcome",
+        ],
         rows,
         title=f"{run.best.result.recipe.name}, {run.judging_split} free runs, start '{run.start}'"
         + horizon_words(run.best.scores[0].horizon),
@@ -41,13 +57,51 @@ def members_table(run: Run) -> Table:
 
 
 def parameter_table(result: Identification) -> Table:
-    """Table of identified parameters, with their standard errors and those of J'J."""
-    rows = [estimate_cells(e) for e in result.estimates]
-    rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
-             for name, value in result.fixed.items()]  # fmt: skip
+    """Table of identified parameters, with their standard errors and those of J'J.
+
+    Of many those that the records tell about, and those at a bound.
+    """
+    shown, others = split_informed(result.estimates)
+    rows = [estimate_cells(e) for e in shown]
+    has_room = not is_many([*result.estimates, *result.fixed])
+    if has_room:
+        rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
+                 for name, value in result.fixed.items()]  # fmt: skip
     refined = result.refit and result.refit.values
     title = f"{result.system.name}; {estimates_title(result.trust, refined)}"
+    left_out = []
+    if others:
+        left_out.append(f"{len(others)} that the records tell little about")
+    if result.fixed and not has_room:
+        left_out.append(f"{len(result.fixed)} fixed ones")
+    if left_out:
+        title += f"; without {' and '.join(left_out)}, which are in {SUMMARY}"
     return estimates_table(rows, refined, title)
+
+
+def is_many(parameters: Sequence[object]) -> bool:
+    """Whether there are too many parameters for a table to have them all."""
+    return len(parameters) > _MOST_ROWS
+
+
+def split_informed(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[Estimate]]:
+    """Estimates to show first, and those of many that the records tell little about."""
+    if not is_many(estimates):
+        return list(estimates), []
+    return [e for e in estimates if e.is_informed], [e for e in estimates if not e.is_informed]
+
+
+def base_parameter_table(estimates: Sequence[BaseParameterEstimate], title: str = "") -> Table:
+    """Table of base parameters with 95 % intervals."""
+    rows = []
+    for b in estimates:
+        half = (b.interval[1] - b.interval[0]) / 2 if b.interval else 0.0
+        digits = digits_of(b.value, half / 2)
+        interval = "–"
+        if b.interval:
+            interval = f"{b.interval[0]:.{digits}g}..{b.interval[1]:.{digits}g}"
+        rows.append([b.expression, f"{b.value:.{digits}g}", b.unit, interval])
+    return Table(["base parameter", "value", "unit", "95 %"], rows, title)
 
 
 ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")
@@ -71,9 +125,7 @@ def estimates_table(
 
 def estimate_cells(e: Estimate) -> list[str]:
     """Cells of one parameter, one for each of `ESTIMATE_COLUMNS`."""
-    digits = 4
-    if e.error and e.value:  # as many as show the value to a tenth of its error
-        digits = int(min(max(4, math.ceil(math.log10(abs(e.value) / e.error)) + 2), 12))
+    digits = digits_of(e.value, e.error)
     error, naive_error = ("–" if x is None else f"{x:.2g}" for x in (e.error, e.naive_error))
     interval = "–"
     if e.interval:
@@ -83,6 +135,13 @@ def estimate_cells(e: Estimate) -> list[str]:
         e.name, f"{e.value:.{digits}g}", e.unit, error, interval, naive_error,
         f"{e.lower:.3g}..{e.upper:.3g} {bound}".strip(),
     ]  # fmt: skip
+
+
+def digits_of(value: float, error: float | None) -> int:
+    """Significant digits, 4 to 12, that show a value to a tenth of its error."""
+    if not error or not value or not math.isfinite(value / error):
+        return 4
+    return int(min(max(4, math.ceil(math.log10(abs(value) / error)) + 2), 12))
 
 
 def estimates_title(trust: str, refined: Mapping[str, float] | None) -> str:
@@ -114,7 +173,7 @@ def validation_table(run: Run) -> Table:
     title = (
         f"{run.judging_split} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
     )
-    return _rmse_table({**rmse_by_record(best.scores), "mean": best.mean}, title)
+    return _scores_table(best.scores, run.channels, title, has_mean=True)
 
 
 def training_table(run: Run) -> Table:
@@ -122,23 +181,32 @@ def training_table(run: Run) -> Table:
     identification = run.best.result.identification
     if identification is None:
         title = f"train, free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
-    else:
-        title = (
-            "train, forces that are missing, relative to the actuators'"
-            if identification.force_errors
-            else "train, from the identified initial states"
-        )
-        if identification.refit:
-            title += ", with the values of the search"
-        kinds = {c.kind for c in run.roles.train[0].channels.coordinates}
-        if len(kinds) > 1 and not identification.force_errors:
-            title += ", each coordinate relative to its spread"
-    return _rmse_table(run.training_rmse, title)
+        return _scores_table(run.training_scores, run.channels, title)
+    title = (
+        "train, forces that are missing, relative to the actuators'"
+        if identification.force_errors
+        else "train, from the identified initial states"
+    )
+    if identification.refit:
+        title += ", with the values of the search"
+    kinds = {c.kind for c in run.channels.coordinates}
+    if len(kinds) > 1 and not identification.force_errors:
+        title += ", each coordinate relative to its spread"
+    cells = numbers(list(identification.rmse.values()))
+    rows = [list(row) for row in zip(identification.rmse, cells, strict=True)]
+    return Table(["record", "RMSE"], rows, title)
 
 
-def _rmse_table(rmse: Mapping[str, float], title: str) -> Table:
-    cells = numbers(list(rmse.values()))
-    return Table(["record", "RMSE"], [list(row) for row in zip(rmse, cells, strict=True)], title)
+def _scores_table(
+    scores: Sequence[Score], channels: Channels, title: str, *, has_mean: bool = False
+) -> Table:
+    """Table of the RMSE of each record over the coordinates of each unit."""
+    errors = {s.experiment: s.rmse_by_unit(channels) for s in scores}
+    if has_mean:
+        errors["mean"] = mean_rmse_by_unit(scores, channels)
+    columns = [numbers([rmse[unit] for rmse in errors.values()]) for unit in channels.units]
+    rows = [[name, *cells] for name, *cells in zip(errors, *columns, strict=True)]
+    return Table(["record", *[f"RMSE [{unit}]" for unit in channels.units]], rows, title)
 
 
 def folds_table(result: CrossValidationResult) -> Table:
@@ -162,4 +230,5 @@ def folds_table(result: CrossValidationResult) -> Table:
         rows.append(["each seed", "", *seeds])
     columns = ["record", "fold", *[f"from {start}" for start in by_start]]
     title = f"{result.recipe}: free-run RMSE [{result.unit}] of models not fitted to the record"
+    title += norm_words(result.unit)
     return Table(columns, rows, title=title)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tustinnet.report.tables import Table, number
+from tustinnet.report.tables import Table, norm_words, number
 from tustinnet.selection.learning import LearningCurve
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def learning_table(curve: LearningCurve) -> Table:
     draws, counts = len(curve.scored), sorted(set(curve.scored))
     title = (
         f"Free-run RMSE [{curve.unit}], start '{curve.start}', of {' or '.join(map(str, counts))} "
-        f"records left out; median (range) of {draws} draws"
+        f"records left out; median (range) of {draws} draws{norm_words(curve.unit)}"
     )
     return Table(["records", *curve.approaches], rows, title=title)
 

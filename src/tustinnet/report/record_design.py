@@ -33,9 +33,11 @@ def motion_table(design: RecordDesign) -> Table:
 
 def error_table(design: RecordDesign) -> Table:
     """Table of the expected standard errors of the best and worst determined base parameters."""
-    found = design.base_parameters
-    shown = found if len(found) <= 2 * _SHOWN + 1 else (*found[:_SHOWN], *found[-_SHOWN:])
-    has_records = any(b.known is not None for b in found)
+    parameters = design.base_parameters
+    shown = parameters
+    if len(parameters) > 2 * _SHOWN + 1:
+        shown = *parameters[:_SHOWN], *parameters[-_SHOWN:]
+    has_records = any(b.known is not None for b in parameters)
     rows = [
         [
             _label(b), b.unit, f"{b.file:.3g}",
@@ -44,8 +46,8 @@ def error_table(design: RecordDesign) -> Table:
         ]
         for b in shown
     ]  # fmt: skip
-    if len(shown) < len(found):
-        rows.insert(_SHOWN, [f"({len(found) - len(shown)} more)", *[""] * (len(rows[0]) - 1)])
+    if len(shown) < len(parameters):
+        rows.insert(_SHOWN, [f"({len(parameters) - len(shown)} more)", *[""] * (len(rows[0]) - 1)])
     before = ["records so far"] if has_records else []
     columns = ["base parameter", "unit", "file", *before, "with this record", "of the file's"]
     title = "Standard errors of base parameters, the best determined one first"
@@ -61,31 +63,31 @@ def sentences(design: RecordDesign) -> list[str]:
     names = [c.name for c in design.channels.coordinates]
     start = ", ".join(f"{name} {x:.4g}" for name, x in zip(names, design.q[0], strict=True))
     periods = round(design.options.seconds * design.motion.frequency)
-    known = design.base_parameters[0].known is not None
+    has_records = design.base_parameters[0].known is not None
     noise = ", ".join(
         f"{c.name} {x:.2g} {'N m' if c.kind == 'angular' else 'N'}"
         for c, x in zip(design.channels.coordinates, design.noise, strict=True)
     )
-    found = [
+    lines = [
         f"{counted(len(design.base_parameters), 'base parameter')}; by random motions within the "
         f"same limits the errors would be {design.by_random:.2f} times as large (geometric mean)",
         f"{design.options.seconds:g} s, {counted(periods, 'period')} of "
         f"{counted(len(design.motion.sine), 'harmonic')} of {design.motion.frequency:.4g} Hz; "
         f"it begins and ends at rest at {start}: move there first",
     ]
-    if known:
+    if has_records:
         better = [b.known / b.expected for b in design.base_parameters if b.known is not None]
         mean = float(np.exp(np.mean(np.log(better))))
-        found.insert(1, f"it makes the errors of the records so far {mean:.2f} times smaller "
+        lines.insert(1, f"it makes the errors of the records so far {mean:.2f} times smaller "
                         "(geometric mean)")  # fmt: skip
-    found.append(f"forces that are taken to stay unexplained: {noise}")
+    lines.append(f"forces that are taken to stay unexplained: {noise}")
     if design.stopped:
-        found.append("the time ended before the search: --budget gives it more")
-    found.append(
+        lines.append("the time ended before the search: --budget gives it more")
+    lines.append(
         "collisions are not looked at: play the motion in a simulation of the cell, then slowly, "
         "before it is recorded"
     )
-    return found
+    return lines
 
 
 def design_figure(design: RecordDesign) -> "Figure":

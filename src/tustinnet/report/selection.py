@@ -8,7 +8,7 @@ import numpy as np
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score, evaluate
 from tustinnet.report.shown_records import choose_shown_records
-from tustinnet.report.tables import Table, number, scale_of
+from tustinnet.report.tables import Table, norm_words, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.ranking import CandidateResult, paired_difference
 
@@ -56,6 +56,7 @@ def candidates_table(choice: Choice) -> Table:
                f"worse than {best.name} by", *["unexplained force [%]"] * by_forces,
                "records", "folds", "seeds", "seconds"]  # fmt: skip
     title = "free runs of records that a model was not fitted to, mean ± standard error"
+    title += norm_words(unit)
     return Table(columns, rows, title=title)
 
 

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tustinnet.evaluate.scores import mean_rmse
+from tustinnet.evaluate.scores import mean_rmse_by_unit
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
-from tustinnet.report.tables import number
+from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run import MODEL, Run
 from tustinnet.wording import counted
 
+_SHORTEST = 1.0  # s, of a part of a command that is named
 _MOST_NAMED = 3  # coordinates whose errors are all in a sentence
 
 
@@ -25,13 +26,29 @@ def fit_summary(run: Run, data: str) -> tuple[str, ...]:
     """
     records = run.roles.train
     motion = sum(e.seconds for e in records)
-    seconds = sum(member.result.seconds for member in run.members)
     return (
         f"fitted: {run.best.result.recipe.name}, to {counted(len(records), 'record')} with "
-        f"{duration(motion)} of motion, in {duration(seconds)}",
+        f"{duration(motion)} of motion, in {duration(run.seconds)}",
         f"how good: {_describe_accuracy(run)}",
         f"next: {next_steps(run.folder / MODEL, data)}",
     )
+
+
+def time_sentence(total: float, fitting: float, timing: float) -> str:
+    """Sentence on the time that a command took, and for what.
+
+    Args:
+        total: time of the command [s].
+        fitting: time of the fits [s].
+        timing: time of the search for holds and delays of inputs [s].
+    """
+    parts = {
+        "the fit": fitting,
+        "holds and delays of inputs": timing,
+        "scores, figures and the rest": total - fitting - timing,
+    }
+    listed = ", ".join(f"{what} {duration(x)}" for what, x in parts.items() if x >= _SHORTEST)
+    return f"time: {duration(total)}" + (f" ({listed})" if listed else "")
 
 
 def next_steps(model: Path, data: str) -> str:
@@ -69,6 +86,6 @@ def _describe_accuracy(run: Run) -> str:
     return (
         f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judging_split} "
         f"record{'s' if len(finite) > 1 else ''} are off by "
-        f"{number(mean_rmse(finite))} {channels.unit} (mean RMSE): {shares} "
+        f"{amounts(mean_rmse_by_unit(finite, channels))} (mean RMSE): {shares} "
         f"standard deviation{diverged}{remark}"
     )

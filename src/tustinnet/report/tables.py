@@ -1,7 +1,7 @@
 """Tables for the terminal, for Markdown and for LaTeX."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
@@ -41,8 +41,11 @@ class Table:
             rich_table.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
         for row in self.rows:
             rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        # a terminal may wrap a line that is too long; a table must not cut its text
-        console.print(rich_table, width=_WIDEST, crop=False, soft_wrap=True)
+        # a terminal may wrap a line that is too long; a table must not cut its text, as to the
+        # console's width, beyond which no width of a single print goes
+        width, console.width = console.width, _WIDEST
+        console.print(rich_table, crop=False, soft_wrap=True)
+        console.width = width
 
     def markdown(self) -> str:
         """The table in Markdown."""
@@ -84,6 +87,20 @@ def number(value: float | None, digits: int = 3, scale: float | None = None) -> 
         return f"{value:.{digits - 1 - math.floor(math.log10(scale))}f}"
     small = 0 < abs(value) < 10.0 ** (1 - digits)
     return f"{value:.{digits}g}" if small else f"{value:.{digits}f}"
+
+
+def amounts(values: Mapping[str, float]) -> str:
+    """Text of numbers of different units, given by unit: `0.0012 m and 0.0076 rad`."""
+    return " and ".join(f"{number(value)} {unit}".strip() for unit, value in values.items())
+
+
+def norm_words(unit: str) -> str:
+    """Words for a title on numbers over coordinates of different units; empty for one unit.
+
+    Args:
+        unit: the units, as `Channels.unit` has them.
+    """
+    return f"; one norm over coordinates in {unit}" if " and " in unit else ""
 
 
 def scale_of(values: Iterable[float | None]) -> float:

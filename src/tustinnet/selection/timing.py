@@ -21,6 +21,7 @@ from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.shooting.holds import describe_hold_errors
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -176,7 +177,11 @@ class _TimingSearch:
         task = Task(recipe, (Fold(roles),), (Member(),), self.system)
         # an identification asks for the time only when it has compiled its programs
         is_late = self.deadline.has_passed()
-        fit = None if is_late else identify_task(task, Member(), SILENT, self.deadline.has_passed)
+        fit = (
+            None
+            if is_late
+            else identify_task(task, Member(), SILENT, self.deadline.has_passed, checks_signs=False)
+        )
         if fit is None or fit.identification is None or fit.is_out_of_time:
             raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
         return fit.identification
@@ -211,11 +216,13 @@ def _find_hold(
     ranked = cast("list[Hold]", sorted(errors, key=lambda hold: errors[hold]))
     hold: Hold = ranked[0] if errors[ranked[0]] < _BETTER * errors[_USUAL] else _USUAL
     is_best = hold == ranked[0]
-    listed = ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
     names = " and ".join(f"'{timing[k].name}'" for k in places)
     why = "" if is_best else " as usual, as no other is clearly better"
-    unit = search.records[0].channels.unit
-    sentence = f"hold of {names}: {hold}{why}; simulation errors [{unit}]: {listed}"
+    channels = search.records[0].channels
+    listed = f"[{channels.unit}]: " + ", ".join(f"{hold} {errors[hold]:.3g}" for hold in ranked)
+    if len(channels.units) > 1:
+        listed = describe_hold_errors(errors, channels)
+    sentence = f"hold of {names}: {hold}{why}; simulation errors {listed}"
     return hold, identification if is_best else None, sentence
 
 

@@ -50,6 +50,7 @@ class _Estimate(_Exact):
     lower: Number
     upper: Number
     bound: Literal["", "lower", "upper"] = ""
+    is_informed: bool = True
 
     @model_validator(mode="after")
     def _check_range(self) -> "_Estimate":
@@ -243,6 +244,7 @@ class _Scores(Judgement):
     unit: str = ""
     rmse: dict[str, Size | None] = Field(default_factory=dict)
     mean: Size | None = None
+    mean_by_unit: dict[str, Size | None] | None = None
     standard_error: Size | None = None
 
 

@@ -13,6 +13,8 @@ folder/seed-0/checkpoint.safetensors  for `resume`, of all members that train to
 Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
+import csv
+import io
 import json
 import statistics
 from collections.abc import Mapping, Sequence
@@ -22,16 +24,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from tustinnet.channels import Channels
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.errors import InputError
-from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record, scores_header
+from tustinnet.evaluate.scores import (
+    Score,
+    evaluate,
+    mean_rmse,
+    mean_rmse_by_unit,
+    rmse_by_record,
+    scores_header,
+)
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.fit import MakeListener, MakeStopCheck, fit_task
 from tustinnet.fitting.gradient.loop import ResumePoint, never_stop
 from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
 from tustinnet.fitting.listener import EpochReport, Iteration, Listener, StageResult
-from tustinnet.fitting.report import FitResult, data_header
+from tustinnet.fitting.report import FitResult, Identification, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
@@ -71,6 +81,7 @@ SUMMARY = "summary.json"
 REPORT = "report.html"  # written by rooms above this one; discarded here with the rest
 FIGURES = "figures"  # drawn by rooms above this one
 SCORES = "scores.json"  # of a job of a selection
+BASE_PARAMETERS = "base_parameters.csv"  # of an identification by inverse dynamics
 TABLE = "candidates.md"  # of a selection
 _CHECKPOINT = "checkpoint.safetensors"
 WRITTEN = (MODEL, LOG, DAMAGED, _CHECKPOINT)  # into the folder of a member
@@ -135,19 +146,33 @@ class Run:
 
         Of a training that of its free run; of an identification from its initial states.
         """
-        result = self.best.result
-        if result.identification is not None:
-            return result.identification.rmse
-        if self.roles.ranking is self.roles.train:
-            return rmse_by_record(self.best.scores)
-        horizon = effective_horizon(result.horizon, self.roles.train)
-        return rmse_by_record(
-            evaluate(result.model, self.roles.train, result.start, horizon=horizon)
+        identification = self.best.result.identification
+        return (
+            rmse_by_record(self.training_scores) if identification is None else identification.rmse
         )
 
     @cached_property
+    def training_scores(self) -> Sequence[Score]:
+        """Scores of the best model's free runs of the training records."""
+        result = self.best.result
+        if self.roles.ranking is self.roles.train:
+            return self.best.scores
+        horizon = effective_horizon(result.horizon, self.roles.train)
+        return evaluate(result.model, self.roles.train, result.start, horizon=horizon)
+
+    @property
+    def channels(self) -> Channels:
+        """Coordinates, inputs and sampling period of the records."""
+        return self.roles.train[0].channels
+
+    @cached_property
     def _support(self) -> TrainingSupport | None:
-        return training_support(self.roles.train[0].channels, self.roles.train)
+        return training_support(self.channels, self.roles.train)
+
+    @property
+    def seconds(self) -> float:
+        """Time that the fits of all members took [s]."""
+        return sum(member.result.seconds for member in self.members)
 
     @property
     def judging_split(self) -> str:
@@ -167,7 +192,7 @@ class Run:
 
     def header(self, member: MemberRun) -> dict[str, Any]:
         """The header of the model file of a member, beside the model's own."""
-        channels = self.roles.train[0].channels
+        channels = self.channels
         return {
             **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
@@ -178,6 +203,7 @@ class Run:
                 channels,
                 member.scores[0].horizon,
                 rmse_by_record(member.scores),
+                mean_rmse_by_unit(member.scores, channels),
             ),
             **system_header(self.system),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
@@ -203,6 +229,7 @@ class Run:
                     "rate": run.result.member.rate,
                     "outcome": run.result.outcome,
                     "mean": run.mean,
+                    "mean_by_unit": mean_rmse_by_unit(run.scores, self.channels),
                     "rmse": rmse_by_record(run.scores),
                     "train_seconds": run.result.seconds,
                     **run.result.details.get("training", {}),
@@ -281,8 +308,21 @@ def run_task(
         for member in run.members:
             save(member.result.model, member.folder / MODEL, **run.header(member))
         save(run.best.result.model, folder / MODEL, **run.header(run.best))
+        identification = run.best.result.identification
+        if identification is not None and identification.base_parameters:
+            write_into(folder, BASE_PARAMETERS, _base_parameters_csv(identification))
         write_into(folder, SUMMARY, to_json(run.summary()))
     return run
+
+
+def _base_parameters_csv(identification: Identification) -> str:
+    """The base parameters of an identification as CSV: a row each, with value and interval."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["base parameter", "unit", "value", "low (95 %)", "high (95 %)"])
+    for b in identification.base_parameters:
+        writer.writerow([b.expression, b.unit, b.value, *(b.interval or ("", ""))])
+    return text.getvalue()
 
 
 def fit_in_folder(
@@ -344,7 +384,7 @@ def _prepare_folder(
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
         )
-    files = [folder / name for name in (MODEL, SUMMARY, LOG, REPORT, FIGURES)]
+    files = [folder / name for name in (MODEL, SUMMARY, BASE_PARAMETERS, LOG, REPORT, FIGURES)]
     require_outputs(files, overwrite=earlier == "discard")
 
 
@@ -369,7 +409,7 @@ def discard_results(folder: Path) -> None:
         remove_below(place, WRITTEN)
         with suppress(OSError):  # other files are in it
             place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION, TABLE):
+    for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION, TABLE, BASE_PARAMETERS):
         (folder / name).unlink(missing_ok=True)
 
 

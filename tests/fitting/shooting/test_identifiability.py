@@ -12,6 +12,7 @@ import tustinnet as tn
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.identifiability import (
     ConfoundedParameters,
+    describe_confounded,
     find_confounded,
     has_diverged,
 )
@@ -54,6 +55,18 @@ def test_a_common_factor_is_told_as_ratios_with_the_narrowest_range_to_fix():
     assert confounded.suggestion == "b"
     assert "only ratios of a, b and c can be identified" in str(confounded)
     assert "'b' is known best" in str(confounded)
+
+
+def test_few_sets_have_a_sentence_each_and_of_many_the_fixed_parameters_are_listed():
+    sets = [ConfoundedParameters({f"a{i}": 1.0, f"b{i}": -0.5}, f"a{i}") for i in range(20)]
+    few = describe_confounded(sets[:2], 60)
+    assert len(few) == 2
+    assert few[1].startswith("a1 and b1 are not identifiable separately")
+    assert few[1].endswith("'a1' is known best; here it was fixed at its first value")
+    (many,) = describe_confounded(sets, 60)
+    assert many.startswith("20 combinations of the 60 parameters have no effect on these records")
+    assert many.endswith("fixed at its first value: " + ", ".join(f"a{i}" for i in range(12))
+                         + " and 8 more")  # fmt: skip
 
 
 def test_a_sum_is_told_with_how_its_parts_change_together():

@@ -12,7 +12,9 @@ from robot_twins import record_in_loop, true_values, with_payload
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.inverse_dynamics import filter_record
+from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.forces import LAWS
 from tustinnet.signals.low_pass import low_pass
 
@@ -49,6 +51,33 @@ def test_forces_are_explained_on_records_that_were_held_out(result):
         assert e.held_out < 0.03 * e.size
     assert "forces that are missing on the validation records, up to" in result.findings[0]
     assert result.as_plain()["force_errors"][0]["coordinate"] == "shoulder"
+
+
+def test_base_parameters_are_those_of_a_textbook_and_their_intervals_are_true(
+    system, result, truth
+):
+    space = make_search_space(system, {}, {})
+    coordinates = LinearCoordinates(space, truth)
+    true = dict(zip(coordinates.names, coordinates.values, strict=True))
+    estimates = result.base_parameters
+    assert len(estimates) == 22
+    inner, outer = estimates[0], estimates[1]
+    assert inner.expression == (
+        "inner_arm.inertia_zz + 0.09 outer_arm.mass + 0.09 spindle.mass + 0.09 hand.mass + "
+        "shoulder.armature"
+    )
+    assert inner.unit == "kg m^2"
+    assert outer.terms["hand.mass"] == pytest.approx(0.25, rel=1e-6)
+    inside = []
+    for b in estimates:
+        value = true[b.name] + sum(factor * true[name] for name, factor in b.terms.items())
+        assert b.interval is not None
+        inside.append(b.interval[0] <= value <= b.interval[1])
+        assert sum(b.name in other.terms for other in estimates) == 0
+    assert np.mean(inside) > 0.9
+    assert result.as_plain()["base_parameters"][0]["name"] == "inner_arm.inertia_zz"
+    informed = [e for e in result.estimates if e.is_informed]
+    assert 15 < len(informed) < len(result.estimates)
 
 
 def test_friction_is_found_and_intervals_are_true(result, truth):

@@ -150,6 +150,26 @@ def test_few_records_have_wide_quantiles():
     assert certain.quantile_for_records(4) == pytest.approx(3.182, abs=1e-3)
 
 
+def test_a_record_that_alone_informs_of_a_parameter_is_not_left_out():
+    experiments = [noisy(e, SIZE, i) for i, e in enumerate([*records(), records()[0]])]
+    pieces, fitted = fitted_to(experiments)
+    assert len(pieces.first_of_records) == len(fitted.products.pp) == 5
+    others = np.ones((5, 3))
+    others[1:, 2] = 0.0  # the last parameter is of a group whose only record is the first
+    alone = replace(
+        fitted.products,
+        pp=fitted.products.pp * others[:, :, None] * others[:, None],
+        px=fitted.products.px * others[:, :, None],
+        gp=fitted.products.gp * others,
+    )
+    tiny_prior = np.array([1e-300, 1e-300, 1e-300])
+    certain = estimate_uncertainty(alone, pieces, tiny_prior, np.ones(3, dtype=bool))
+    assert certain.clustered is not None
+    # the others disagree as they do without the record, and its own residuals say what it tells
+    assert certain.clustered[2, 2] >= certain.naive[2, 2] > 0
+    assert np.all(np.diag(certain.clustered) < 100 * np.diag(certain.naive))
+
+
 def test_a_parameter_at_a_bound_has_no_error_and_takes_no_part():
     pieces, fitted = fitted_to([noisy(e, SIZE, i) for i, e in enumerate(records())])
     moving = np.array([True, False, True])

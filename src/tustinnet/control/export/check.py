@@ -118,9 +118,9 @@ def _compare(
         y[read] = counts[read] * np.rint(y[read] / counts[read])
         return y
 
-    def compare(found: np.ndarray, expected: np.ndarray) -> None:
+    def compare(computed: np.ndarray, expected: np.ndarray) -> None:
         nonlocal largest
-        largest = max(largest, float(np.max(np.abs(found - expected) / (1 + np.abs(expected)))))
+        largest = max(largest, float(np.max(np.abs(computed - expected) / (1 + np.abs(expected)))))
 
     angular = channels.angular if channels.angular.any() else None
     step = make_step(source.equations)

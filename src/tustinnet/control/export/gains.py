@@ -181,18 +181,18 @@ def _array_reader(file: Path, content: Mapping[str, Any], place: str) -> Reader:
         where = f"{place}{name}"
         if name not in content:
             raise InputError(file, f"no entry '{where}'", "an exported controller")
-        wanted = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
-        with convert_errors(file, f"entry '{where}'", f"numbers, {wanted}"):
+        expected = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
+        with convert_errors(file, f"entry '{where}'", f"numbers, {expected}"):
             array = np.array(content[name], np.float64)
         free = sum(n is None for n in shape)
-        known = int(np.prod([n for n in shape if n is not None]))
+        size = int(np.prod([n for n in shape if n is not None]))
         # a MAT file keeps no axes of length 1, and has vectors as columns
-        if array.size % known == 0 if free else array.size == known:
+        if array.size % size == 0 if free else array.size == size:
             array = array.reshape([-1 if n is None else n for n in shape])
         else:
-            raise InputError(file, f"entry '{where}' of shape {array.shape}", wanted)
+            raise InputError(file, f"entry '{where}' of shape {array.shape}", expected)
         if not np.isfinite(array).all():
-            raise InputError(file, f"entry '{where}' is not finite", f"finite numbers, {wanted}")
+            raise InputError(file, f"entry '{where}' is not finite", f"finite numbers, {expected}")
         return array
 
     return read

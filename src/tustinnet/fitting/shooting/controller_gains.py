@@ -71,19 +71,19 @@ def gain_parameters(
     is_recorded = all(e.outputs is not None for e in records)
     for k, loop in enumerate(controller.loops):
         given = {gain: getattr(loop, gain) for gain in loop.gains}
-        found: dict[str, tuple[float, float]] = {}
+        fitted: dict[str, tuple[float, float]] = {}
         if is_recorded:
-            found, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
+            fitted, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
         coordinate = next(c for c in records[0].coordinates if c.name == loop.coordinate)
         for gain in loop.gains:
             name = gain_name(loop, gain)
             unit = f"{inputs[loop.input].unit}{_PER[gain]}/{coordinate.unit}"
-            if gain not in found:
+            if gain not in fitted:
                 value = given[gain]
                 assert value is not None  # the data card requires it where nothing was recorded
                 parameters.append(Parameter(name, unit, value, value, value, fixed=True))
                 continue
-            value, error = found[gain]
+            value, error = fitted[gain]
             if value <= 0:
                 parameters.append(Parameter(name, unit, 0.0, 0.0, 0.0, fixed=True))
             else:
@@ -146,7 +146,7 @@ def _fit_gains(
     size = float(np.sqrt(np.mean(y**2))) if len(y) else 0.0
     free = [g for g, gain in enumerate(loop.gains) if getattr(loop, gain) is None]
     gains = np.array([getattr(loop, gain) or 0.0 for gain in loop.gains])
-    found: dict[str, tuple[float, float]] = {}
+    fitted: dict[str, tuple[float, float]] = {}
     where = f"the loop of '{loop.input}' in [controller]"
     if free:
         rest = y - x @ gains
@@ -172,14 +172,14 @@ def _fit_gains(
                     where, f"{loop.gains[g]} is found to be {gains[g]:.4g}", "0 or more",
                     "check the key `sign` of the input and of the coordinate, and the set points",
                 )  # fmt: skip
-            found[loop.gains[g]] = max(float(gains[g]), 0.0), deviation
+            fitted[loop.gains[g]] = max(float(gains[g]), 0.0), deviation
     # noise of velocities is not the law's
-    left = (
+    residual = (
         low_pass((y - x @ gains)[:, None], records[0].dt, cutoff)
         if len(y) > 1
         else np.zeros((1, 1))
     )
-    return found, float(np.sqrt(np.mean(left**2))) / size if size else 0.0
+    return fitted, float(np.sqrt(np.mean(residual**2))) / size if size else 0.0
 
 
 def _law_along(
@@ -194,11 +194,11 @@ def _law_along(
         in which no limit acts.
     """
     assert e.outputs is not None
-    wanted = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
+    set_points = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
     n, zero = len(e) - loop.delay, np.zeros(len(e))  # what was computed acts later
     j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
-    error, output = wanted[loop.position] - e.q[:, j], e.outputs[loop.delay :, k]
-    rate, extra = (wanted.get(name, zero)[:n] for name in (loop.velocity, loop.feedforward))
+    error, output = set_points[loop.position] - e.q[:, j], e.outputs[loop.delay :, k]
+    rate, extra = (set_points.get(name, zero)[:n] for name in (loop.velocity, loop.feedforward))
     signals = np.stack([error[:n], rate, output - extra], axis=1)
     # means over both ends of a period: the mean of velocities is there the difference of
     # positions, exactly so under a force that is held

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.optimize
+import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
@@ -151,11 +152,12 @@ def estimate_by_equation_error(
             momentum, force = np.split(evaluate(formula, samples), 2, axis=1)
             derivatives = evaluate(formula, samples, derivatives=True)
             by_momentum, by_force = np.split(derivatives, 2, axis=1)
-            windows = (begins - begins[0])[:, None] + np.arange(length)
-            change = _window_sums(momentum, windows, bump_rate)
-            residuals.append(change + _window_sums(force, windows, bump))
-            jacobian = _window_sums(by_momentum, windows, bump_rate)
-            jacobian = jacobian + _window_sums(by_force, windows, bump)
+            window_sums, rate_sums = (
+                _sums_over_windows(begins - begins[0], weight) for weight in (bump, bump_rate)
+            )
+            change = rate_sums @ momentum
+            residuals.append(change + window_sums @ force)
+            jacobian = rate_sums @ by_momentum + window_sums @ by_force
             jacobian = jacobian.reshape(len(begins), motion.q.shape[1], -1)[:, :, columns]
             chain = equations.coordinate_derivatives(space, point, motion.group_indices[begins])
             jacobians.append(jacobian * chain[:, None])
@@ -192,13 +194,19 @@ def estimate_by_equation_error(
     )
 
 
-def _window_sums(
-    signal: Float[np.ndarray, "n m"],
-    windows: Int[np.ndarray, "n_w length"],
-    weight: Float[np.ndarray, " length"],
-) -> Float[np.ndarray, "n_w m"]:
-    """Weighted sums of a signal over windows, which are given by the indices of their samples."""
-    return np.einsum("wlm,l->wm", signal[windows], weight)
+def _sums_over_windows(
+    begins: Int[np.ndarray, " n_w"], weight: Float[np.ndarray, " length"]
+) -> Any:
+    """Sparse matrix whose product with a signal is its weighted sums over windows, (n_w, n).
+
+    Args:
+        begins: first sample of each window; the last one ends where the signal does.
+        weight: weights of the samples of a window.
+    """
+    columns = (begins[:, None] + np.arange(len(weight))).ravel()
+    rows = np.arange(len(begins) + 1) * len(weight)
+    shape = len(begins), begins[-1] + len(weight)
+    return scipy.sparse.csr_array((np.tile(weight, len(begins)), columns, rows), shape=shape)
 
 
 def find_reversed_signs(

@@ -4,15 +4,18 @@ A hold is what an input does between two samples. `search_over_holds` runs the s
 search, the final one for every hold, and chooses the holds by the cost over the training records.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 
+from tustinnet.channels import Channels
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.stages import choose_substeps, run_final_stage, search
 from tustinnet.signals.excitation import HALF, DeclaredHold
 
+_USUAL = "zero-order"
 _FIRST = "first-order"  # between the others, so that both are near enough to go on from it
 _ALIKE = 1.01  # root mean squares of errors that differ by less are alike
 
@@ -70,9 +73,7 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
         errors = trial.last_result.products.error
         squares = sum(float(np.sum(error[:, position] ** 2)) for error in errors)
         rmse[hold] = float(np.sqrt(squares / samples))
-    unit = problem.system.channels.unit
-    ranked = sorted(rmse, key=lambda hold: rmse[hold])
-    listed = ", ".join(f"{hold} {rmse[hold]:.3g} {unit}" for hold in ranked)
+    listed = describe_hold_errors(rmse, problem.system.channels)
     if max(rmse.values()) < _ALIKE * min(rmse.values()):
         remark = (
             f"hold of {channel_names}: makes no difference to the simulation error ({listed}); "
@@ -93,6 +94,23 @@ def search_over_holds(problem: Problem, state: SearchState) -> tuple[Problem, Se
         finished_stages=finished,
         is_stopped=is_stopped,
     )
+
+
+def describe_hold_errors(errors: Mapping[str, float], channels: Channels) -> str:
+    """Text of the simulation errors by hold, the smallest first.
+
+    Where coordinates have different units, errors are relative to that of one hold.
+
+    Args:
+        errors: root mean square position errors by hold [rad or m].
+        channels: the coordinates.
+    """
+    ranked = sorted(errors, key=lambda hold: errors[hold])
+    if len(channels.units) == 1:
+        return ", ".join(f"{hold} {errors[hold]:.3g} {channels.unit}" for hold in ranked)
+    usual = _FIRST if _USUAL not in errors else _USUAL
+    shares = ", ".join(f"{hold} {errors[hold] / errors[usual]:.3g}" for hold in ranked)
+    return f"by that of {usual}: {shares}"
 
 
 def with_assumed_hold(problem: Problem) -> Problem:

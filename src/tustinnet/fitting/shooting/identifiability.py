@@ -4,6 +4,7 @@
 change together without changing any simulation, each with the parameter to fix.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
 _DIVERGED = 1e30  # squared derivatives: a change in the last digit moves the simulation by 1
 _MEMBER = 1e-3  # of the largest share
+_MOST_SETS = 5  # of parameters, each with a sentence of its own
+_MOST_NAMES = 12  # in a sentence
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,25 @@ class ConfoundedParameters:
             f"{listed} are not identifiable separately: changed together ({changes}) they give "
             f"the same simulation; fix one of them, '{self.suggestion}' is known best"
         )
+
+
+def describe_confounded(confounded: Sequence[ConfoundedParameters], total: int) -> list[str]:
+    """Sentences on parameters that are fixed, as they are not identifiable from the records.
+
+    Args:
+        confounded: the sets that are not identifiable, one sentence each where they are few.
+        total: how many parameters were free.
+    """
+    if len(confounded) <= _MOST_SETS:
+        return [f"{one}; here it was fixed at its first value" for one in confounded]
+    names = list(dict.fromkeys(one.suggestion for one in confounded))
+    listed = ", ".join(names[:_MOST_NAMES])
+    if len(names) > _MOST_NAMES:
+        listed += f" and {len(names) - _MOST_NAMES} more"
+    return [
+        f"{len(confounded)} combinations of the {total} parameters have no effect on these "
+        f"records; the best known one of each was fixed at its first value: {listed}"
+    ]
 
 
 def has_diverged(products: Float[np.ndarray, "n_p n_p"]) -> bool:

@@ -15,14 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
-from tustinnet.fitting.report import Estimate, ForceError, Identification
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
+from tustinnet.fitting.shooting.base_parameters import (
+    LinearCoordinates,
+    find_combinations,
+    order_of,
+)
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group_indices
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
@@ -35,7 +40,7 @@ from tustinnet.fitting.shooting.problem import (
 )
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
-from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS
+from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS, INFORMED
 from tustinnet.models.added import parse_forces
 from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.models.forces import curve_terms, slow_speed
@@ -57,7 +62,6 @@ _EXPLAINED = 0.67  # share of the missing forces that a friction curve leaves, t
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
 _POSES = 3  # in which it is looked which coordinates the inputs drive
 _RANK = 1e-6  # of inputs' directions, below which one is a combination of others
-_INFORMED = 0.5  # share of a prior's standard deviation below which records decide
 
 
 class Obstacle(NamedTuple):
@@ -347,17 +351,17 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     motion = [low_pass(e.q, e.dt, motion_cutoff, derivative) for derivative in range(3)]
     # what a held input is around a sample, to fourth order: their mean would be too smooth
     first, last = e.held_inputs[:1], e.held_inputs[-1:]
-    held = np.vstack([first, first, e.held_inputs, last, last])
-    u = (13 * (held[1:-2] + held[2:-1]) - held[:-3] - held[3:]) / 24
+    padded = np.vstack([first, first, e.held_inputs, last, last])
+    u = (13 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 24
     every = max(1, int(1 / (_EVALUATED * cutoff * e.dt)))
     if every > 1:
         u = low_pass(u, e.dt, _INPUTS * cutoff)
     points = np.concatenate([*motion, u], axis=1)[::every]
     part = MeasuredForces(points, e, every * e.dt, cutoff)
-    if (left := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
+    if (remaining := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
         raise InputError(
             f"record '{e.name}'", f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz "
-            f"leaves {max(left, 0)}", f"at least {_FEWEST}",
+            f"leaves {max(remaining, 0)}", f"at least {_FEWEST}",
             "longer records, or another search.cutoff",
         )  # fmt: skip
     return part
@@ -441,21 +445,35 @@ def _evaluate(
         unit: size of the residuals of each coordinate [N m or N].
         vector: the parameters.
     """
-    columns, values = equations.free_columns(space), space.to_values(vector)
+    values = space.to_values(vector)
     matrices, gradients, residuals, cost = [], [], [], prior.cost(vector)
     for part in train:
         points = with_parameters(equations, part, values)
         residual = part.compare(evaluate(formula, points))
-        slopes = part.compare(evaluate(formula, points, derivatives=True))
-        slopes = slopes.reshape(*residual.shape, -1)[:, :, columns]
-        indices = np.repeat(problem.group_indices([part.record]), len(residual), axis=0)
-        chain = equations.coordinate_derivatives(space, vector, indices)
-        weighted = (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
+        weighted = _weighted_slopes(formula, equations, problem, space, part, unit, vector)
         matrices.append(part.weight * weighted.T @ weighted)
         gradients.append(part.weight * weighted.T @ (residual / unit).ravel())
         cost += part.weight * float(np.sum((residual / unit) ** 2) / 2)
         residuals.append(residual)
     return _Point(vector, cost, np.stack(matrices), np.stack(gradients), tuple(residuals))
+
+
+def _weighted_slopes(
+    formula: Formula,
+    equations: SystemEquations,
+    problem: Problem,
+    space: SearchSpace,
+    part: MeasuredForces,
+    unit: Float[np.ndarray, " n_q"],
+    vector: ParameterVector,
+) -> Float[np.ndarray, "n n_p"]:
+    """Derivatives of a record's residuals by a vector, by the size of each coordinate's."""
+    points = with_parameters(equations, part, space.to_values(vector))
+    slopes = part.compare(evaluate(formula, points, derivatives=True))
+    slopes = slopes.reshape(len(slopes), len(unit), -1)[:, :, equations.free_columns(space)]
+    indices = np.repeat(problem.group_indices([part.record]), len(slopes), axis=0)
+    chain = equations.coordinate_derivatives(space, vector, indices)
+    return (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
 
 
 def _propose(
@@ -594,12 +612,17 @@ def _make_identification(
         )
         for k, c in enumerate(problem.system.coordinates)
     ]  # fmt: skip
-    estimates = _estimates(point, space, deviations)
-    informed = deviations < _INFORMED * prior.spread
+    informed = deviations < INFORMED * prior.spread
+    estimates = _estimates(point, space, deviations, informed)
+    slopes = np.concatenate([
+        _weighted_slopes(formula, equations, problem, space, part, size, point.vector)
+        for part in train
+    ])  # fmt: skip
+    base_parameters = _estimate_base_parameters(slopes, space, prior, point, parameter_errors)
     sentences = [
         *state.remarks,
         findings.describe_forces(errors, cutoff),
-        *findings.describe_informed(space.names, informed, _rank(point, prior)),
+        *findings.describe_informed(space.names, informed, len(base_parameters)),
         *findings.describe_bounds(estimates, np.inf, problem.system),
         *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
         *_describe_carried(space, point, parameter_errors),
@@ -637,6 +660,7 @@ def _make_identification(
         substeps=model.substeps,
         iterations=iterations,
         force_errors=tuple(errors),
+        base_parameters=base_parameters,
     )
 
 
@@ -729,11 +753,41 @@ def _describe_carried(
     return sentences
 
 
-def _rank(point: _Point, prior: Prior) -> int:
-    """How many combinations of parameters change the forces at all: the base parameters."""
-    matrix = point.matrices.sum(axis=0) * np.outer(prior.spread, prior.spread)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    return int(np.sum(eigenvalues > 1e-10 * eigenvalues[-1]))
+def _estimate_base_parameters(
+    slopes: Float[np.ndarray, "n n_p"],
+    space: SearchSpace,
+    prior: Prior,
+    point: _Point,
+    errors: _Errors,
+) -> tuple[BaseParameterEstimate, ...]:
+    """Estimates of the base parameters, in the order of the parameters that they are named after.
+
+    Args:
+        slopes: derivatives of the residuals along the records by the vector.
+        space: the search space.
+        prior: the priors.
+        point: the estimates.
+        errors: their errors; parameters at a bound count as exact.
+    """
+    scale, inside = space.derivatives(point.vector), space.inside(point.vector)
+    coordinates = LinearCoordinates(space, space.to_values_in_range(point.vector))
+    names, spread = coordinates.names, coordinates.spread(scale * prior.spread)
+    by_coordinate = slopes / scale @ coordinates.inverse
+    combinations = find_combinations(by_coordinate, spread, order_of(names))
+    estimates = []
+    for row, pivot in sorted(enumerate(combinations.pivots), key=lambda pair: pair[1]):
+        terms = combinations.terms(row, spread)
+        factors = np.zeros(len(names))
+        factors[[pivot, *terms]] = combinations.factors[row, [pivot, *terms]]
+        value = float(factors @ coordinates.values)
+        gradient = np.where(inside, factors @ coordinates.derivatives * scale, 0.0)
+        half = _QUANTILE * errors.deviation(gradient)
+        estimates.append(BaseParameterEstimate(
+            names[pivot], coordinates.units[pivot],
+            {names[i]: float(factors[i]) for i in terms}, value,
+            (value - half, value + half) if gradient.any() else None,
+        ))  # fmt: skip
+    return tuple(estimates)
 
 
 def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarray) -> _Errors:
@@ -768,7 +822,12 @@ def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarra
     return _Errors(noise, between)
 
 
-def _estimates(point: _Point, space: SearchSpace, deviations: np.ndarray) -> tuple[Estimate, ...]:
+def _estimates(
+    point: _Point,
+    space: SearchSpace,
+    deviations: Float[np.ndarray, " n_p"],
+    informed: Bool[np.ndarray, " n_p"],
+) -> tuple[Estimate, ...]:
     """Estimates of the free parameters, with errors and intervals of those not at a bound."""
     bounds, values = space.active_bounds(point.vector), space.to_values_in_range(point.vector)
     derivatives, lower, upper = space.derivatives(point.vector), space.lower, space.upper
@@ -784,5 +843,6 @@ def _estimates(point: _Point, space: SearchSpace, deviations: np.ndarray) -> tup
             naive_error=float(error) if has_error else None,
             interval=(float(interval[0]), float(interval[1])) if has_error else None,
             lower=p.lower, upper=p.upper, bound=bounds.get(p.name, ""),
+            is_informed=bool(informed[i]) or p.name in bounds,
         ))  # fmt: skip
     return tuple(estimates)

@@ -24,6 +24,7 @@ from tustinnet.fitting.shooting.problem import (
 )
 from tustinnet.fitting.shooting.refit import RefitResult
 from tustinnet.fitting.shooting.uncertainty import (
+    INFORMED,
     Uncertainty,
     estimate_uncertainty,
     lag_correlation,
@@ -168,6 +169,11 @@ def _make_estimates(
                 lower=p.lower,
                 upper=p.upper,
                 bound=bounds.get(p.name, ""),
+                is_informed=(
+                    not p.prior
+                    or p.name in bounds
+                    or bool(errors[i] * abs(derivatives[i]) < INFORMED * p.prior)
+                ),
             )
         )
     return tuple(estimates)

@@ -18,7 +18,11 @@ from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.horizons import find_horizons
-from tustinnet.fitting.shooting.identifiability import find_confounded, has_diverged
+from tustinnet.fitting.shooting.identifiability import (
+    describe_confounded,
+    find_confounded,
+    has_diverged,
+)
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.problem import (
     Problem,
@@ -316,7 +320,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
             "; ".join(str(parameters) for parameters in confounded),
             "records from which at least one parameter is identifiable",
         )
-    remarks = [f"{parameters}; here it was fixed at its first value" for parameters in confounded]
+    remarks = describe_confounded(confounded, len(vector))
     return replace(
         state, space=space, vector=space.to_vector(values), remarks=(*state.remarks, *remarks)
     )

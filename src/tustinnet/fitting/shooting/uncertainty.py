@@ -18,6 +18,8 @@ from tustinnet.fitting.shooting.segments import Segments
 FEWEST_RECORDS = 4  # for an estimate of how records differ
 FEWEST_SEGMENTS = 12  # for an estimate of how segments differ, where there are not enough records
 CONFIDENCE = 0.95
+INFORMED = 0.5  # share of a prior's standard deviation below which records decide
+_NOTHING = 1e-9  # of the information on a parameter, that remains where nothing else tells of it
 _LARGEST = 1e100  # residuals above it cannot be squared and summed
 
 
@@ -77,8 +79,10 @@ def estimate_uncertainty(
     The clustered covariance leaves out one record at a time, to first order:
     `(n - 1) / n sum d_i d_i'` with `d_i = (H - H_i)^-1 g_i`, `H_i` and `g_i` being a record's
     share of the reduced normal equations. It holds whatever correlation a record has in itself.
-    Where there are too few records it leaves out segments: noise of an input is alike from sample
-    to sample of what follows it, not from segment to segment.
+    A record without which nothing is known of some parameter, as the only one of a group, is not
+    left out, and that parameter's error is at least that of `J'J`. Where there are too few records
+    it leaves out segments: noise of an input is alike from sample to sample of what follows it, not
+    from segment to segment.
 
     Args:
         products: the products at the estimate.
@@ -112,15 +116,30 @@ def estimate_uncertainty(
     naive[np.ix_(inside, inside)] = inverse @ spread @ inverse
     clustered = by_segments = None
 
-    def leave_out(first: np.ndarray) -> Float[np.ndarray, "n_p n_p"]:
-        """Covariance by leaving out parts that begin with these segments, one at a time."""
+    def leave_out(first: np.ndarray) -> Float[np.ndarray, "n_p n_p"] | None:
+        """Covariance by leaving out parts that begin with these segments, one at a time.
+
+        None where too few can be left out.
+        """
         parts = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
         gradients = np.add.reduceat(reduced.gradients, first)[:, inside]
-        steps = np.stack([_inverse(whole - m) @ g for m, g in zip(parts, gradients, strict=True)])
+        # parameters of which the other parts say nothing, by the part that is left out
+        is_alone = np.diag(whole) - np.einsum("rii->ri", parts) <= _NOTHING * np.diag(whole)
+        left_out = np.flatnonzero(~is_alone.any(axis=1))
+        n = len(left_out)
+        if n < FEWEST_RECORDS:
+            return None
+        steps = np.stack([_inverse(whole - parts[k]) @ gradients[k] for k in left_out])
         steps -= steps.mean(axis=0)
-        covariance, n = np.full((n_p, n_p), np.nan), len(first)
-        jackknife = (n - 1) / n * steps.T @ steps
-        covariance[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
+        jackknife = (n - 1) / n * steps.T @ steps + inverse @ by_prior @ inverse
+        # no other record contradicts the only one of a group, so its residuals have to say it
+        lifts = np.ones(len(jackknife))
+        alone = is_alone.any(axis=0)
+        lifts[alone] = np.sqrt(
+            np.maximum(np.diag(naive)[inside] / np.maximum(np.diag(jackknife), 1e-300), 1.0)
+        )[alone]
+        covariance = np.full((n_p, n_p), np.nan)
+        covariance[np.ix_(inside, inside)] = jackknife * np.outer(lifts, lifts)
         return covariance
 
     if len(first) >= FEWEST_RECORDS:

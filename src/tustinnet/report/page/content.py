@@ -91,6 +91,7 @@ def mechanism_content(channels: Channels, links: Sequence[Link]) -> dict[str, An
     return {
         "dt": channels.dt,
         "unit": channels.unit,
+        "units": list(channels.units),
         "coordinates": [
             {"name": q.name, "kind": q.kind, "unit": q.unit} for q in channels.coordinates
         ],
@@ -117,7 +118,7 @@ def _model_content(result: ModelResult) -> dict[str, Any]:
     return {
         "label": reported.label,
         "warmUp": reported.model.warm_up,
-        "ahead": pack(result.ahead),
+        "ahead": [pack(errors) for errors in result.ahead.T],
         "residuals": [
             {
                 "coordinate": r.coordinate,
@@ -220,7 +221,7 @@ def _record_content(
         "runs": [
             {part: parts[f"{k} {part}"]
              for part in ("error", "band", "energy") if f"{k} {part}" in parts}
-            | {"rmse": result.scores[i].rmse}
+            | {"rmse": list(result.scores[i].rmse_by_unit(c).values())}
             for k, result in enumerate(results)
         ],
     }  # fmt: skip

@@ -103,7 +103,7 @@ def _join_positions(design: ControlDesign) -> str:
 def _line_content(label: str, warm_up: int) -> dict[str, Any]:
     """A line that is drawn beside the plant, as scripts know it from models of a report."""
     return {
-        "label": label, "warmUp": warm_up, "ahead": pack([]), "residuals": [], "search": None,
+        "label": label, "warmUp": warm_up, "ahead": [], "residuals": [], "search": None,
         "training": [],
     }  # fmt: skip
 
@@ -121,6 +121,7 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
     errors = [bounded(line, q) - q for line in lines]
     samples = thin(np.concatenate([q, v, u, *errors], axis=1), _POINTS)
     t = run.dt * np.arange(n)
+    by_unit = [[c.unit == unit for c in channels.coordinates] for unit in channels.units]
 
     def packed(signals: np.ndarray) -> list[dict[str, Any]]:
         return [pack(column) for column in signals[samples].T]
@@ -133,7 +134,8 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
         "v": packed(v),
         "u": packed(u),
         "runs": [
-            {"error": packed(error), "rmse": float(np.sqrt(np.nanmean(error**2)))}
+            {"error": packed(error),
+             "rmse": [float(np.sqrt(np.nanmean(error[:, columns] ** 2))) for columns in by_unit]}
             for error in errors
         ],
     }  # fmt: skip

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.evaluate.ahead import rmse_ahead
+from tustinnet.evaluate.ahead import coordinate_rmse_ahead, rmse_ahead_by_unit
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_alternatives, make_bands
 from tustinnet.evaluate.energy import energy_along
@@ -35,7 +35,8 @@ class ModelResult:
         scores: scores of the free runs.
         range: range of its training data, None where that is unknown.
         extrapolations: where each free run leaves that range, None where it stays inside.
-        ahead: RMSE by steps ahead, empty where no record is long enough [rad or m].
+        ahead: RMSE by steps ahead over the coordinates of each unit, empty where no record is long
+            enough.
         every: predictions ahead begin at one sample in so many.
         residuals: residuals by coordinate, empty where a free run diverges.
         bands: bands around the free runs, empty of a model without.
@@ -48,7 +49,7 @@ class ModelResult:
     scores: Sequence[Score]
     range: Range | None
     extrapolations: Sequence[ExtrapolationPoint | None]
-    ahead: Float[np.ndarray, " horizon"]
+    ahead: Float[np.ndarray, "horizon n_units"]
     every: int
     residuals: Sequence[ResidualReport]
     bands: Sequence[Band]
@@ -97,7 +98,10 @@ def compute_model_result(
         notes.append(f"no bands: {error}")
     steps = min(_STEPS_AHEAD, max(map(len, records)) - model.warm_up - 1)
     every = -(-sum(map(len, records)) // _MAX_PREDICTIONS)
-    ahead = rmse_ahead(model, records, steps, every=every) if steps > 0 else np.zeros(0)
+    ahead = np.zeros((0, len(model.channels.units)))
+    if steps > 0:
+        errors = coordinate_rmse_ahead(model, records, steps, every=every)
+        ahead = rmse_ahead_by_unit(errors, model.channels)
     measured = energy_along(model, records, [e.measured_states() for e in records])
     simulated = energy_along(model, records, runs)
     energies = None if measured is None or simulated is None else (measured, simulated)

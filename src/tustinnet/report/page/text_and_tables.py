@@ -9,20 +9,23 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import KEY as SPOILED
-from tustinnet.evaluate.scores import mean_rmse
+from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
 from tustinnet.families.family import family_of
-from tustinnet.fitting.report import Estimate
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.fits import (
     ESTIMATE_COLUMNS,
+    base_parameter_table,
     estimate_cells,
     estimates_table,
     estimates_title,
+    is_many,
     position_in_range,
+    split_informed,
 )
 from tustinnet.report.page.model_result import ModelResult
 from tustinnet.report.page.reported_model import ReportedModel
-from tustinnet.report.tables import Table, number, numbers
+from tustinnet.report.tables import Table, amounts, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import find_fitted, records_in_header
@@ -38,6 +41,7 @@ class ParameterGroup:
     Attributes:
         label: label of the model.
         title: source of the errors.
+        is_collapsed: whether the table is shown only on request.
         table: names, values and, where they are known, errors.
         places: position of interval and value of each row in its range, 0..1: low, value, high;
             None of a row without a range.
@@ -47,6 +51,7 @@ class ParameterGroup:
     title: str
     table: Table
     places: Sequence[tuple[float, float, float] | None]
+    is_collapsed: bool = False
 
 
 # --- sentences ---
@@ -77,10 +82,20 @@ def describe_accuracy(
         records: the records that it was scored on.
         total_records: number of records that these were chosen from, None where they are all.
     """
-    unit, scores, reported = records[0].channels.unit, result.scores, result.reported
-    worst, best = max(scores, key=lambda s: s.rmse), min(scores, key=lambda s: s.rmse)
-    mean, high, low = numbers([mean_rmse(scores), worst.rmse, best.rmse])
-    spread = f" ({low} on {best.experiment}, {high} on {worst.experiment})" if scores[1:] else ""
+    channels, scores, reported = records[0].channels, result.scores, result.reported
+    if len(channels.units) == 1:
+        worst, best = max(scores, key=lambda s: s.rmse), min(scores, key=lambda s: s.rmse)
+        mean, high, low = numbers([mean_rmse(scores), worst.rmse, best.rmse])
+        mean, measure = f"{mean} {channels.unit}", ""
+    else:
+        mean = amounts(mean_rmse_by_unit(scores, channels))
+        worst = max(scores, key=lambda s: s.mean_nrmse)
+        best = min(scores, key=lambda s: s.mean_nrmse)
+        low, high = (f"{100 * s.mean_nrmse:.2g} %" for s in (best, worst))
+        measure = " of the motion's standard deviation"
+    spread = ""
+    if scores[1:]:
+        spread = f" ({low}{measure} on {best.experiment}, {high} on {worst.experiment})"
     splits = " and ".join(dict.fromkeys(e.split for e in records if e.split))
     is_shortened = total_records is not None and total_records > len(records)
     record_text = (
@@ -96,7 +111,7 @@ def describe_accuracy(
             record_text += f", {count} of which it was fitted to"
     return (
         f"Simulated from its start alone{horizon_words(scores[0].horizon)}, "
-        f"it is off by {mean} {unit} "
+        f"it is off by {mean} "
         f"{'on average over' if scores[1:] else 'on'} {record_text}{spread}."
     )
 
@@ -114,6 +129,8 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
     error, unit, count = (scores.get(k) for k in ("standard_error", "unit", "rmse"))
     spread = f" ± {error:.2g}" if error else ""
     size = f"{number(scores['mean'])}{spread} {unit or ''}".strip()
+    if " and " in (unit or ""):
+        size += " (norm over all coordinates)"
     return (
         "On records that they were not fitted to, models made in the same way are off by "
         f"{size} on average ({counted(len(count or ()), 'record')}, on folds)."
@@ -178,8 +195,11 @@ def coordinates_table(results: Sequence[ModelResult], channels: Channels) -> Tab
     )
 
 
-def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
-    """The parameters of a model, with both kinds of errors if it was identified."""
+def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
+    """The parameters of a model, with both kinds of errors if it was identified.
+
+    Of many parameters those that the records tell little about are a group of their own.
+    """
     identification = reported.header.get("identification")
     values = family_of(reported.model).parameters(reported.model)
     units = {name: unit for name, unit, _ in values}
@@ -187,7 +207,7 @@ def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
         rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
         table = Table(ESTIMATE_COLUMNS[:3], rows)
         places = [None] * len(rows)
-        return ParameterGroup(reported.label, "values", table, places) if rows else None
+        return [ParameterGroup(reported.label, "values", table, places)] if rows else []
     estimates = [
         Estimate(**e | {"interval": e["interval"] and tuple(e["interval"])})
         for e in identification["estimates"]
@@ -196,13 +216,43 @@ def parameters_of(reported: ReportedModel) -> ParameterGroup | None:
     title = estimates_title(identification.get("trust", "residuals"), refined)
     fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
              for name, value in identification.get("fixed", {}).items()]  # fmt: skip
-    places = []
-    for e in estimates:
-        low, high = e.interval or (e.value, e.value)
-        low, value, high = (position_in_range(e, x) for x in (low, e.value, high))
-        places.append((low, value, high))
-    table = estimates_table([*map(estimate_cells, estimates), *fixed], refined)
-    return ParameterGroup(reported.label, title, table, [*places, *[None] * len(fixed)])
+    shown, others = split_informed(estimates)
+    few_fixed, many_fixed = ([], fixed) if is_many([*estimates, *fixed]) else (fixed, [])
+    table = estimates_table([*map(estimate_cells, shown), *few_fixed], refined)
+    places = [*map(_place, shown), *[None] * len(few_fixed)]
+    groups = [ParameterGroup(reported.label, title, table, places)]
+    if others or many_fixed:
+        table = estimates_table([*map(estimate_cells, others), *many_fixed], refined)
+        parts = [
+            *([f"{len(others)} that the records tell little about"] if others else []),
+            *([f"{len(many_fixed)} that are fixed"] if many_fixed else []),
+        ]
+        title = f"other parameters: {' and '.join(parts)}"
+        places = [*map(_place, others), *[None] * len(many_fixed)]
+        groups.append(ParameterGroup(reported.label, title, table, places, is_collapsed=True))
+    return groups
+
+
+def _place(e: Estimate) -> tuple[float, float, float]:
+    """Position of interval and value of a parameter in its range: low, value, high."""
+    low, high = e.interval or (e.value, e.value)
+    low, value, high = (position_in_range(e, x) for x in (low, e.value, high))
+    return low, value, high
+
+
+def base_parameter_tables(results: Sequence[ModelResult]) -> list[Table]:
+    """Tables of the base parameters of the models that were identified by inverse dynamics."""
+    tables = []
+    for result in results:
+        identification = result.reported.header.get("identification") or {}
+        estimates = [
+            BaseParameterEstimate(**b | {"interval": b["interval"] and tuple(b["interval"])})
+            for b in identification.get("base_parameters", ())
+        ]
+        if estimates:
+            title = f"{result.reported.label}: {counted(len(estimates), 'base parameter')}"
+            tables.append(base_parameter_table(estimates, title))
+    return tables
 
 
 def forces_table(results: Sequence[ModelResult]) -> Table | None:

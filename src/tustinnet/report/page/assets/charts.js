@@ -48,13 +48,15 @@ function timeCharts() {
 
 function aheadChart() {
   if (!$("plots-ahead")) return;
-  const curves = data.models.map((of) => unpacked(of.ahead));
-  const longest = curves.reduce((a, b) => (b.length > a.length ? b : a), []);
-  new Plot($("plots-ahead"), "Error against steps ahead", () => ({
-    x: longest.map((_, k) => (k + 1) * data.dt), xlabel: "ahead [s]", y: `RMSE [${data.unit}]`,
-    lines: curves.flatMap((curve, i) => (curve.length
-      ? [lineOf(i, longest.map((_, k) => curve[k] ?? null))] : [])),
-  }), { height: 200 });
+  data.units.forEach((unit, j) => {
+    const curves = data.models.map((of) => unpacked(of.ahead[j]));
+    const longest = curves.reduce((a, b) => (b.length > a.length ? b : a), []);
+    new Plot($("plots-ahead"), `Error against steps ahead, ${unit}`, () => ({
+      x: longest.map((_, k) => (k + 1) * data.dt), xlabel: "ahead [s]", y: `RMSE [${unit}]`,
+      lines: curves.flatMap((curve, i) => (curve.length
+        ? [lineOf(i, longest.map((_, k) => curve[k] ?? null))] : [])),
+    }), { height: 200 });
+  });
 }
 
 function residualCharts() {

@@ -58,7 +58,7 @@ function beginClock() {
     time.max = of.length;
     $("chosen").textContent = of.name;
     for (const out of document.querySelectorAll(".rmse"))
-      out.textContent = `${told(of.runs[out.dataset.model].rmse)} ${data.unit}`;
+      out.textContent = of.runs[out.dataset.model].rmse.map((x, k) => `${told(x)} ${data.units[k]}`).join(", ");
   });
   let last = 0;
   clock.listeners.add((now) => {
