@@ -104,7 +104,9 @@ def test_motion_far_beyond_the_limits_of_the_file_is_named(tmp_path: Path) -> No
             coordinates=system.coordinates, inputs=system.inputs,
         )  # fmt: skip
 
-    assert describe_beyond_limits(system, [record(2.2, 14.0)]) == (), "a little beyond"
+    assert describe_beyond_limits(system, [record(2.2, 10.5)]) == (), "a little beyond"
+    (torque,) = describe_beyond_limits(system, [record(1.0, 14.0)])
+    assert "hip_torque is up to 14 N m, and hip has 10 N m by arm.urdf: what a controller" in torque
     (angle,) = describe_beyond_limits(system, [record(60.0, 8.0)])
     assert "hip moves from 0.0 to 60" in angle.replace("from 0 to", "from 0.0 to")
     assert "degrees taken for rad" in angle

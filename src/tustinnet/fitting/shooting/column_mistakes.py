@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -181,14 +182,12 @@ def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experimen
     """Sentences on forces beyond those that a robot's file allows."""
     system = rigid_system(system)
     assert system.input_map is not None and system.source is not None  # noqa: PT018
-    n, nominal, sentences = len(system.coordinates), system.nominal(), []
-    rest = system.input_map(np.zeros(n), np.zeros(n), np.zeros(len(system.inputs)), nominal)
+    nominal, sentences = system.nominal(), []
+    still, none = jnp.zeros(len(system.coordinates)), jnp.zeros(len(system.inputs))
+    rest = system.input_map(still, still, none, nominal)
     for j, i in enumerate(system.inputs):
-        u = np.zeros(len(system.inputs))
-        u[j] = max(float(np.abs(e.u[:, j]).max()) for e in records)
-        force = np.abs(
-            np.asarray(system.input_map(np.zeros(n), np.zeros(n), u, nominal)) - np.asarray(rest)
-        )
+        u = none.at[j].set(max(float(np.abs(e.u[:, j]).max()) for e in records))
+        force = np.abs(np.asarray(system.input_map(still, still, u, nominal) - rest))
         k = int(np.argmax(force))
         most = system.limits[k].force
         if most is None or force[k] <= _NO_NOISE * most:
