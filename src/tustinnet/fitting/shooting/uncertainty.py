@@ -100,8 +100,10 @@ def estimate_uncertainty(
         )
         steps -= steps.mean(axis=0)
         clustered = np.full((n_p, n_p), np.nan)
-        jackknife = (n - 1) / n * steps.T @ steps
-        clustered[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
+        # without bounds where a record alone tells a parameter, and of a search far from its end
+        with np.errstate(over="ignore", invalid="ignore"):
+            jackknife = (n - 1) / n * steps.T @ steps
+            clustered[np.ix_(inside, inside)] = jackknife + inverse @ by_prior @ inverse
     unit = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     values, vectors = np.linalg.eigh(whole / np.outer(unit, unit))
     worst_direction, condition = np.zeros(n_p), 1.0
