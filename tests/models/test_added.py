@@ -37,7 +37,7 @@ AGAINST = {  # what each law does against the motion of the angle
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
     "viscous": 0.2 * V[1],
     "curve": sum(0.1 * i * (s + s**2) for i in (1, 2, 3, 4) for s in [np.tanh(-11.0 / 3.0**i)]),
-    "load": forces.coulomb(V[1], 0.2 * np.sin(X[1]), 0.1),
+    "load": forces.coulomb(V[1], 0.2 * jnp.sin(X[1]), 0.1),
     "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,

@@ -212,7 +212,7 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
     q, v = jnp.asarray(generator.normal(size=(2, 4)))
     assert by_option.dissipation is not None
     assert by_recipe.dissipation is not None
-    expected, found = (s.dissipation(q, v, values) for s in (by_option, by_recipe))
+    found, expected = by_recipe.dissipation(q, v, values), by_option.dissipation(q, v, values)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
     told = "'curve:shoulder' brings 'shoulder.curve_odd1', which the system 'scara' has already"
     with pytest.raises(InputError, match=told):

@@ -209,7 +209,7 @@ class SystemEntries(Entries):
 
 # the first fields of `Parameter`
 ParameterRow = tuple[str, str, float, float, float, bool]
-WithPrior = tuple[str, str, float, float, float, bool, float]
+RowWithPrior = tuple[str, str, float, float, float, bool, float]
 
 
 class EulerLagrangeDescription(Description):
@@ -220,7 +220,7 @@ class EulerLagrangeDescription(Description):
     substeps: int = Field(gt=0, le=MOST_SUBSTEPS)
     terms: list[ParameterRow] = Field(default_factory=list)
     forces: list[str] = Field(default_factory=list)
-    of_forces: list[ParameterRow | WithPrior] = Field(default_factory=list)
+    of_forces: list[ParameterRow | RowWithPrior] = Field(default_factory=list)
     sensors: list[ParameterRow] = Field(default_factory=list)
     gains: list[ParameterRow] = Field(default_factory=list)
     per: dict[str, str] = Field(default_factory=dict)

@@ -20,7 +20,6 @@ from tustinnet.models.forces import (
     ForceWithMemory,
     Friction,
     Law,
-    LoadFriction,
     Spring,
 )
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
@@ -146,9 +145,9 @@ def with_forces(
     if system.feedback is not None:
         return with_changed_plant(system, lambda plant: with_forces(plant, names, parameters))
     added = parse_forces(system, names)
-    _require_fit(system, added)
+    _require_additions(system, added)
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
-    frictions = [force for force in added if isinstance(force.law, Friction | LoadFriction)]
+    frictions = [force for force in added if isinstance(force.law, Friction)]
     # those that depend on a deflection are added last, in whatever order the names stand
     frictions.sort(key=lambda force: force.law.needs_limited_travel)
     with_states = tuple(f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag))
@@ -175,17 +174,28 @@ def with_forces(
     )
 
 
-def _require_fit(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
+def _require_additions(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
     """Raises if a system cannot have some forces, see `with_forces`."""
     of_system = system.nominal()
     owners = dict.fromkeys(of_system, f"the system '{system.name}'")
     for force in added:
-        if isinstance(force.law, LoadFriction) and system.potential is None:
+        needs_load = isinstance(force.law, Friction) and force.law.needs_load
+        if needs_load and system.potential is None:
             raise InputError(
                 WHERE, f"'{force}': the system '{system.name}' has no potential energy",
                 "a load, as of gravity",
             )  # fmt: skip
-        for name, parameter in force.brought.items():
+        for name, parameter in zip(force.parameter_names, force.law.parameters, strict=True):
+            if name in force.own:
+                if parameter.is_level and not _is_coulomb_level(system, name, force.index):
+                    raise InputError(
+                        WHERE, f"'{force}' adds to a Coulomb friction of the level '{name}', and "
+                        f"that of the system '{system.name}' is none at the coordinate",
+                        f"p['{name}'] * jnp.tanh(v / w) in its dissipation",
+                        "call the parameter otherwise; of a robot's elastic joint: "
+                        "tn.load_robot(friction=...)",
+                    )  # fmt: skip
+                continue
             is_before = name in system.added_parameters or name not in of_system
             if name in owners and not (parameter.shared and is_before):
                 raise InputError(
@@ -193,24 +203,13 @@ def _require_fit(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None
                     "forces that differ", "leave it out, or call the other one otherwise",
                 )  # fmt: skip
             owners[name] = f"'{force}'"
-        for name, parameter in zip(force.parameter_names, force.law.parameters, strict=True):
-            if not (name in force.own and parameter.is_level):
-                continue
-            if not _is_level(system, name, force.index):
-                raise InputError(
-                    WHERE, f"'{force}' adds to a Coulomb friction of the level '{name}', and that "
-                    f"of the system '{system.name}' is none at the coordinate",
-                    f"p['{name}'] * jnp.tanh(v / w) in its dissipation",
-                    "call the parameter otherwise; of a robot's elastic joint: "
-                    "tn.load_robot(friction=...)",
-                )  # fmt: skip
 
 
-def _is_level(system: LagrangianSystem, name: str, index: int) -> bool:
+def _is_coulomb_level(system: LagrangianSystem, name: str, index: int) -> bool:
     """Whether a parameter of a system is the level of a Coulomb friction at a coordinate.
 
-    So it is if the dissipation at high speed grows by as much as the parameter, at this coordinate
-    alone, and against the motion.
+    If so, the dissipation at high speed grows by as much as the parameter, against the motion and
+    at this coordinate alone.
     """
     if system.dissipation is None:
         return False
@@ -239,19 +238,19 @@ def compute_friction(
 
     Args:
         frictions: the frictions.
-        potential: the energy `V(q, p)` [J] whose forces are the load; needed by a `LoadFriction`.
+        potential: the energy `V(q, p)` [J] whose forces are the load; None where none needs it.
         q: positions, (n_q,).
         v: velocities, (n_q,).
         p: values of parameters by name.
     """
-    load = None
-    if potential is not None and any(isinstance(f.law, LoadFriction) for f in frictions):
+    laws = [(f, law) for f in frictions if isinstance(law := f.law, Friction)]
+    load = q
+    if potential is not None and any(law.needs_load for _, law in laws):
         load = jax.grad(potential)(q, p)
-    acting = []
-    for f in frictions:
-        assert isinstance(f.law, Friction | LoadFriction)
-        cause = load if isinstance(f.law, LoadFriction) else q
-        acting.append((f.index, f.law.force(cause[f.index], v[f.index], *f.values(p))))
+    acting = [
+        (f.index, law.force((load if law.needs_load else q)[f.index], v[f.index], *f.values(p)))
+        for f, law in laws
+    ]
     return _sum_by_coordinate(v, acting)
 
 

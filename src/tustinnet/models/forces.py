@@ -24,6 +24,7 @@ Value = Float[Array, "..."] | float
 
 CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # of a friction curve, by the width of the smoothed sign
 LARGEST_LOAD_SHARE = 0.5  # of a load, as friction
+OWN_WIDTH = "coulomb_speed"  # of the smoothed sign, where a system has it itself: `theta.OWN_WIDTH`
 
 if not TYPE_CHECKING:
 
@@ -350,6 +351,8 @@ class Motion:
         speed: root mean square [rad/s or m/s].
         dt: sampling period [s].
         longest: duration of the longest record [s].
+        width: width of the smoothed sign of the Coulomb friction that the system has itself there
+            [rad/s or m/s]; None without one.
     """
 
     force: float
@@ -358,6 +361,7 @@ class Motion:
     speed: float
     dt: float
     longest: float
+    width: float | None = None
 
     @property
     def largest_force(self) -> float:
@@ -454,20 +458,12 @@ class Friction(Law):
 
     Attributes:
         force: `force(q, v, *values)` [N m or N].
+        needs_load: whether `force` takes, in the place of q, the load: the force of the system's
+            potential energy at the coordinate [N m or N].
     """
 
     force: Callable[..., Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoadFriction(Law):
-    """A friction that depends on the load, the force of the system's potential energy.
-
-    Attributes:
-        force: `force(load, v, *values)` [N m or N].
-    """
-
-    force: Callable[..., Any]
+    needs_load: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -535,6 +531,15 @@ def _sticking_forces(motion: Motion) -> SearchRange:
     return 0.1 * motion.force, 1e-3 * motion.force, 2.0 * motion.force
 
 
+def _stribeck_speeds(motion: Motion) -> SearchRange:
+    """A fifth of the speed, and a range by the width of the smoothed sign, which lies below it.
+
+    Of two widths, by the motion and of the system itself, the smaller and the larger one count.
+    """
+    widths = motion.slow, motion.width or motion.slow
+    return 10.0 * motion.slow, 2.0 * min(widths), 100.0 * max(widths)
+
+
 def _relaxation_rates(motion: Motion) -> SearchRange:
     """From one over the longest record to a quarter of the sampling rate."""
     slowest, fastest = 1 / motion.longest, 1 / (4 * motion.dt)
@@ -562,7 +567,7 @@ _SMOOTH_SPEED = ForceParameter(
     fixed=True, shared=True,
 )  # fmt: skip
 _OWN_COULOMB = replace(_COULOMB, own="coulomb")
-_OWN_SMOOTH_SPEED = replace(_SMOOTH_SPEED, own="coulomb_speed")
+_OWN_SMOOTH_SPEED = replace(_SMOOTH_SPEED, own=OWN_WIDTH)
 _BREAKAWAY = ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force))
 _STRIBECK_SPEED = ForceParameter(
     "stribeck_speed", "v_s", "{position}/s",
@@ -620,7 +625,12 @@ _LAWS: tuple[Law, ...] = (
     Friction(
         name="stribeck",
         help="Stribeck friction, `(c + b exp(-(v / v_s)²)) tanh(v / w)` against the motion",
-        parameters=(_OWN_COULOMB, _BREAKAWAY, _STRIBECK_SPEED, _OWN_SMOOTH_SPEED),
+        parameters=(
+            _OWN_COULOMB,
+            _BREAKAWAY,
+            replace(_STRIBECK_SPEED, range=_stribeck_speeds),
+            _OWN_SMOOTH_SPEED,
+        ),
         force=lambda q, v, level, more, stribeck_speed, speed: stribeck(
             v, level, level + more, stribeck_speed, speed
         ),
@@ -633,12 +643,13 @@ _LAWS: tuple[Law, ...] = (
         parameters=(*_CURVE_WEIGHTS, _OWN_SMOOTH_SPEED),
         force=lambda q, v, *values: friction_curve(v, values[:-1], values[-1]),
     ),
-    LoadFriction(
+    Friction(
         name="load",
         help="Coulomb friction that grows with the load, `s abs(f) tanh(v / w)` against the motion;"
         " f is the force of the system's potential energy, as of gravity",
         parameters=(_LOAD_SHARE, _OWN_SMOOTH_SPEED),
         force=coulomb_by_load,
+        needs_load=True,
     ),
     Spring(
         name="spring",

@@ -13,6 +13,7 @@ import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.fitting.shooting.added_forces import with_added
+from tustinnet.models import forces
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
@@ -55,6 +56,52 @@ def test_other_laws_are_found_too(force, truth):
     result = tn.identify(data_set(made), KNOWN_GAIN, recipe(force, **rested))
     values = {e.name: e.value for e in result.estimates}
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
+
+
+def test_stribeck_friction_is_found_beside_the_level_of_the_system():
+    rubbing = replace(
+        KNOWN_GAIN,
+        name="rubbing swing",
+        parameters=(
+            *KNOWN_GAIN.parameters,
+            Parameter("angle.coulomb", "N m", 0.02, 0.0, 1.0),
+            Parameter("angle.coulomb_speed", "rad/s", 0.05, 0.01, 1.0, fixed=True),
+        ),
+        dissipation=lambda q, v, p: (
+            p["damping"] * v + forces.coulomb(v, p["angle.coulomb"], p["angle.coulomb_speed"])
+        ),
+    )
+    made = driven_again(with_added(rubbing, ["stribeck"], records(), {}), STRIBECK)
+    result = tn.identify(data_set(made), rubbing, recipe("stribeck"))
+    assert result.system.added_parameters == ("angle.breakaway", "angle.stribeck_speed")
+    # well above the width of the smoothed sign, of which there are two: by the motion and its own
+    speed, (at_rest,) = result.system.parameter("angle.stribeck_speed"), rubbing.parameters[-1:]
+    assert speed.lower <= 2 * at_rest.nominal
+    assert speed.upper >= 100 * at_rest.nominal
+    values = {e.name: e.value for e in result.estimates}
+    assert {name: values[name] for name in STRIBECK} == pytest.approx(STRIBECK, rel=0.1)
+
+
+def test_a_curve_is_stribeck_friction_and_keeps_its_priors_in_a_file(tmp_path):
+    true = with_added(SWING, ["stribeck"], records(), {})
+    result = tn.identify(
+        data_set(driven_again(true, STRIBECK)), KNOWN_GAIN, recipe("coulomb", "curve")
+    )
+    assert true.dissipation is not None
+    assert result.system.dissipation is not None
+    truth, q = true.nominal() | TRUTH | STRIBECK, jnp.zeros(1)
+    for speed in (0.3, -1.0, 3.0):
+        v = jnp.array([speed])
+        found, expected = (
+            result.system.dissipation(q, v, result.values),
+            true.dissipation(q, v, truth),
+        )
+        np.testing.assert_allclose(found, expected, rtol=0.1)
+    tn.save(result.model, tmp_path / "m.safetensors")
+    again: Any = tn.load_model(tmp_path / "m.safetensors", KNOWN_GAIN)
+    assert again.continuous.system.parameters == result.system.parameters
+    prior = again.continuous.system.parameter("angle.curve_odd1").prior
+    assert prior == pytest.approx(result.system.parameter("angle.coulomb").upper / 10)
 
 
 def test_the_lag_of_an_actuator_is_found_and_kept_in_a_file(tmp_path):

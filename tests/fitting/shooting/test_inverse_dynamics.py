@@ -77,7 +77,7 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     by_recipe = tn.read_recipe("inverse-dynamics", [forces])
     curve = tn.identify(data, tn.load_system(SCARA), by_recipe)
     assert not [s for s in curve.findings if "depends on the speed" in s]
-    assert curve.model.continuous.system.parameter("shoulder.curve_odd1").prior is not None
+    assert curve.system.parameter("shoulder.curve_odd1").prior is not None
     by_option = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
     assert not [s for s in by_option.findings if "depends on the speed" in s]
     intervals = {e.name: e.interval for e in rich.estimates}

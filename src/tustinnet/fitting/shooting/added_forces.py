@@ -12,7 +12,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, parse_forces, with_forces
-from tustinnet.models.forces import LAWS, Motion
+from tustinnet.models.forces import LAWS, OWN_WIDTH, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter, current_force
 
@@ -121,7 +121,11 @@ def _motions(
     force = np.max([_size(x) for x in acting], axis=0)
     dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
     sizes = zip(force, _size(q), np.std(q, axis=0), _size(v), strict=True)
-    return [Motion(*map(float, size), dt=dt, longest=longest) for size in sizes]
+    widths = [values.get(f"{c.name}.{OWN_WIDTH}") for c in system.coordinates]
+    return [
+        Motion(*map(float, size), dt=dt, longest=longest, width=width)
+        for size, width in zip(sizes, widths, strict=True)
+    ]
 
 
 def _size(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:

@@ -651,7 +651,7 @@ def _describe_curves(
         width = values.get(width_name, slow_speed(speed))
         regressors, others = (
             np.concatenate([
-                part.compare(np.asarray(curve_terms(part.points[:, n + k], width)).T)
+                part.compare(np.asarray(curve_terms(jnp.asarray(part.points[:, n + k]), width)).T)
                 for part in parts
             ])
             for parts in (train, held_out)
