@@ -14,6 +14,7 @@ from swinging import CREEPING, SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.families.family import family_of
+from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.inverse_dynamics import (
     are_all_driven,
     choose_cutoff,
@@ -27,11 +28,12 @@ from tustinnet.report.selection import candidates_table
 from tustinnet.selection import jobs
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.jobs import RunContext
+from tustinnet.selection.folds import FoldSplit
+from tustinnet.selection.jobs import Job, RunContext, make_job_task
 from tustinnet.selection.plan import packaged_plans, read_plan
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
-from tustinnet.store.run import fit_in_folder
+from tustinnet.store.run import Earlier, fit_in_folder
 from tustinnet.systems.files import find_system
 
 PENDULUM = Path(__file__).parents[2] / "examples" / "robots" / "double_pendulum.urdf"
@@ -72,7 +74,7 @@ class Made(NamedTuple):
     messages: list[str]
 
 
-def selected(folder: Path, earlier="refuse") -> Made:
+def selected(folder: Path, earlier: Earlier = "refuse") -> Made:
     """A selection of a machine with one coordinate and one input, and the tasks of its jobs."""
     tasks, messages = list[Task](), list[str]()
     with pytest.MonkeyPatch.context() as patched:
@@ -126,6 +128,30 @@ def test_resumed_nothing_is_fitted_again_but_the_last_model(made):
     again = selected(folder, "resume")
     assert again.tasks == []
     assert again.choice.result("grey").unexplained == made.choice.result("grey").unexplained
+
+
+def test_values_by_group_are_begun_with_where_the_fold_has_the_group():
+    gravity = replace(SWING.parameters[2], per="load")
+    system = replace(SWING, parameters=(*SWING.parameters[:2], gravity, SWING.parameters[3]))
+    loads = ("none", "none", "ball", "ball", "heavy")
+    records = tuple(
+        replace(e, groups=(("load", load),)) for e, load in zip(swings(), loads, strict=True)
+    )
+    values = {**system.nominal(), "damping": 0.07}
+    values |= {f"gravity[{load}]": float(k) for k, load in enumerate(dict.fromkeys(loads), 1)}
+    del values["gravity"]
+    model = tn.discretise(system.model({k: jnp.asarray(x) for k, x in values.items()}), 0.02, 1)
+    split = FoldSplit(records[4:], Roles(records[:4], ()))
+    context = RunContext(
+        tn.DataSet("loads", records), Scorer(3, "model-20"), models={"m": model}, system=system,
+        drawn=(split,),
+    )  # fmt: skip
+    task = make_job_task([Job("grey", tn.read_recipe("grey"), 0, origin="m")], context)
+    begin = task.identification_recipe.model.begin
+    assert begin == pytest.approx({
+        "inertia": values["inertia"], "damping": 0.07, "gain": values["gain"],
+        "gravity[none]": 1.0, "gravity[ball]": 2.0,
+    })  # fmt: skip
 
 
 def applicable(plan: str, system: LagrangianSystem | None, data=None) -> tuple[list[str], str]:

@@ -22,6 +22,7 @@ _LEAST_SHARE = 0.25  # of a short time, that least
 # a fit that was stopped goes on where so many times its time is left: it compiles, or begins, anew
 _AGAIN = 1.5
 _QUICK = 0.02  # share of the time, an identification that is quick: others of its kind may follow
+_BY_FORCES = 2  # a first comparison of forces has this part of the time: nothing is as cheap
 _EXPLAINED = 0.2  # of the inputs' force, that is unexplained by equations that explain it
 _FAR = 0.3  # of the motion within turns, an error of whole records that says little of a model
 NO_TIME = "no time was left for it"
@@ -269,6 +270,7 @@ class Halving:
             else:
                 remaining -= self._time - min(max(_TRYING * self._time, _SOON), self._time)
                 share = sum(j.candidate not in self._late for j in self._pending)
+                share = min(share, _BY_FORCES) if candidate.is_by_forces else share
             is_first = not any(r.fits_by_fold for r in self.results.values())
             least = 0.0 if is_first else min(_LEAST, _LEAST_SHARE * self._time)
         else:

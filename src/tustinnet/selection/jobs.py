@@ -20,11 +20,12 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fitting.fit import MakeListener, fit_task
-from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.fitting.shooting.inverse_dynamics import find_obstacle, unexplained_forces
@@ -365,7 +366,28 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
     recipe, origin = first.recipe, by_fold[first.fold][1]
     if origin is not None:
         recipe = begin_with(recipe, origin.model, system, context.data)
+        train = context.splits[first.fold].roles_for(recipe).train
+        recipe = _begin_by_group(recipe, origin.model, train)
     return Task(recipe, folds, members, system)
+
+
+def _begin_by_group(recipe: Recipe, origin: Model, records: Sequence[Experiment]) -> Recipe:
+    """The recipe of an identification that begins with values by group, too.
+
+    Of groups that the records have: the origin was fitted to records of the same machine.
+    """
+    equations = family_of(origin).equations(origin)
+    if equations is None or not isinstance(recipe, IdentificationRecipe):
+        return recipe
+    names = {
+        p.for_group(group).name
+        for p in equations.system.grouped
+        for group in {e.group(str(p.per)) for e in records}
+        if group
+    }
+    values = {name: float(x) for name, x in equations.values.items() if name in names}
+    begin = {**recipe.model.begin, **values}
+    return recipe.model_copy(update={"model": recipe.model.model_copy(update={"begin": begin})})
 
 
 def _fit_digest(task: Task, context: RunContext) -> str:

@@ -8,7 +8,7 @@ differentiated, and the parameters are those whose equations of motion ask for t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -279,8 +279,8 @@ def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> b
     n, n_u = len(system.coordinates), len(system.inputs)
     if system.input_map is None or n_u < n:
         return False
-    drive = jax.jacobian(partial(system.input_map, p=system.nominal()), argnums=2)
-    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u)) for e in records[:_POSES]])
+    drive, values = jax.jacobian(system.input_map, argnums=2), system.nominal()
+    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u), values) for e in records[:_POSES]])
     if not np.isfinite(gains).all():
         return False
     # their units differ: compared are the directions of the inputs' forces
