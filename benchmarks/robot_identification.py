@@ -91,14 +91,14 @@ def missing_by_least_squares(
 ) -> np.ndarray:
     """Missing torques on the held-out record by those that it has, (n_q,)."""
     n = len(system.coordinates)
-    train, held_out = data.split("train"), data.split("validation")
+    train, held = data.split("train"), data.split("validation")
     cutoff = cutoff_for(max(occupied_band(e.q, e.dt) for e in train), train[0].dt)
-    regressions = []
-    for records in (train, held_out):
+    found = []
+    for records in (train, held):
         parts = [filter_record(e, cutoff) for e in records]
         rows = np.concatenate([regressor(system, part) for part in parts])
-        regressions.append((rows, np.concatenate([p.compare(p.points[:, 3 * n :]) for p in parts])))
-    (rows, torques), (held_rows, held_torques) = regressions
+        found.append((rows, np.concatenate([p.compare(p.points[:, 3 * n :]) for p in parts])))
+    (rows, torques), (held_rows, held_torques) = found
     weights = np.ones(n)
     parameters = least_squares(rows, torques, weights)
     if is_weighted:
@@ -201,14 +201,14 @@ def record_by_mujoco(
         omega = 2 * np.pi * rng.uniform(0.1, 1.2, (5, n))
         size, phase = 0.6 * rng.uniform(0.2, 0.5, (5, n)), rng.uniform(0, 2 * np.pi, (5, n))
         angle = omega * t[:, None, None] + phase
-        set_points = rng.uniform(-0.5, 0.5, n) + np.sum(size * np.sin(angle), axis=1)
+        wanted = rng.uniform(-0.5, 0.5, n) + np.sum(size * np.sin(angle), axis=1)
         speed = np.sum(size * omega * np.cos(angle), axis=1)
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = set_points[0], speed[0]
+        data.qpos[:], data.qvel[:] = wanted[0], speed[0]
         positions, torques = np.empty((len(t), n)), np.empty((len(t), n))
         for i in range(len(t)):
             positions[i] = data.qpos
-            torques[i] = stiffness * (set_points[i] - data.qpos) + damping * (speed[i] - data.qvel)
+            torques[i] = stiffness * (wanted[i] - data.qpos) + damping * (speed[i] - data.qvel)
             data.ctrl[:] = torques[i]
             mujoco.mj_step(model, data)
         noisy = torques + _NOISE * torques.std(axis=0) * rng.normal(size=torques.shape)
@@ -291,18 +291,18 @@ def fit_by_mujoco(
 
     residuals = sysid.build_residual_fn(models_sequences=[sequences], build_model=build)
     limit = {} if iterations is None else {"max_iters": iterations}
-    optimum, _ = sysid.optimize(parameters, residuals, verbose=False, **limit)
-    return sysid.apply_param_modifiers(optimum, spec.copy())
+    found, _ = sysid.optimize(parameters, residuals, verbose=False, **limit)
+    return sysid.apply_param_modifiers(found, spec.copy())
 
 
 def torques_along(mujoco: Any, model: Any, motion: Sequence[np.ndarray]) -> np.ndarray:
     """Torques that a motion needs by MuJoCo, its own dry friction included, (n, n_q)."""
-    data, torques = mujoco.MjData(model), np.empty_like(motion[0])
+    data, found = mujoco.MjData(model), np.empty_like(motion[0])
     for i, (q, v, a) in enumerate(zip(*motion, strict=True)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
         mujoco.mj_inverse(model, data)
-        torques[i] = data.qfrc_inverse
-    return torques
+        found[i] = data.qfrc_inverse
+    return found
 
 
 def motion_error(mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray]) -> float:
@@ -311,10 +311,10 @@ def motion_error(mujoco: Any, model: Any, record: tuple[np.ndarray, np.ndarray])
     for positions, speeds, torques in pieces(*record, _HORIZON):
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = positions[0], speeds[0]
-        for torque, position in zip(torques[:-1], positions[1:], strict=True):
+        for torque, wanted in zip(torques[:-1], positions[1:], strict=True):
             data.ctrl[:] = torque
             mujoco.mj_step(model, data)
-            squares.append((data.qpos - position) ** 2)
+            squares.append((data.qpos - wanted) ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
@@ -328,7 +328,7 @@ def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
     for seed in range(count):
         truth = true_values(system, seed) | offsets
         true_model = arm_for_mujoco(mujoco, truth).compile()
-        *records, held_out = record_by_mujoco(mujoco, true_model, 4, 5.0, seed)
+        *records, held = record_by_mujoco(mujoco, true_model, 4, 5.0, seed)
         data = tn.DataSet("arm", tuple(
             tn.from_arrays(
                 q, u, dt=_STEP,
@@ -339,33 +339,33 @@ def compare_to_mujoco(count: int, iterations: int | None = None) -> None:
             )
             for k, (q, u) in enumerate(records)
         ))  # fmt: skip
-        cutoff = cutoff_for(occupied_band(held_out[0], _STEP), _STEP)
-        motion = [low_pass(held_out[0], _STEP, 3 * cutoff, k) for k in range(3)]
-        measured, true = held_out[1], torques_along(mujoco, true_model, motion)
+        cutoff = cutoff_for(occupied_band(held[0], _STEP), _STEP)
+        motion = [low_pass(held[0], _STEP, 3 * cutoff, k) for k in range(3)]
+        measured, true = held[1], torques_along(mujoco, true_model, motion)
         edge = slice(round(1 / (cutoff * _STEP)), -round(1 / (cutoff * _STEP)))
         size = np.sqrt(np.mean(measured**2, axis=0))
         for name in rows:
-            start_time = time.perf_counter()
+            begun = time.perf_counter()
             if name == "tustinnet":
                 result = tn.identify(data, system, "inverse-dynamics", fixed=offsets)
                 model = arm_for_mujoco(mujoco, result.values).compile()
             else:
                 model = fit_by_mujoco(mujoco, system, records, iterations)
-            seconds = time.perf_counter() - start_time
+            seconds = time.perf_counter() - begun
             own = torques_along(mujoco, model, motion)
             missing, off = (
                 100 * np.sqrt(np.mean(low_pass(own - x, _STEP, cutoff)[edge] ** 2, axis=0)) / size
                 for x in (measured, true)
             )
-            error = 1000 * motion_error(mujoco, model, held_out)
+            error = 1000 * motion_error(mujoco, model, held)
             row = [float(missing.mean()), float(off.mean()), error, seconds]
             rows[name].append(row)
             print(f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | "
                   f"{row[3]:.0f} |", flush=True)  # fmt: skip
-    for name, errors in rows.items():
-        a, b, c, d = np.median(errors, axis=0)
+    for name, found in rows.items():
+        a, b, c, d = np.median(found, axis=0)
         print(f"| median | {name} | {a:.2f} | {b:.2f} | {c:.3f} | {d:.0f} |")
-    ours, theirs = (np.median(errors, axis=0)[3] for errors in rows.values())
+    ours, theirs = (np.median(found, axis=0)[3] for found in rows.values())
     print(f"{theirs / ours:.0f} times as fast")
 
 

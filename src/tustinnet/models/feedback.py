@@ -54,9 +54,9 @@ class PDFeedback(FeedbackLaw):
         computed = []
         for loop in self.controller.loops:
             j = coordinates.index(loop.coordinate)
-            velocity = w[names.index(loop.velocity)] if loop.velocity else 0.0
+            wanted = w[names.index(loop.velocity)] if loop.velocity else 0.0
             u = p[gain_name(loop, "kp")] * (w[names.index(loop.position)] - q[j])
-            u = u + p[gain_name(loop, "kd")] * (velocity - v[j])
+            u = u + p[gain_name(loop, "kd")] * (wanted - v[j])
             if loop.feedforward:
                 u = u + w[names.index(loop.feedforward)]
             if limits := inputs[loop.input].limits:

@@ -69,19 +69,19 @@ def gain_parameters(
     is_recorded = all(e.outputs is not None for e in records)
     for k, loop in enumerate(controller.loops):
         given = {gain: getattr(loop, gain) for gain in GAINS}
-        fitted: dict[str, tuple[float, float]] = {}
+        found: dict[str, tuple[float, float]] = {}
         if is_recorded:
-            fitted, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
+            found, shares[loop.input] = _fit_gains(records, k, loop, inputs[loop.input], cutoff)
         coordinate = next(c for c in records[0].coordinates if c.name == loop.coordinate)
         for gain, per in zip(GAINS, ("", " s"), strict=True):
             name = gain_name(loop, gain)
             unit = f"{inputs[loop.input].unit}{per}/{coordinate.unit}"
-            if gain not in fitted:
+            if gain not in found:
                 value = given[gain]
                 assert value is not None  # the data card requires it where nothing was recorded
                 parameters.append(Parameter(name, unit, value, value, value, fixed=True))
                 continue
-            value, error = fitted[gain]
+            value, error = found[gain]
             if value <= 0:
                 parameters.append(Parameter(name, unit, 0.0, 0.0, 0.0, fixed=True))
             else:
@@ -131,13 +131,13 @@ def _fit_gains(
     regressors, instruments, outputs = [], [], []
     for e in records:
         assert e.outputs is not None
-        set_points = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
+        wanted = dict(zip((i.name for i in e.inputs), e.u.T, strict=True))
         zero = np.zeros(len(e))
         j = next(j for j, c in enumerate(e.coordinates) if c.name == loop.coordinate)
         signals = np.stack([
-            set_points[loop.position] - e.q[:, j],
-            set_points.get(loop.velocity, zero),
-            e.outputs[:, k] - set_points.get(loop.feedforward, zero),
+            wanted[loop.position] - e.q[:, j],
+            wanted.get(loop.velocity, zero),
+            e.outputs[:, k] - wanted.get(loop.feedforward, zero),
         ], axis=1)  # fmt: skip
         # means over both ends of a period: the mean of velocities is there the difference of
         # positions, exactly so under a force that is held
@@ -155,7 +155,7 @@ def _fit_gains(
     size = float(np.sqrt(np.mean(y**2))) if len(y) else 0.0
     free = [g for g, gain in enumerate(GAINS) if getattr(loop, gain) is None]
     gains = np.array([getattr(loop, gain) or 0.0 for gain in GAINS])
-    fitted: dict[str, tuple[float, float]] = {}
+    found: dict[str, tuple[float, float]] = {}
     where = f"the loop of '{loop.input}' in [controller]"
     if free:
         rest = y - x @ gains
@@ -180,14 +180,14 @@ def _fit_gains(
                     where, f"{GAINS[g]} is found to be {gains[g]:.4g}", "0 or more",
                     "check the key `sign` of the input and of the coordinate, and the set points",
                 )  # fmt: skip
-            fitted[GAINS[g]] = max(float(gains[g]), 0.0), deviation
+            found[GAINS[g]] = max(float(gains[g]), 0.0), deviation
     # noise of velocities is not the law's
-    residual = (
+    left = (
         low_pass((y - x @ gains)[:, None], records[0].dt, cutoff)
         if len(y) > 1
         else np.zeros((1, 1))
     )
-    return fitted, float(np.sqrt(np.mean(residual**2))) / size if size else 0.0
+    return found, float(np.sqrt(np.mean(left**2))) / size if size else 0.0
 
 
 def _near_limit(output: Float[np.ndarray, " n"], computed: Input) -> Bool[np.ndarray, " periods"]:

@@ -178,8 +178,8 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     values = state.space.to_values(state.vector)
     if closed_loop.system.feedback is not None:
         # no force of the system says anything of the controller's gains
-        gains = closed_loop.system.nominal().keys() - system.nominal().keys()
-        space = state.space.fixing({n: values[n] for n in state.space.names if n in gains})
+        known = closed_loop.system.nominal().keys() - system.nominal().keys()
+        space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
         state = replace(state, space=space, vector=space.to_vector(values))
     space = state.space
     cutoff = problem.search.cutoff or _choose_cutoff(problem.records)
@@ -258,17 +258,17 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     motion = [low_pass(e.q, e.dt, motion_cutoff, derivative) for derivative in range(3)]
     # what a held input is around a sample, to fourth order: their mean would be too smooth
     first, last = e.held_inputs[:1], e.held_inputs[-1:]
-    padded = np.vstack([first, first, e.held_inputs, last, last])
-    u = (13 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 24
+    held = np.vstack([first, first, e.held_inputs, last, last])
+    u = (13 * (held[1:-2] + held[2:-1]) - held[:-3] - held[3:]) / 24
     every = max(1, int(1 / (_EVALUATED * cutoff * e.dt)))
     if every > 1:
         u = low_pass(u, e.dt, _INPUTS * cutoff)
     points = np.concatenate([*motion, u], axis=1)[::every]
     part = MeasuredForces(points, e, every * e.dt, cutoff)
-    if (remaining := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
+    if (left := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
         raise InputError(
             f"record '{e.name}'", f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz "
-            f"leaves {max(remaining, 0)}", f"at least {_FEWEST}",
+            f"leaves {max(left, 0)}", f"at least {_FEWEST}",
             "longer records, or another search.cutoff",
         )  # fmt: skip
     return part
