@@ -98,7 +98,7 @@ Ranked = tuple[list[float], Callable[[Sequence[Proposal]], list[str]]]
 def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
          tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
     """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
-    results: list[Ranked] = []
+    ranked: list[Ranked] = []
     # positions alone: their units are the same for all records, so that programs compile once
     recipe = tn.read_recipe("grey", ["search.initial=anchored"])
     for arm in arms:
@@ -114,8 +114,8 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence
             ranking = rank_proposals(result.model, result.as_header(), of)
             return [gain.name for gain in ranking.gains]
 
-        results.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
-    return results
+        ranked.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
+    return ranked
 
 
 def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
@@ -126,7 +126,7 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Seque
     members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
                     for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
     results = fit_task(Task(recipe, folds, members), tell)
-    results: list[Ranked] = []
+    ranked: list[Ranked] = []
     for f in range(len(arms)):
         model = tn.committee([r.model for r in results if r.member.fold == f])
         scores = tn.evaluate(model, held_out, "model-20")
@@ -135,8 +135,8 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Seque
             ranking = rank_proposals(model, {}, of, horizon=horizon)
             return [gain.name for gain in ranking.gains]
 
-        results.append(([tn.mean_rmse(scores)], rank))
-    return results
+        ranked.append(([tn.mean_rmse(scores)], rank))
+    return ranked
 
 
 def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], seeds: int) -> str:
