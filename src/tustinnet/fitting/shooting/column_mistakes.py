@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -177,15 +178,14 @@ def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experime
 
 def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
     """Sentences on forces far beyond those that a robot's file allows."""
-    assert system.input_map is not None and system.source is not None  # noqa: PT018
-    n, nominal, sentences = len(system.coordinates), system.nominal(), []
-    rest = system.input_map(np.zeros(n), np.zeros(n), np.zeros(len(system.inputs)), nominal)
+    assert system.input_map is not None
+    assert system.source is not None
+    still, nominal, sentences = jnp.zeros(len(system.coordinates)), system.nominal(), []
+    rest = np.asarray(system.input_map(still, still, jnp.zeros(len(system.inputs)), nominal))
     for j, i in enumerate(system.inputs):
-        u = np.zeros(len(system.inputs))
-        u[j] = max(float(np.abs(e.u[:, j]).max()) for e in records)
-        force = np.abs(
-            np.asarray(system.input_map(np.zeros(n), np.zeros(n), u, nominal)) - np.asarray(rest)
-        )
+        largest = max(float(np.abs(e.u[:, j]).max()) for e in records)
+        u = jnp.zeros(len(system.inputs)).at[j].set(largest)
+        force = np.abs(np.asarray(system.input_map(still, still, u, nominal)) - rest)
         k = int(np.argmax(force))
         most = system.limits[k].force
         if most is not None and force[k] > _USUAL_GAIN * most:
