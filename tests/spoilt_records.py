@@ -12,14 +12,27 @@ import tustinnet as tn
 SAMPLES = 400
 HAND = slice(150, 225)  # 3 to 4.5 s
 BEGIN, END = 3.0, 4.5
+FRICTION = 1.5  # N m, twice as much at the onset of motion
+SLOW = 4  # seed of the record with another motion
 
 
 def simulate(
-    name: str, seed: int, *, inertia: float = 1.0, hand: bool = False, split: str | None = None
+    name: str,
+    seed: int,
+    *,
+    inertia: float = 1.0,
+    hand: bool = False,
+    friction: float = 0.0,
+    split: str | None = None,
 ) -> tn.Experiment:
-    """A record of the pendulum under steps of torque, with a hand's force or another inertia."""
+    """A record of the pendulum under steps of torque, with a hand's force or another inertia.
+
+    With dry friction, one record has another motion for a while: it turns around slowly.
+    """
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-3, 3, SAMPLES // 10), 10)
+    if friction and seed == SLOW:
+        u[100:300] = 4.0 * np.sin(np.linspace(0, 5 * np.pi, 200))
     force = np.zeros(SAMPLES)
     if hand:
         force[HAND] = 12 * np.sin(np.linspace(0, 3 * np.pi, HAND.stop - HAND.start))
@@ -27,6 +40,7 @@ def simulate(
 
     def rate(x: np.ndarray, k: int) -> np.ndarray:
         torque = -20 * np.sin(x[0]) - 0.8 * x[1] + 4 * u[k] + force[k]
+        torque -= friction * (1 + np.exp(-((x[1] / 0.3) ** 2))) * np.tanh(x[1] / 0.02)
         return np.array([x[1], torque / inertia])
 
     for k in range(SAMPLES):
@@ -46,12 +60,16 @@ def simulate(
 
 @lru_cache
 def records(spoilt: str = "") -> tuple[tn.Experiment, ...]:
-    """Six records, the third with a hand's force, the second and the third with more inertia."""
+    """Six records, the third with a hand's force, the second and the third with more inertia.
+
+    Spoilt by "friction", all have dry friction; by "both", the third has the hand's force, too.
+    """
     return tuple(
         simulate(
             f"run{i}",
             i,
-            hand=spoilt == "hand" and i == 2,
+            hand=spoilt in ("hand", "both") and i == 2,
+            friction=FRICTION if spoilt in ("friction", "both") else 0.0,
             inertia=1.4 if spoilt == "payload" and i in (1, 2) else 1.0,
             split="train",
         )

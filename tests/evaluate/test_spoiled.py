@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import DT, SYSTEM
-from spoilt_records import BEGIN, END, HAND, SAMPLES, records, simulate, write
+from spoilt_records import BEGIN, END, HAND, SAMPLES, SLOW, records, simulate, write
 
 import tustinnet as tn
 from tustinnet.data.inspection import held_equilibrium
@@ -37,6 +37,20 @@ def test_a_hand_is_named_at_its_record_and_time(system_file):
     assert part.seconds == pytest.approx((BEGIN, END), abs=0.5)
     assert part.seconds[0] < BEGIN + 0.1
     assert part.seconds[1] > END - 0.1
+
+
+def test_friction_that_is_not_modelled_is_no_hand(system_file):
+    parts = find_by_model(fit("friction", system_file), records("friction"))
+    assert {(p.record, p.cause) for p in parts} == {(f"run{SLOW}", "friction")}
+    assert "changes its sign with the velocity" in parts[0].reason
+    assert (parts[0].card, parts[0].is_left_out) == ("", False)
+
+
+def test_a_hand_is_named_beside_friction_that_is_not_modelled(system_file):
+    parts = find_by_model(fit("both", system_file), records("both"))
+    (hand,) = [p for p in parts if p.cause == "unlogged force"]
+    assert hand.record == "run2"
+    assert hand.seconds == pytest.approx((BEGIN, END), abs=0.5)
 
 
 def test_records_with_another_payload_are_named_as_a_whole(system_file):

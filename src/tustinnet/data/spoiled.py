@@ -19,7 +19,9 @@ from tustinnet.data.inspection import saturated_share
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
-Cause = Literal["unlogged force", "other conditions", "saturated input", "unstable phase"]
+Cause = Literal[
+    "unlogged force", "other conditions", "friction", "saturated input", "unstable phase"
+]  # fmt: skip
 
 KEY = "spoiled"  # in headers and summaries
 FEWEST = 50  # samples of a part of a record that is worth keeping

@@ -7,6 +7,8 @@ parameters that suit all other records, and those that suit a record alone, are 
 another fit.
 
 * A stretch with errors far above those of all other stretches has a force that is not in the log.
+  Where forces that only follow the sign of the velocity, or its sign at low speeds, explain them,
+  it is friction that the model has otherwise, and no hand.
 * A record that its own parameters explain far better than those of the other records was made
   under other conditions, such as another payload. Where the model lacks something, parameters
   depend on the kind of motion; so those of other single records must not explain it either.
@@ -43,6 +45,8 @@ _REWEIGHTINGS = 8
 _USUAL = 0.9  # of the pieces have an error that is usual
 # an unlogged force: times that, and times the usual error for such motion; either pair is enough
 _STRETCH = ((2.5, 1.75), (1.5, 4.0))
+_BY_FRICTION = 0.45  # times the error of a stretch that friction of its own leaves
+_SLOW, _ONSET = 0.02, 0.2  # speeds by the usual one: where friction turns, and where it falls
 _LEAST_MOTION = 0.3  # of the usual one; where there is less, friction holds it
 _EDGE = 1.4  # times the usual error, beside such a stretch: a part of it
 _OWN = 2.7  # times the error with parameters of its own: other conditions
@@ -130,7 +134,8 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
     records = [e for e in records if len(e) >= _FEWEST_PIECES * samples]
     if not records:
         return []
-    errors = _make_errors(_simulate_pieces(model, records, samples), records)
+    pieces = _simulate_pieces(model, records, samples)
+    errors = _make_errors(pieces, records)
     if not np.isfinite(np.concatenate([e.constant for e in errors])).all():
         return []
     unlike = _find_unlike(errors)
@@ -143,7 +148,10 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
         )
         for i, ratio in unlike.items()
     ]  # fmt: skip
-    parts += _find_stretches([errors[i] for i in alike], [records[i] for i in alike], samples)
+    with_friction = _make_errors(_with_friction(pieces, records, samples), records)
+    parts += _find_stretches(
+        *([x[i] for i in alike] for x in (errors, with_friction, records)), samples
+    )
     order = {e.name: i for i, e in enumerate(records)}
     return sorted(parts, key=lambda part: order[part.record])
 
@@ -216,6 +224,43 @@ def _changed_models(model: Model) -> list[Model]:
             others = [*leaves[:i], changed, *leaves[i + 1 :]]
             models.append(eqx.combine(jax.tree.unflatten(tree, others), static))
     return models
+
+
+def _with_friction(
+    pieces: Sequence[_Pieces], records: Sequence[Experiment], samples: int
+) -> list[_Pieces]:
+    """Pieces that also change with dry friction: alike at all speeds, and at low ones alone.
+
+    A force is a change of the velocity at every sample; what follows is that of a change of the
+    velocity at the beginning, as the equations hardly change within a piece.
+    """
+    n_q, velocity = records[0].channels.n_q, records[0].channels.velocity
+    speeds = [e.velocities() for e in records]
+    size = np.sqrt(np.mean(np.concatenate(speeds) ** 2, axis=0)) + 1e-12
+    lags = np.subtract.outer(np.arange(samples), np.arange(samples))
+    changes = []
+    for p, v in zip(pieces, speeds, strict=True):
+        n = len(p.residual)
+        direction = np.tanh(v[: n * samples] / (_SLOW * size)).reshape(n, samples, n_q)
+        slow = np.exp(-((v[: n * samples] / (_ONSET * size)) ** 2)).reshape(n, samples, n_q)
+        columns = []
+        for c in range(n_q):
+            # by a unit of velocity: after one sample the position has moved by a period of it
+            response = p.by_state[..., velocity.start + c]
+            after = np.where(np.abs(unit := response[:, 1:2, c : c + 1]) > 1e-300, unit, np.inf)
+            response = response / after
+            for force in (direction[..., c], direction[..., c] * slow[..., c]):
+                shifted = np.where(lags >= 0, force[:, np.maximum(lags, 0)], 0.0)
+                columns.append(np.einsum("nts,nsq->ntq", shifted, response))
+        changes.append(np.stack(columns, axis=-1))
+    size_of_change = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=(0, 1, 2))) + 1e-300
+    usual = np.sqrt(np.mean(np.concatenate([p.residual for p in pieces]) ** 2))
+    return [
+        replace(p, by_parameter=np.concatenate(
+            [p.by_parameter, change * (usual / size_of_change)], axis=-1
+        ))
+        for p, change in zip(pieces, changes, strict=True)
+    ]  # fmt: skip
 
 
 def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> list[_PieceErrors]:
@@ -323,18 +368,26 @@ def _find_unlike(errors: Sequence[_PieceErrors]) -> dict[int, float]:
 
 
 def _find_stretches(
-    errors: Sequence[_PieceErrors], records: Sequence[Experiment], samples: int
+    errors: Sequence[_PieceErrors],
+    with_friction: Sequence[_PieceErrors],
+    records: Sequence[Experiment],
+    samples: int,
 ) -> list[SpoiledPart]:
     """Stretches whose errors are far above the usual ones, and above those for such motion.
 
     A piece counts where one beside it is far off, too: single ones are chance.
+
+    Args:
+        errors: the errors of the pieces of each record.
+        with_friction: the same errors, with friction as the last parameters.
+        records: the records.
+        samples: length of a piece.
     """
     if not errors:
         return []
     few = len(errors) < _FEWEST_RECORDS
-    single = [
-        e.errors(_best_change(errors if few else [x for x in errors if x is not e])) for e in errors
-    ]
+    changes = [_best_change(errors if few else [x for x in errors if x is not e]) for e in errors]
+    single = [e.errors(change) for e, change in zip(errors, changes, strict=True)]
     smooth = [_running_median(x) for x in single]
     for_motion = [
         _running_median(x / np.hypot(1, e.motion)) for x, e in zip(single, errors, strict=True)
@@ -356,12 +409,46 @@ def _find_stretches(
             if is_spoiled[a:b].any():
                 first = max(0, a * samples - samples // 2)
                 stop = min(len(record), b * samples + samples // 2)
-                reason = (
+                far_off = (
                     f"short simulations are {single[i][a:b].max() / median:.2g} times as far off "
-                    "as usual: moved by a hand, a contact, or another force that is not in the log?"
+                    "as usual"
+                )
+                is_far = single[i][a:b] > _EDGE * usual
+                if _is_friction(with_friction[i].part(slice(a, b)), is_far, changes[i]):
+                    reason = (
+                        f"{far_off}, by a force that changes its sign with the velocity: friction "
+                        "that the model lacks, or has otherwise"
+                    )
+                    part = spoiled_stretch(record, first, stop, "friction", reason)
+                    parts.append(replace(part, card="", is_left_out=False))
+                    continue
+                reason = (
+                    f"{far_off}: moved by a hand, a contact, or another force that is not in the "
+                    "log?"
                 )
                 parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
     return parts
+
+
+def _is_friction(
+    errors: _PieceErrors, is_far: np.ndarray, change: Float[np.ndarray, " n_p"]
+) -> bool:
+    """Whether friction of its own explains most of what the parameters of all leave of a stretch.
+
+    Args:
+        errors: the errors of its pieces, with friction as the last parameters.
+        is_far: the pieces that are far off.
+        change: the change of the other parameters that suits all records.
+    """
+    n = len(change)
+    whole = np.concatenate([change, np.zeros(errors.gradient.shape[1] - n)])
+    matrix = errors.curvature[is_far][:, n:, n:].sum(axis=0)
+    rest = errors.gradient[is_far] - errors.curvature[is_far] @ whole
+    ridge = 1e-9 * np.trace(matrix) + 1e-300
+    own = np.linalg.solve(matrix + ridge * np.eye(len(matrix)), rest[:, n:].sum(axis=0))
+    before = errors.errors(whole)[is_far]
+    after = errors.errors(np.concatenate([change, own]))[is_far]
+    return bool(np.sum(after**2) < _BY_FRICTION**2 * np.sum(before**2))
 
 
 def _running_median(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -153,7 +153,7 @@ def _take_named_inputs(
     positions = [n for n, v in verdicts.items() if v.role == "position"]
     for name in positions:
         weights = readings[name].quantities
-        said = [q for q in INPUTS if weights.get(q, 0.0) >= _SAID]
+        said: list[Quantity] = [q for q in INPUTS if weights.get(q, 0.0) >= _SAID]
         if not said or not readings[name].object:
             continue
         for other in positions:

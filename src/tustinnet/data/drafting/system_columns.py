@@ -66,7 +66,7 @@ def match_columns(system: SystemChannels, findings: Findings) -> Matches:
         findings: what is known of the columns.
     """
     matches = Matches()
-    kinds = {c.name: c.kind for c in system.coordinates}
+    kinds: dict[str, Kind] = {c.name: c.kind for c in system.coordinates}
     places = {
         name: [c for c in findings.readings if _may_be_position(c, kind, findings)]
         for name, kind in kinds.items()

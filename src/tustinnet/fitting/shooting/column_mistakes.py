@@ -181,7 +181,8 @@ def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experime
 def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
     """Sentences on forces beyond those that a robot's file allows."""
     system = rigid_system(system)
-    assert system.input_map is not None and system.source is not None  # noqa: PT018
+    assert system.input_map is not None
+    assert system.source is not None
     nominal, sentences = system.nominal(), []
     still, none = jnp.zeros(len(system.coordinates)), jnp.zeros(len(system.inputs))
     rest = system.input_map(still, still, none, nominal)
