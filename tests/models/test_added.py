@@ -226,6 +226,13 @@ def test_friction_adds_to_the_level_that_a_system_has_itself():
     assert parse_forces(system, system.added) == parse_forces(RUBBING, system.added)
 
 
+def test_a_width_alone_is_no_friction_of_the_system():
+    width = Parameter("x.coulomb_speed", "m/s", 0.05, 0.01, 1.0, fixed=True)
+    (curve,) = parse_forces(replace(CART, parameters=(*CART.parameters, width)), ["curve:x"])
+    assert curve.parameter_names[-1] == "x.smooth_speed"
+    assert curve.own == ()
+
+
 def test_what_is_called_a_level_and_is_none_is_refused():
     told = "'stribeck:angle' adds to a Coulomb friction of the level 'angle.coulomb', and that of"
     with pytest.raises(tn.InputError, match=told):

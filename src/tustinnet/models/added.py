@@ -15,6 +15,8 @@ from tustinnet.errors import InputError
 from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.forces import (
     LAWS,
+    OWN_LEVEL,
+    OWN_WIDTH,
     ActuatorLag,
     ForceParameter,
     ForceWithMemory,
@@ -59,6 +61,12 @@ class PlacedForce:
         return tuple(names)
 
     @property
+    def own_width(self) -> str:
+        """The name of the width of the smoothed sign that it takes of the system; "" for none."""
+        name = f"{self.channel}.{OWN_WIDTH}"
+        return name if name in self.own else ""
+
+    @property
     def brought(self) -> dict[str, ForceParameter]:
         """The parameters that it brings to the system, by name."""
         named = zip(self.parameter_names, self.law.parameters, strict=True)
@@ -83,6 +91,8 @@ def place_force(law: Law, channel: str, index: int, of_system: Collection[str]) 
         of_system: names of the parameters that the system has itself.
     """
     own = (f"{channel}.{p.own}" for p in law.parameters if p.own)
+    if f"{channel}.{OWN_LEVEL}" not in of_system:
+        own = ()
     return PlacedForce(law, channel, index, tuple(name for name in own if name in of_system))
 
 
@@ -128,8 +138,8 @@ def with_forces(
 ) -> LagrangianSystem:
     """The system with further forces, their values among its parameters.
 
-    Internal states come after those that the system has. Where a system has a parameter of a law
-    itself, the law takes this one (see `ForceParameter.own`).
+    Internal states come after those that the system has. Where a system has Coulomb friction
+    itself, laws take its parameters (see `ForceParameter.own`).
 
     Args:
         system: the system.

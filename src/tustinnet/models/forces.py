@@ -24,7 +24,8 @@ Value = Float[Array, "..."] | float
 
 CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # of a friction curve, by the width of the smoothed sign
 LARGEST_LOAD_SHARE = 0.5  # of a load, as friction
-OWN_WIDTH = "coulomb_speed"  # of the smoothed sign, where a system has it itself: `theta.OWN_WIDTH`
+# level and width of the Coulomb friction that a system has itself at a coordinate, `theta.NAME`
+OWN_LEVEL, OWN_WIDTH = "coulomb", "coulomb_speed"
 
 if not TYPE_CHECKING:
 
@@ -351,8 +352,8 @@ class Motion:
         speed: root mean square [rad/s or m/s].
         dt: sampling period [s].
         longest: duration of the longest record [s].
-        width: width of the smoothed sign of the Coulomb friction that the system has itself there
-            [rad/s or m/s]; None without one.
+        width: width of the smoothed sign, where a law takes that of the system's own Coulomb
+            friction [rad/s or m/s]; None otherwise.
     """
 
     force: float
@@ -397,8 +398,8 @@ class ForceParameter:
         range: initial value, lower and upper end of the search, from the motion in the records.
         fixed: whether the search leaves it at its initial value.
         shared: whether the laws of a coordinate share one parameter of this name.
-        own: name of a parameter that takes its place in a system that has it, `theta.OWN`; "" where
-            the law brings it always.
+        own: name of a parameter, `theta.OWN`, that takes its place where a system has Coulomb
+            friction itself; "" where the law brings it always.
         is_level: whether it is the level of a Coulomb friction. A system that has this parameter
             has this friction, too: the law adds what is beyond it.
         prior: standard deviation of what is known of it, from the motion; None for none.
@@ -566,13 +567,10 @@ _SMOOTH_SPEED = ForceParameter(
     "smooth_speed", "w", "{position}/s", lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
     fixed=True, shared=True,
 )  # fmt: skip
-_OWN_COULOMB = replace(_COULOMB, own="coulomb")
+_OWN_COULOMB = replace(_COULOMB, own=OWN_LEVEL)
 _OWN_SMOOTH_SPEED = replace(_SMOOTH_SPEED, own=OWN_WIDTH)
 _BREAKAWAY = ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force))
-_STRIBECK_SPEED = ForceParameter(
-    "stribeck_speed", "v_s", "{position}/s",
-    lambda m: (10.0 * m.slow, 2.0 * m.slow, 100.0 * m.slow),
-)  # fmt: skip
+_STRIBECK_SPEED = ForceParameter("stribeck_speed", "v_s", "{position}/s", _stribeck_speeds)
 _STICKING = ForceParameter("sticking", "c", "{force}", _sticking_forces)
 _PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflections)
 
@@ -628,7 +626,7 @@ _LAWS: tuple[Law, ...] = (
         parameters=(
             _OWN_COULOMB,
             _BREAKAWAY,
-            replace(_STRIBECK_SPEED, range=_stribeck_speeds),
+            _STRIBECK_SPEED,
             _OWN_SMOOTH_SPEED,
         ),
         force=lambda q, v, level, more, stribeck_speed, speed: stribeck(

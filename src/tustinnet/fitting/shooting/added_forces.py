@@ -1,6 +1,7 @@
 """Forces that are added to a system, with ranges from the motion in the records."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, parse_forces, with_forces
 from tustinnet.models.feedback import with_changed_plant
-from tustinnet.models.forces import LAWS, OWN_WIDTH, Motion
+from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter, current_force
 from tustinnet.models.rigid import rigid_system
@@ -69,6 +70,7 @@ def with_added(
                 WHERE, f"'{force}': '{force.channel}' never moves in the training records",
                 "a coordinate that moves", "name those that do, as LAW:COORDINATE",
             )  # fmt: skip
+        motion = replace(motion, width=values.get(force.own_width))
         coordinate = system.coordinates[force.index]
         every = [need.for_coordinate(coordinate, motion) for need in force.brought.values()]
         parameters |= {p.name: p for p in every}
@@ -124,11 +126,7 @@ def _motions(
     force = np.max([_size(x) for x in acting], axis=0)
     dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
     sizes = zip(force, _size(q), np.std(q, axis=0), _size(v), strict=True)
-    widths = [values.get(f"{c.name}.{OWN_WIDTH}") for c in system.coordinates]
-    return [
-        Motion(*map(float, size), dt=dt, longest=longest, width=width)
-        for size, width in zip(sizes, widths, strict=True)
-    ]
+    return [Motion(*map(float, size), dt=dt, longest=longest) for size in sizes]
 
 
 def _size(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
