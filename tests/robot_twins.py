@@ -122,10 +122,12 @@ def record_in_loop(
     coordinates = [tn.Coordinate(c.name, c.kind, resolution) for c in system.coordinates]
     inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
               for i in system.inputs]  # fmt: skip
-    gains = [(float(stiffness[j]), float(damping[j])) if knows_gains else () for j in driven]
+    gains = [
+        {"kp": float(stiffness[j]), "kd": float(damping[j])} if knows_gains else {} for j in driven
+    ]
     names = [coordinates[j].name for j in driven]
     loops = [
-        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", "", *own)
+        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", **own)
         for i, name, own in zip(inputs, names, gains, strict=True)
     ]
     points = [
