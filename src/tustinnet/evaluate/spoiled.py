@@ -150,7 +150,10 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
     ]  # fmt: skip
     with_friction = _make_errors(_with_friction(pieces, records, samples), records)
     parts += _find_stretches(
-        *([x[i] for i in alike] for x in (errors, with_friction, records)), samples
+        [errors[i] for i in alike],
+        [with_friction[i] for i in alike],
+        [records[i] for i in alike],
+        samples,
     )
     order = {e.name: i for i, e in enumerate(records)}
     return sorted(parts, key=lambda part: order[part.record])
