@@ -45,7 +45,8 @@ _USUAL_GAIN = 3.0  # factor by which forces may be off by the file's masses alon
 _TURN = 2 * np.pi  # rad; an angle that moves by more may be in degrees
 _UNITS = {1e-3: "kN m or kN", 1e3: "mN m or mN", 1e2: "N cm", 0.10197: "kgf m or kgf"}
 _SAME_UNIT = 0.3  # relative; a factor this near to one of a unit
-_FAR = {"angular": 3.0, "linear": 8.0}  # widths of a range beyond it; radians in degrees are 57
+# widths of a range beyond it; radians in degrees are 57 times as large, metres in mm 1000 times
+_FAR_ANGLE, _FAR_LENGTH = 3.0, 8.0
 _MISTAKES = 3  # that are looked for one after the other
 _RECORDS, _SECONDS = 4, 20.0  # that are enough to tell, and their length
 _PASSES = 30  # of the search for parameters within their bounds
@@ -166,7 +167,7 @@ def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experime
             continue
         q = np.concatenate([e.q[:, k] for e in records])
         (low, high), (least, most) = (float(q.min()), float(q.max())), limits.position
-        far = _FAR[c.kind] * (most - least)
+        far = (_FAR_ANGLE if c.kind == "angular" else _FAR_LENGTH) * (most - least)
         if low < least - far or high > most + far:
             cause = "degrees taken for rad, the angle of a motor before its gear, "
             sentences.append(
