@@ -123,12 +123,12 @@ def record_in_loop(
     inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
               for i in system.inputs]  # fmt: skip
     gains = [
-        {"kp": float(stiffness[j]), "kd": float(damping[j])} if knows_gains else {} for j in driven
+        (float(stiffness[j]), float(damping[j])) if knows_gains else (None, None) for j in driven
     ]
     names = [coordinates[j].name for j in driven]
     loops = [
-        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", **own)
-        for i, name, own in zip(inputs, names, gains, strict=True)
+        PDLoop(i.name, name, f"{name}_setpoint", f"{name}_velocity_setpoint", kp=kp, kd=kd)
+        for i, name, (kp, kd) in zip(inputs, names, gains, strict=True)
     ]
     points = [
         tn.Input(name, coordinates[j].unit + per, "zero-order", is_delay_declared=True)

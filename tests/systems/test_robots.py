@@ -1,6 +1,7 @@
 """Robots from files: equations of motion as MuJoCo has them, messages about what is no robot."""
 
 import re
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -295,10 +296,10 @@ def test_a_motor_behind_an_elastic_gear_moves_by_itself(hanging):
 
 def test_an_encoder_at_the_motor_changes_what_is_measured_alone(hanging):
     """The robot moves as with an encoder at the link; motor and link change their places."""
-    gear = {"elastic": {"hip": 60.0}, "backlash": {"hip": 0.02}}
-    by_link, by_motor = (tn.load_robot(hanging, **gear, encoders=x) for x in ("link", "motor"))
+    load = partial(tn.load_robot, hanging, elastic={"hip": 60.0}, backlash={"hip": 0.02})
+    by_link, by_motor = (load(encoders=x) for x in ("link", "motor"))
     assert by_motor.internal == ("hip.link", "hip.link_speed")
-    assert tn.load_robot(hanging, **gear, encoders={"hip": "motor"}).internal == by_motor.internal
+    assert load(encoders={"hip": "motor"}).internal == by_motor.internal
     nominal = {name: jnp.asarray(x) for name, x in by_link.nominal().items()}
     assert by_motor.nominal() == by_link.nominal()
     u, link, motor = jnp.array([2.0]), [0.3, 0.5], [0.35, -0.8]

@@ -134,13 +134,13 @@ def test_segments_of_few_records_see_errors_that_last():
         vectors.append(fitted.vector)
         naive.append(np.diag(certain.naive))
         by_segments.append(np.diag(certain.trusted))
+        # Student's t of 16 segments
+        assert certain.quantile_for_records(2) == pytest.approx(2.131, abs=1e-3)
     spread = np.std(vectors, axis=0)[:2]  # the input of these two records is 0
     stated, robust = (np.sqrt(np.mean(x, axis=0))[:2] / spread for x in (naive, by_segments))
     assert (stated < 0.6).all()
     assert (robust > 0.75).all()
     assert (robust < 1.6).all()
-    # Student's t of 16 segments
-    assert certain.quantile_for_records(2) == pytest.approx(2.131, abs=1e-3)
 
 
 def test_few_records_have_wide_quantiles():
