@@ -73,7 +73,10 @@ def test_fit_evaluate_and_simulate_in_the_loop(logs, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('kind = "pd"', 'kind = "lqr"'), "controller.kind: Input should be 'pd' (got 'lqr')"),
+        (
+            ('kind = "pd"', 'kind = "lqr"'),
+            "controller.kind: Input should be 'pd' or 'pid' (got 'lqr')",
+        ),
         (('coordinate = "angle"', 'coordinate = "elbow"'), "no coordinate 'elbow'; expected one"),
         (("kp = 40.0", "kp = -40.0"), "controller.loops.0.kp: Input should be greater than"),
         (("kp = 40.0", "kp = nan"), "controller.loops.0.kp: Input should be a finite number"),

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
@@ -73,6 +74,10 @@ class SystemFile:
         return tuple(
             SystemFile(path, read_robot_text(path)) for path in sorted(paths) if path.is_file()
         )
+
+
+# what a command checks first and fits later is run once; forgotten with the file that was read
+_loaded: WeakKeyDictionary[SystemFile, LagrangianSystem] = WeakKeyDictionary()
 
 
 def find_robot_path(name: str | Path, folder: Path | None = None) -> Path:
@@ -169,6 +174,13 @@ def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTempla
     file = which if isinstance(which, SystemFile) else find_system(which)
     if isinstance(file, str):
         return SYSTEMS[file]
+    if file not in _loaded:
+        _loaded[file] = _load_file(file)
+    return _loaded[file]
+
+
+def _load_file(file: SystemFile) -> LagrangianSystem:
+    """The system of a file."""
     path, text = file.path, file.text
     if not file.is_code:
         from tustinnet.systems.robots import RobotFile

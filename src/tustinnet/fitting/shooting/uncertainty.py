@@ -124,7 +124,7 @@ def estimate_uncertainty(
         parts = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
         gradients = np.add.reduceat(reduced.gradients, first)[:, inside]
         # parameters of which the other parts say nothing, by the part that is left out
-        is_alone = np.diag(whole) - np.einsum("rii->ri", parts) <= _NOTHING * np.diag(whole)
+        is_alone = np.diag(whole) - np.einsum("rii->ri", parts) < _NOTHING * np.diag(whole)
         left_out = np.flatnonzero(~is_alone.any(axis=1))
         n = len(left_out)
         if n < FEWEST_RECORDS:
