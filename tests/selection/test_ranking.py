@@ -38,6 +38,12 @@ def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():
     assert [s.name for s in rank([a, b])] == ["b", "a"]
 
 
+def test_a_single_record_decides_where_one_is_several_times_as_far_off():
+    linear = standing("linear", {"r": 0.06}, {"s": 0.1}, {"t": 0.08})
+    physics, chance = standing("physics", {"r": 0.01}), standing("chance", {"r": 0.03})
+    assert [s.name for s in rank([linear, physics, chance])] == ["physics", "linear", "chance"]
+
+
 def test_those_that_share_no_fold_are_ranked_by_what_each_has():
     a, b = (
         CandidateResult("a", {0: (scores({"r": 2.0}),)}),
@@ -99,7 +105,7 @@ def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
     a = standing("a", {"q": 2.1, "r": 2.0}, {"s": 1.0})
     sure = standing("sure", {"q": 1.0, "r": 1.0})
     doubtful = standing("doubtful", {"q": 3.0, "r": 0.9})  # better by 0.1 +- 1
-    single = CandidateResult("single", {0: (scores({"q": 0.1}),)})
+    single = CandidateResult("single", {0: (scores({"q": 0.8}),)})
     found = [s.name for s in rank([single, doubtful, a, sure])]
     assert found == ["sure", "a", "doubtful", "single"]
 
