@@ -29,7 +29,9 @@ def true_values(system: LagrangianSystem, seed: int, change: float = 0.3) -> dic
         if p.fixed:
             continue
         if kind == "armature":
-            values[p.name] = p.nominal + 0.1 * p.upper * rng.uniform(0.5, 1)
+            # behind an elastic gear it begins at what is usual, and its range is wide
+            size = 0.1 * p.upper if p.prior else p.nominal
+            values[p.name] = p.nominal + size * rng.uniform(0.5, 1)
         elif kind == "offset":
             values[p.name] = 0.02 * p.upper * rng.uniform(-1, 1)
         elif kind == "breakaway":

@@ -10,6 +10,7 @@ from robot_twins import record_in_loop, true_values
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.errors import InputError
 
 ROBOT = Path(__file__).parents[2] / "examples" / "robots" / "cart_pole.xml"
 CARD = """
@@ -76,6 +77,7 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     )
     assert code == 0, err
     assert "run2" in out
+    assert tn.load_model(run / "model.safetensors").coordinates[0].name == "pole"
     page = (run / "report.html").read_text()
     assert "Missing forces" in page
     assert f"{len(rows)} base parameters" in page
@@ -112,6 +114,15 @@ def test_a_python_file_with_options_is_kept_with_its_robot(logs, tmp_path, capsy
     )  # fmt: skip
     assert code == 0, err
     assert "run2" in out
+    # code is run where it was run before, or is named
+    assert tn.load_model(run / "model.safetensors").coordinates[0].name == "pole"
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("TUSTINNET_CONFIG", str(tmp_path / "another machine"))
+        told = r"Python code that its run keeps.*system='.*system\.py'"
+        with pytest.raises(InputError, match=told):
+            tn.load_model(run / "model.safetensors")
+        named = tn.load_model(run / "model.safetensors", system=run / "system.py")
+    assert named.coordinates[0].name == "pole"
     # a run is replaced with all that it kept, another file is not
     (other := run / "cart.xml").write_text("<mujoco/>")
     code, _, err = tustinnet(capsys, *arguments, "--system", run / "system.py", "--overwrite")

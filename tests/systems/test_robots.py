@@ -327,17 +327,17 @@ def test_a_link_begins_where_the_load_twists_its_gear(hanging):
 @pytest.mark.parametrize(
     ("encoders", "message"),
     [
-        ({"hip": "gear"}, "encoders: 'gear' for 'hip'; expected 'motor' or 'link'"),
+        ({"hip": "gear"}, "encoders of 'hip': 'gear'; expected 'motor' or 'link'"),
         (
             {"knee": "motor"},
-            "the joint 'knee', which is not elastic; expected one of hip",
+            "encoders of 'knee': 'motor', and no elastic gear there; expected one of hip",
         ),
     ],
 )
 def test_encoders_are_checked(encoders, message, hanging):
     with pytest.raises(InputError, match=re.escape(message)):
         tn.load_robot(hanging, elastic={"hip": 60.0}, encoders=encoders)
-    with pytest.raises(InputError, match="which is not elastic"):
+    with pytest.raises(InputError, match="encoders: 'motor', and no elastic gear there; expected"):
         tn.load_robot(hanging, encoders="motor")
 
 

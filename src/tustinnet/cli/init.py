@@ -77,9 +77,11 @@ def init(
     fit = f"tustinnet fit {shlex.quote(str(folder))}{links}"
     if loaded is not None:
         _print_mismatches(draft, loaded)
-        by_forces = "" if loaded.source is None else " --recipe inverse-dynamics"
+        recipe = "" if loaded.source is None else " --recipe inverse-dynamics"
+        if recipe and loaded.internal:  # of elastic gears
+            recipe = " --recipe grey --set search.horizon=0.5"
         density = "" if default_density is None else f" --default-density {default_density:g}"
-        fit += f"{by_forces} --system {shlex.quote(str(system))}{density}"
+        fit += f"{recipe} --system {shlex.quote(str(system))}{density}"
     terminal.messages().print(
         f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
         highlight=False, soft_wrap=True,

@@ -11,7 +11,6 @@ from tustinnet.export.source import make_source
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import KEY, Range
 from tustinnet.store.header import read_header
-from tustinnet.store.kept_system import find_system_copy, is_trusted
 from tustinnet.store.model_file import load_model
 from tustinnet.systems.files import AnySystem
 
@@ -63,10 +62,6 @@ def _rules(
     with jax.enable_x64(True):
         header: Mapping[str, Any] = {}
         if not isinstance(model, Model):
-            path = model
-            # code is run where it is named or trusted
-            kept = find_system_copy(Path(path)) if system is None else None
-            trusted = kept if kept is not None and is_trusted(kept) else None
-            model, header = load_model(path, system or trusted), read_header(path)
+            model, header = load_model(model, system), read_header(model)
         limits = Range.from_header(header if range is None else {KEY: range}, model)
         return Rules(make_source(model, limits, groups, header), **options)

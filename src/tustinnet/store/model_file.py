@@ -14,6 +14,7 @@ from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
 from tustinnet.store.files import nonfinite_to_none
 from tustinnet.store.header import read_header, read_header_and_arrays, records_in_header
+from tustinnet.store.kept_system import find_system_copy, is_trusted
 from tustinnet.store.sealed import SEAL, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
@@ -71,7 +72,8 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
     Args:
         path: the file.
         system: for a grey-box model of a system of your own, the system, or the Python file that
-            defines it, which is run; a model file itself never holds code.
+            defines it, which is run; a model file itself never holds code. None for the copy that
+            its run keeps: of a robot's file, or of a Python file that is trusted on this machine.
 
     Raises:
         InputError: no such file, cut short, changed since it was written, of another kind, or of
@@ -83,6 +85,14 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             f"system for {path}", f"not applicable to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
         )  # fmt: skip
+    needs_system = system is None and _systems_in(header, path)
+    if needs_system and (copy := find_system_copy(Path(path))) is not None:
+        if copy.is_code and not is_trusted(copy):
+            raise InputError(
+                path, f"a model of the system in {copy.path}, Python code that its run keeps",
+                "your consent", f"to run it, load_model(path, system={str(copy.path)!r})",
+            )  # fmt: skip
+        system = copy
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
 

@@ -147,14 +147,15 @@ def load_robot(
         )  # fmt: skip
     chosen = tuple(name for name in FRICTIONS if name in friction)
     if isinstance(encoders, str):
-        encoders = dict.fromkeys(elastic or {"every joint": 0.0}, encoders)
+        encoders = dict.fromkeys(elastic or {"": 0.0}, encoders)
     for joint, side in encoders.items():
+        of_joint = f" of '{joint}'" if joint else ""
         if side not in ("motor", "link"):
-            raise InputError(path, f"encoders: {side!r} for '{joint}'", "'motor' or 'link'")
-        if joint not in (elastic or {}) and encoders != {"every joint": "link"}:
+            raise InputError(path, f"encoders{of_joint}: {side!r}", "'motor' or 'link'")
+        if joint not in (elastic or {}) and encoders != {"": "link"}:
             raise InputError(
-                path, f"encoders: the joint '{joint}', which is not elastic",
-                f"one of {_list([*(elastic or {})])}",
+                path, f"encoders{of_joint}: {side!r}, and no elastic gear there",
+                f"one of {_list([*elastic])}" if elastic else "joints with elastic gears",
                 "give it a stiffness by elastic=; behind a rigid gear both encoders read alike",
             )  # fmt: skip
     at_motor = tuple(sorted(joint for joint, side in encoders.items() if side == "motor"))
@@ -882,9 +883,10 @@ class _Assembly:
             return _weak(f"{name}.armature", unit, armature, largest,
                          "some times the inertia that it moves by the file")  # fmt: skip
         nominal = armature or _SHARE * largest / _GEARED
-        return Parameter(
-            f"{name}.armature", unit, nominal, nominal / 100, max(largest, 2 * nominal)
-        )
+        # no prior holds it, and with a bound that is too low stiffnesses make up for it
+        most = max(_GEAR * largest, 2 * nominal)
+        basis = f"up to {most / nominal:.3g} times the first value"
+        return Parameter(f"{name}.armature", unit, nominal, nominal / 100, most, basis=basis)
 
     def _limits(self, k: int) -> MotionLimits:
         """The limits of a coordinate: of its joint, of those that follow it, of its actuators."""

@@ -218,7 +218,8 @@ def _describe_poor(poor: Sequence[ForceError]) -> list[str]:
         return []
     return [
         f"most of the force at {', '.join(names)} is missing: look at the columns there (sign, "
-        "unit, gear ratio, zero of the position), and at the file: axes, masses, gravity"
+        "unit, gear ratio, zero of the position, exchanged with those of another joint), and at "
+        "the file: axes, masses, gravity"
     ]
 
 
