@@ -303,9 +303,18 @@ def _with_timing(task: "Task", records: "DataSet", *, quiet: bool) -> "tuple[Tas
 
     Those of a fit that begins with a model, or corrects one, are the model's.
     """
+    from tustinnet.fitting.recipe import IdentificationRecipe
     from tustinnet.fitting.roles import assign_roles
+    from tustinnet.fitting.shooting.inverse_dynamics import require_possible
+    from tustinnet.models.lagrangian import LagrangianSystem
     from tustinnet.selection.timing import determine_recipe_timing
 
+    recipe = task.recipe
+    is_by_forces = isinstance(recipe, IdentificationRecipe) and (
+        recipe.search.method == "inverse-dynamics"
+    )
+    if is_by_forces and isinstance(task.system, LagrangianSystem):
+        require_possible(task.system, records.experiments)  # before time is spent
     (fold,) = task.folds
     if fold.physics is not None or fold.origin is not None:
         return task, records

@@ -197,6 +197,12 @@ def describe_bounds(
         sentences.append(
             f"'{e.name}' is at its {e.bound} bound ({e.value:.4g} {e.unit}{where}): {cause}"
         )
+        if e.bound == "lower" and name.endswith(".stribeck_speed"):
+            sentences.append(
+                "the breakaway friction beside it then stands for a joint that sticks, which the "
+                "rounded sign of the model does not: trust neither, and compare free runs with "
+                "those of 'curve'"
+            )
         if basis:
             ranges[name] = _wider(e)
     if ranges and system.source is not None:

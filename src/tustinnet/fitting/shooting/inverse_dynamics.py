@@ -186,12 +186,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     """
     closed_loop, problem = problem, problem.plant
     system = problem.system
-    obstacle = find_obstacle(system, closed_loop.records)
-    if obstacle is not None:
-        raise InputError(
-            "search.method", f"inverse-dynamics, {obstacle.problem}", obstacle.expected,
-            obstacle.remedy,
-        )  # fmt: skip
+    require_possible(system, closed_loop.records)
     state = without_gains(closed_loop, state)
     values, space = state.space.to_values(state.vector), state.space
     cutoff = problem.search.cutoff or choose_cutoff(problem.records)
@@ -265,6 +260,15 @@ def find_obstacle(system: LagrangianSystem, records: Sequence[Experiment]) -> Ob
             "add them, or identify by simulation: --recipe grey",
         )
     return None
+
+
+def require_possible(system: LagrangianSystem, records: Sequence[Experiment]) -> None:
+    """Raises where `find_obstacle` finds one."""
+    if (obstacle := find_obstacle(system, records)) is not None:
+        raise InputError(
+            "search.method", f"inverse-dynamics, {obstacle.problem}", obstacle.expected,
+            obstacle.remedy,
+        )  # fmt: skip
 
 
 def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> bool:
