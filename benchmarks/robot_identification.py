@@ -39,9 +39,10 @@ import numpy as np
 
 import tustinnet as tn
 from tustinnet.fitting.shooting.inverse_dynamics import cutoff_for, filter_record
-from tustinnet.models.chains import BodyInertia, Chain, body_inertia
+from tustinnet.models.chains import BodyInertia, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.low_pass import low_pass, occupied_band
+from tustinnet.systems.robot_equations import RobotEquations
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -65,9 +66,10 @@ def regressor(system: LagrangianSystem, part: Any) -> np.ndarray:
 
     Ten of each body; then of each joint armature, viscous and Coulomb friction, and an offset.
     """
-    # the kinetic energy of a robot is a method of its chain, which a system does not name
-    chain = system.kinetic.__self__  # pyright: ignore[reportFunctionMemberAccess]
-    assert isinstance(chain, Chain)
+    # the kinetic energy of a robot is a method of its equations, which a system does not name
+    equations = system.kinetic.__self__  # pyright: ignore[reportFunctionMemberAccess]
+    assert isinstance(equations, RobotEquations)
+    chain = equations.chain
     n, bodies = len(system.coordinates), len(chain.bodies)
     upper = np.triu_indices(3)
 
