@@ -22,10 +22,11 @@ from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.report import ForceError, Identification
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.inverse_dynamics import (
-    MeasuredForces,
     Prior,
     choose_cutoff,
     filter_record,
+    force_slopes,
+    forces_along,
     missing_forces,
     with_parameters,
     without_gains,
@@ -242,7 +243,12 @@ class _Comparison:
         self.parts = [filter_record(e, cutoff) for e in records]
         self.equations: SystemEquations = system_equations(problem.system, space.names)
         self.formula: Formula = missing_forces(self.equations)
-        self.forces = [self._column_forces(part) for part in self.parts]
+        self.values = space.to_values(self.prior.centre)
+        # what the recorded inputs put on the coordinates
+        self.forces = [
+            forces_along(self.formula, self.equations, [part], self.values).applied
+            for part in self.parts
+        ]
         products = [part.weight * f.T @ f for part, f in zip(self.parts, self.forces, strict=True)]
         self.products = np.sum(products, axis=0)
         self.weight = sum(
@@ -328,21 +334,11 @@ class _Comparison:
             yield replace(current, kind="positions", joints=(i, j), order=tuple(order))
             yield replace(current, kind="both", joints=(i, j), order=tuple(order), columns=rows)
 
-    def _column_forces(self, part: MeasuredForces) -> Float[np.ndarray, "k n"]:
-        """Forces that the recorded inputs put on the coordinates, as they are compared."""
-        values = self.space.to_values(self.prior.centre)
-        points = with_parameters(self.equations, part, values)
-        first, n_u = 3 * self.n, len(self.problem.system.inputs)
-        without = points.copy()
-        without[:, first : first + n_u] = 0.0
-        return part.compare(evaluate(self.formula, without) - evaluate(self.formula, points))
-
     def _geometry(self, change: _Change) -> _Geometry:
         """The sums along the records with their positions changed, computed once for each."""
-        if (known := self.geometries.get(change.geometry)) is not None:
-            return known
-        values, centre = self.space.to_values(self.prior.centre), self.prior.centre
-        columns, n, n_p = self.equations.free_columns(self.space), self.n, len(centre)
+        if (computed := self.geometries.get(change.geometry)) is not None:
+            return computed
+        centre, n, n_p = self.prior.centre, self.n, len(self.prior.centre)
         sums = _Geometry(
             np.zeros((n, n_p, n_p)), np.zeros((n, n_p)), np.zeros((n, n, n_p)), np.zeros(n),
             np.zeros((n, n)),
@@ -353,14 +349,12 @@ class _Comparison:
                 own = part.points[:, block * n : (block + 1) * n]
                 moved[:, block * n : (block + 1) * n] = own[:, change.order] * change.factors
             changed = part._replace(points=moved)
-            points = with_parameters(self.equations, changed, values)
+            points = with_parameters(self.equations, changed, self.values)
             points[:, 3 * n : 3 * n + len(self.problem.system.inputs)] = 0.0
-            constant = part.compare(evaluate(self.formula, points))
-            slopes = part.compare(evaluate(self.formula, points, derivatives=True))
-            slopes = slopes.reshape(*constant.shape, -1)[:, :, columns]
-            indices = np.repeat(self.problem.group_indices([part.record]), len(constant), axis=0)
-            chain = self.equations.coordinate_derivatives(self.space, centre, indices)
-            slopes, w = slopes * chain[:, None], part.weight
+            constant, w = part.compare(evaluate(self.formula, points)), part.weight
+            slopes = force_slopes(
+                self.formula, self.equations, self.problem, self.space, part, points, centre
+            )
             sums.matrices[:] += w * np.einsum("tkp,tkq->kpq", slopes, slopes, optimize=True)
             sums.by_constant[:] += w * np.einsum("tkp,tk->kp", slopes, constant)
             sums.by_column[:] += w * np.einsum("tkp,tj->kjp", slopes, forces, optimize=True)
@@ -490,16 +484,16 @@ def _solve_in_box(
         lower: lower bounds.
         upper: upper bounds.
     """
-    x, held = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
+    x, at_bound = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
     for _ in range(_PASSES):
-        free = ~held
-        target = -gradient[free] - matrix[np.ix_(free, held)] @ x[held]
+        free = ~at_bound
+        target = -gradient[free] - matrix[np.ix_(free, at_bound)] @ x[at_bound]
         x[free] = np.linalg.solve(matrix[np.ix_(free, free)], target)
         beyond = (x < lower) | (x > upper)
         x = np.clip(x, lower, upper)
         slope = matrix @ x + gradient
-        inwards = held & (((x <= lower) & (slope < 0)) | ((x >= upper) & (slope > 0)))
+        inwards = at_bound & (((x <= lower) & (slope < 0)) | ((x >= upper) & (slope > 0)))
         if not beyond.any() and not inwards.any():
             break
-        held = (held & ~inwards) | beyond
+        at_bound = (at_bound & ~inwards) | beyond
     return x

@@ -109,6 +109,32 @@ class MeasuredForces(NamedTuple):
         return low_pass(forces, self.dt, self.cutoff)[edge : len(forces) - edge : self.step]
 
 
+class ForcesAlong(NamedTuple):
+    """Forces on the coordinates along filtered records, as they are compared [N m or N].
+
+    Attributes:
+        missing: what the motion needs and the actuators do not give, (k, n_q).
+        needed: what the motion needs, (k, n_q).
+    """
+
+    missing: Float[np.ndarray, "k n_q"]
+    needed: Float[np.ndarray, "k n_q"]
+
+    @property
+    def applied(self) -> Float[np.ndarray, "k n_q"]:
+        """Forces of the actuators."""
+        return self.needed - self.missing
+
+    @property
+    def sizes(self) -> Float[np.ndarray, " n_q"]:
+        """Root mean square of the actuators' forces on each coordinate, (n_q,).
+
+        Of a coordinate without an actuator that of the forces that its motion needs.
+        """
+        by_input, by_motion = _root_mean_square(self.applied), _root_mean_square(self.needed)
+        return np.where(by_input > 0, by_input, np.maximum(by_motion, 1e-12))
+
+
 @dataclass(frozen=True)
 class _Point:
     """A point of the iteration.
@@ -193,7 +219,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
     train = [filter_record(e, cutoff) for e in problem.records]
     equations = system_equations(system, space.names)
     formula = missing_forces(equations)
-    unit = _force_sizes(*_forces_along(formula, equations, train, values))
+    unit = forces_along(formula, equations, train, values).sizes
     prior = Prior(space)
     point = _evaluate(formula, equations, problem, space, prior, train, unit, state.vector)
     if not np.isfinite(point.cost):
@@ -237,8 +263,8 @@ def without_gains(problem: Problem, state: SearchState) -> SearchState:
     if problem.system.feedback is None:
         return state
     values = state.space.to_values(state.vector)
-    known = problem.system.nominal().keys() - problem.system.plant.nominal().keys()
-    space = state.space.fixing({n: values[n] for n in state.space.names if n in known})
+    gains = problem.system.nominal().keys() - problem.system.plant.nominal().keys()
+    space = state.space.fixing({n: values[n] for n in state.space.names if n in gains})
     return replace(state, space=space, vector=space.to_vector(values))
 
 
@@ -314,8 +340,8 @@ def unexplained_forces(
     formula = missing_forces(equations)
     values = {name: float(x) for name, x in model.values.items()}
     parts = [filter_record(e.without_controller(), cutoff) for e in records]
-    missing = _root_mean_square(_missing_along(formula, equations, parts, values))
-    shares = np.divide(missing, _force_sizes(*_forces_along(formula, equations, parts, values)))
+    forces = forces_along(formula, equations, parts, values)
+    shares = _root_mean_square(forces.missing) / forces.sizes
     return {c.name: float(x) for c, x in zip(system.coordinates, shares, strict=True)}
 
 
@@ -454,7 +480,8 @@ def _evaluate(
     for part in train:
         points = with_parameters(equations, part, values)
         residual = part.compare(evaluate(formula, points))
-        weighted = _weighted_slopes(formula, equations, problem, space, part, unit, vector)
+        slopes = force_slopes(formula, equations, problem, space, part, points, vector)
+        weighted = (slopes / unit[:, None]).reshape(-1, len(vector))
         matrices.append(part.weight * weighted.T @ weighted)
         gradients.append(part.weight * weighted.T @ (residual / unit).ravel())
         cost += part.weight * float(np.sum((residual / unit) ** 2) / 2)
@@ -462,22 +489,31 @@ def _evaluate(
     return _Point(vector, cost, np.stack(matrices), np.stack(gradients), tuple(residuals))
 
 
-def _weighted_slopes(
+def force_slopes(
     formula: Formula,
     equations: SystemEquations,
     problem: Problem,
     space: SearchSpace,
     part: MeasuredForces,
-    unit: Float[np.ndarray, " n_q"],
+    points: Float[np.ndarray, "n n_in"],
     vector: ParameterVector,
-) -> Float[np.ndarray, "n n_p"]:
-    """Derivatives of a record's residuals by a vector, by the size of each coordinate's."""
-    points = with_parameters(equations, part, space.to_values(vector))
+) -> Float[np.ndarray, "k n_q n_p"]:
+    """Derivatives of the missing forces along a filtered record by the coordinates of a search.
+
+    Args:
+        formula: the missing forces.
+        equations: the equations, which know the order of the parameters.
+        problem: the problem.
+        space: the search space.
+        part: the record.
+        points: its points, with the parameters behind them.
+        vector: the parameters.
+    """
     slopes = part.compare(evaluate(formula, points, derivatives=True))
-    slopes = slopes.reshape(len(slopes), len(unit), -1)[:, :, equations.free_columns(space)]
+    n_q = len(equations.system.coordinates)
+    slopes = slopes.reshape(len(slopes), n_q, -1)[:, :, equations.free_columns(space)]
     indices = np.repeat(problem.group_indices([part.record]), len(slopes), axis=0)
-    chain = equations.coordinate_derivatives(space, vector, indices)
-    return (slopes * chain[:, None] / unit[:, None]).reshape(-1, len(vector))
+    return slopes * equations.coordinate_derivatives(space, vector, indices)[:, None]
 
 
 def _propose(
@@ -520,38 +556,20 @@ def with_parameters(
     return np.concatenate([part.points, equations.parameter_rows(values, indices)], axis=1)
 
 
-def _forces_along(
+def forces_along(
     formula: Formula,
     equations: SystemEquations,
     parts: Sequence[MeasuredForces],
     values: Mapping[str, float],
-) -> tuple[Float[np.ndarray, "k n_q"], Float[np.ndarray, "k n_q"]]:
-    """Forces of the actuators on each coordinate, and what the motion needs [N m or N]."""
+) -> ForcesAlong:
+    """Forces on the coordinates along filtered records, one after the other."""
     n, n_u = len(equations.system.coordinates), len(equations.system.inputs)
-    inputs, needs = [], []
+    needed = []
     for part in parts:
         points = with_parameters(equations, part, values)
-        without = points.copy()
-        without[:, 3 * n : 3 * n + n_u] = 0.0
-        need = part.compare(evaluate(formula, without))
-        inputs.append(need - part.compare(evaluate(formula, points)))
-        needs.append(need)
-    return np.concatenate(inputs), np.concatenate(needs)
-
-
-def _force_sizes(
-    inputs: Float[np.ndarray, "k n_q"], needs: Float[np.ndarray, "k n_q"]
-) -> Float[np.ndarray, " n_q"]:
-    """Root mean square of the actuators' forces on each coordinate [N m or N].
-
-    Of a coordinate without an actuator that of the forces that its motion needs.
-
-    Args:
-        inputs: forces of the actuators.
-        needs: what the motion needs.
-    """
-    by_input, by_motion = (np.sqrt(np.mean(x**2, axis=0)) for x in (inputs, needs))
-    return np.where(by_input > 0, by_input, np.maximum(by_motion, 1e-12))
+        points[:, 3 * n : 3 * n + n_u] = 0.0
+        needed.append(part.compare(evaluate(formula, points)))
+    return ForcesAlong(_missing_along(formula, equations, parts, values), np.concatenate(needed))
 
 
 def _missing_along(
@@ -567,8 +585,8 @@ def _missing_along(
     ])  # fmt: skip
 
 
-def _root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> list[float]:
-    return np.sqrt(np.mean(forces**2, axis=0)).tolist()
+def _root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
+    return np.sqrt(np.mean(forces**2, axis=0))
 
 
 def _make_identification(
@@ -604,31 +622,32 @@ def _make_identification(
     state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
-    size = _force_sizes(*_forces_along(formula, equations, train, values))
-    missing = _missing_along(formula, equations, train, values)
+    forces = forces_along(formula, equations, train, values)
+    size, rms = forces.sizes, _root_mean_square(forces.missing)
     missing_held_out = _missing_along(formula, equations, held_out, values) if held_out else None
-    rms = _root_mean_square(missing)
     rms_held_out = None if missing_held_out is None else _root_mean_square(missing_held_out)
     errors = [
         ForceError(
-            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), rms[k],
-            None if rms_held_out is None else rms_held_out[k],
+            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), float(rms[k]),
+            None if rms_held_out is None else float(rms_held_out[k]),
         )
         for k, c in enumerate(problem.system.coordinates)
     ]  # fmt: skip
     informed = deviations < INFORMED * prior.spread
     estimates = _estimates(point, space, deviations, informed)
-    slopes = np.concatenate([
-        _weighted_slopes(formula, equations, problem, space, part, size, point.vector)
-        for part in train
-    ])  # fmt: skip
+    points = [with_parameters(equations, part, space.to_values(point.vector)) for part in train]
+    slopes = [
+        force_slopes(formula, equations, problem, space, part, own, point.vector)
+        for part, own in zip(train, points, strict=True)
+    ]
+    slopes = (np.concatenate(slopes) / size[:, None]).reshape(-1, len(point.vector))
     base_parameters = _estimate_base_parameters(slopes, space, prior, point, parameter_errors)
     sentences = [
         *state.remarks,
         findings.describe_forces(errors, cutoff),
         *findings.describe_informed(space.names, informed, len(base_parameters)),
         *findings.describe_bounds(estimates, np.inf, problem.system),
-        *_describe_curves(problem, train, held_out, missing, missing_held_out, values),
+        *_describe_curves(problem, train, held_out, forces.missing, missing_held_out, values),
         *_describe_carried(space, point, parameter_errors),
     ]
     matrix = point.matrices.sum(axis=0) + np.diag(1 / prior.spread**2)
