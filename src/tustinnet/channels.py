@@ -284,7 +284,15 @@ class Channels:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """The units of the coordinates, each once, in the order of their first coordinates."""
-        return tuple(dict.fromkeys(c.unit for c in self.coordinates))
+        return tuple(self.places_by_unit)
+
+    @cached_property
+    def places_by_unit(self) -> dict[str, list[int]]:
+        """Indices of the coordinates of each unit, by unit."""
+        places: dict[str, list[int]] = {}
+        for j, c in enumerate(self.coordinates):
+            places.setdefault(c.unit, []).append(j)
+        return places
 
     @property
     def unit(self) -> str:

@@ -12,7 +12,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.report import Estimate
 from tustinnet.fitting.shooting.findings import describe_bounds
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.systems.robot_files import read_robot_text
+from tustinnet.systems.robot_reading import read_robot_text
 from tustinnet.systems.robots import RobotFile
 
 # a light hand behind a geared motor, of whose joint nothing says what it can do

@@ -310,9 +310,7 @@ def _with_timing(task: "Task", records: "DataSet", *, quiet: bool) -> "tuple[Tas
     from tustinnet.selection.timing import determine_recipe_timing
 
     recipe = task.recipe
-    is_by_forces = isinstance(recipe, IdentificationRecipe) and (
-        recipe.search.method == "inverse-dynamics"
-    )
+    is_by_forces = isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
     if is_by_forces and isinstance(task.system, LagrangianSystem):
         require_possible(task.system, records.experiments)  # before time is spent
     (fold,) = task.folds

@@ -306,7 +306,7 @@ def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Conso
 
 def require_readable_robot(system: str | None) -> None:
     """Raises unless the file of a robot can be read, if one was named; JAX is not loaded for it."""
-    from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot, read_robot_text
+    from tustinnet.systems.robot_reading import ROBOT_ENDINGS, read_robot, read_robot_text
 
     if system is not None and (path := Path(system)).suffix in ROBOT_ENDINGS:
         read_robot(read_robot_text(path), path)

@@ -55,10 +55,8 @@ def rmse_ahead_by_unit(
     errors: Float[np.ndarray, "horizon n_q"], channels: Channels
 ) -> Float[np.ndarray, "horizon n_units"]:
     """k-step-ahead RMSE of the 2-norm over the coordinates of each of `channels.units`."""
-    columns = [
-        np.flatnonzero([c.unit == unit for c in channels.coordinates]) for unit in channels.units
-    ]
-    return np.stack([joint_rmse(errors[:, j]) for j in columns], axis=1)
+    by_unit = channels.places_by_unit.values()
+    return np.stack([joint_rmse(errors[:, places]) for places in by_unit], axis=1)
 
 
 def coordinate_rmse_ahead(

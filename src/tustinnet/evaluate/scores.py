@@ -204,12 +204,9 @@ def _norm_by_unit(
         return {channels.unit: rmse}
     with np.errstate(over="ignore"):
         return {
-            unit: float(np.sqrt(sum(
-                x**2 for c, x in zip(channels.coordinates, coordinate_rmse, strict=True)
-                if c.unit == unit
-            )))
-            for unit in channels.units
-        }  # fmt: skip
+            unit: float(np.sqrt(sum(coordinate_rmse[j] ** 2 for j in places)))
+            for unit, places in channels.places_by_unit.items()
+        }
 
 
 def rmse_by_record(scores: Sequence[Score]) -> dict[str, float]:

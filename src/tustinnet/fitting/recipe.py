@@ -258,13 +258,17 @@ class SearchRecipe(_Table):
 
     @model_validator(mode="after")
     def _check_method(self) -> "SearchRecipe":
-        by_forces = self.method == "inverse-dynamics"
-        unused = _SIMULATED if by_forces else ("cutoff",)
+        unused = _SIMULATED if self.is_by_forces else ("cutoff",)
         defaults = type(self).model_fields
         for name in unused:
             if getattr(self, name) != defaults[name].default:
                 raise ValueError(f"`{name}` does nothing with method '{self.method}'")
         return self
+
+    @property
+    def is_by_forces(self) -> bool:
+        """Whether it compares forces along the measured motion, and simulates nothing."""
+        return self.method == "inverse-dynamics"
 
 
 class Recipe(_Table):
@@ -399,8 +403,7 @@ class IdentificationRecipe(Recipe):
     @property
     def needs_validation(self) -> bool:
         """Whether validation records choose how initial states are treated."""
-        simulates = self.search.method != "inverse-dynamics"
-        return simulates and self.search.initial == "choose"
+        return not self.search.is_by_forces and self.search.initial == "choose"
 
     @property
     def longest_run(self) -> float | None:

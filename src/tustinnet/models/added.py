@@ -224,8 +224,7 @@ def _is_coulomb_level(system: LagrangianSystem, name: str, index: int) -> bool:
     if system.dissipation is None:
         return False
     dissipation, nominal = system.dissipation, system.nominal()
-    # unmeasured coordinates stand behind the measured ones, at rest here
-    n = len(system.coordinates) + (len(system.unmeasured.names) if system.unmeasured else 0)
+    n = len(system.coordinate_names)
 
     def by_level(v: Any) -> Any:
         def at(level: Any) -> Any:
@@ -290,14 +289,9 @@ class _ExtendedMemory:
     added: tuple[PlacedForce, ...]
 
     @property
-    def states_before(self) -> int:
-        """The number of internal states of the system's own memory, which stand first."""
-        return len(self.system.memory.names) if self.system.memory else 0
-
-    @property
     def lagging(self) -> dict[int, int]:
         """The internal states that follow inputs that lag, by the index of the input."""
-        n = self.states_before
+        n = len(self.system.memory_states)
         return {f.index: k for k, f in enumerate(self.added, n) if isinstance(f.law, ActuatorLag)}
 
     def reached(self, z: Any, u: Any) -> Any:
@@ -309,7 +303,7 @@ class _ExtendedMemory:
 
     def rate(self, q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
         """The rates of the system's internal states, then of the added ones."""
-        before, n = self.system.memory, self.states_before
+        before, n = self.system.memory, len(self.system.memory_states)
         rates = []
         for f, state in zip(self.added, z[n:], strict=True):
             driving = u if f.law.is_at_input else v
@@ -322,7 +316,7 @@ class _ExtendedMemory:
 
     def force(self, q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
         """The forces of the system's internal states, of the added ones, and of lagging inputs."""
-        system, before, n = self.system, self.system.memory, self.states_before
+        system, before, n = self.system, self.system.memory, len(self.system.memory_states)
         acting = [
             (f.index, f.law.force(v[f.index], state, *f.values(p)))
             for f, state in zip(self.added, z[n:], strict=True)
@@ -338,7 +332,7 @@ class _ExtendedMemory:
 
     def initial(self, q: Any, v: Any, u: Any, p: Values) -> Any:
         """The expected internal states of the system, then the added ones."""
-        before, n = self.system.memory, self.states_before
+        before, n = self.system.memory, len(self.system.memory_states)
         states = []
         for f in self.added:
             place = u if f.law.is_at_input else q
@@ -357,7 +351,7 @@ class _ExtendedMemory:
     def memory(self) -> Memory:
         """The memory, whose functions take inputs only where something depends on them."""
         before, lags = self.system.memory, bool(self.lagging)
-        names = (*(before.names if before else ()), *map(str, self.added))
+        names = (*self.system.memory_states, *map(str, self.added))
         rate, force, initial = self.rate, self.force, self.initial
         if not (lags or (before and before.has_inputs)):
             rate = _without_inputs(self.rate)

@@ -23,13 +23,12 @@ from tustinnet.models.lagrangian import (
 )
 from tustinnet.models.rigid import rigid_system
 
+_LEAST_RIDGE = 1e-12  # of the forces by the inputs, where several inputs do the same
+
 
 def gain_name(loop: PDLoop, gain: str) -> str:
     """The name of the parameter of a gain: `elbow.kp`."""
     return f"{loop.coordinate}.{gain}"
-
-
-_LEAST_RIDGE = 1e-12  # of the forces by the inputs, where several inputs do the same
 
 
 @dataclass(frozen=True)
@@ -39,13 +38,8 @@ class PDFeedback(FeedbackLaw):
     Sampled controllers compute at each sample: what they remember changes from one to the next as
     if at constant rates, so that it is simulated with everything else.
 
-    Attributes:
-        plant: the system without the controller.
-        channels: coordinates and inputs of the closed loop, with the controller; with a sampling
-            period where it has internal states.
-        is_sampled: whether what it computes at a sample is held until the next.
-        states: names of its internal states: of each loop the integral, the filtered velocity, and
-            what is still to act.
+    Attributes are those of `FeedbackLaw`. The channels have a sampling period where there are
+    internal states: of each loop the integral, the filtered velocity, and what is still to act.
     """
 
     @property
@@ -76,10 +70,7 @@ class PDFeedback(FeedbackLaw):
             slowing = None
             if loop.velocity_filter:
                 speed, slowing = self._filter(loop, speed, remaining.pop(0))
-            u = p[gain_name(loop, "kp")] * error
-            u = u + p[gain_name(loop, "kd")] * (rate - speed)
-            if extra is not None:
-                u = u + extra
+            u = _without_integral(loop, error, rate - speed, extra, p)
             limits = self._limits(loop)
             if integral is not None:
                 u, growth = u + integral, p[gain_name(loop, "ki")] * error
@@ -114,8 +105,7 @@ class PDFeedback(FeedbackLaw):
         holding = self._holding_inputs(q, v, w, p) if has_integrals else None
         for k, loop in enumerate(self.controller.loops):
             error, rate, speed, extra = self._signals(loop, q, v, w)
-            u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * (rate - speed)
-            u = u if extra is None else u + extra
+            u = _without_integral(loop, error, rate - speed, extra, p)
             if "ki" in loop.gains:
                 assert holding is not None
                 states.append(holding[k] - u)
@@ -221,6 +211,12 @@ def with_controller(
     )
 
 
+def _without_integral(loop: PDLoop, error: Any, rate_error: Any, extra: Any, p: Values) -> Any:
+    """The input that a loop computes by deviations of position and velocity, and feed-forward."""
+    u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * rate_error
+    return u if extra is None else u + extra
+
+
 def _loop_states(loop: PDLoop) -> list[str]:
     """Names of the internal states of a loop."""
     states = [f"{loop.coordinate}.integral"] if "ki" in loop.gains else []
@@ -270,7 +266,7 @@ def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
     it depends on internal states.
     """
     plant, memory, unmeasured = feedback.plant, feedback.plant.memory, feedback.plant.unmeasured
-    measured, n = plant.channels.position, len(memory.names) if memory else 0
+    measured, n = plant.channels.position, len(plant.memory_states)
 
     def computed(q: Any, v: Any, s: Any, w: Any, p: Values) -> tuple[Any, Any]:
         """Inputs of the system, and rates of the controller's states."""
@@ -301,7 +297,7 @@ def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
         u, _ = computed(q, v, feedback.initial(q, v, w, p), w, p)
         return unmeasured.initial_states(q, v, u, p)
 
-    names = (*(memory.names if memory else ()), *feedback.states)
+    names = (*plant.memory_states, *feedback.states)
     return {
         "input_map": None,
         "memory": Memory(names, rate, force, initial),

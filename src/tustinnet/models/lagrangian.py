@@ -392,7 +392,18 @@ class LagrangianSystem:
     def internal(self) -> tuple[str, ...]:
         """The names of the internal states: of unmeasured coordinates, then of the memory."""
         own = self.unmeasured.states if self.unmeasured else ()
-        return (*own, *(self.memory.names if self.memory else ()))
+        return (*own, *self.memory_states)
+
+    @property
+    def memory_states(self) -> tuple[str, ...]:
+        """The names of the internal states of the memory."""
+        return self.memory.names if self.memory else ()
+
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """The names of all coordinates: of the measured ones, then of the unmeasured ones."""
+        own = self.unmeasured.names if self.unmeasured else ()
+        return (*(c.name for c in self.coordinates), *own)
 
     @property
     def has_initial(self) -> bool:
@@ -462,13 +473,9 @@ class LagrangianSystem:
 
     def _require_shapes(self) -> None:
         """Raises unless every function returns the shape that the equations of motion need."""
-        measured, hidden = (
-            len(self.coordinates),
-            len(self.unmeasured.names if self.unmeasured else ()),
-        )
-        q = v = jax.ShapeDtypeStruct((measured + hidden,), jnp.float32)
+        q = v = jax.ShapeDtypeStruct((len(self.coordinate_names),), jnp.float32)
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
-        z = jax.ShapeDtypeStruct((len(self.memory.names if self.memory else ()),), jnp.float32)
+        z = jax.ShapeDtypeStruct((len(self.memory_states),), jnp.float32)
         # without the optional ones: a function that requires one is refused
         p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
              if not x.optional}  # fmt: skip
@@ -759,7 +766,7 @@ class LagrangianModel(ContinuousModel):
     def _balanced_memory(self, q: AllCoordinates, v: AllCoordinates, u: InputVector) -> Internal:
         """Internal states of the memory that follow inputs, by all coordinates."""
         memory = self.system.memory
-        n = 0 if memory is None else len(memory.names)
+        n = len(self.system.memory_states)
         zero = jnp.zeros(n, q.dtype)
         if memory is None or not memory.has_inputs or not n or not self.channels.n_u:
             return zero

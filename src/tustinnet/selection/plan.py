@@ -66,8 +66,7 @@ class Candidate(Declaration):
     def is_by_forces(self) -> bool:
         """Whether it compares forces along the measured motion, and simulates nothing."""
         recipe = self.content
-        by_forces = "inverse-dynamics"
-        return isinstance(recipe, IdentificationRecipe) and recipe.search.method == by_forces
+        return isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
 
     def recipe_over(self, horizon: float) -> Recipe:
         """The recipe, a search that begins with other candidates over a horizon [s].

@@ -16,7 +16,7 @@ from tustinnet.errors import InputError
 from tustinnet.store.files import write_into
 from tustinnet.store.header import read_header
 from tustinnet.systems.files import SystemFile
-from tustinnet.systems.robot_files import ROBOT_ENDINGS
+from tustinnet.systems.robot_reading import ROBOT_ENDINGS
 
 COPY = "system"  # what the copy is called in a run folder, before the ending of the file
 CANDIDATES = "candidates"  # the folder of a selection that has one for each candidate

@@ -12,9 +12,9 @@ from tustinnet.fitting.report import Stretch
 from tustinnet.fitting.task import Origin
 from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
+from tustinnet.store import kept_system
 from tustinnet.store.files import nonfinite_to_none
 from tustinnet.store.header import read_header, read_header_and_arrays, records_in_header
-from tustinnet.store.kept_system import find_system_copy, is_trusted
 from tustinnet.store.sealed import SEAL, write_sealed
 from tustinnet.systems.files import AnySystem, SystemFile, load_system
 
@@ -85,14 +85,13 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             f"system for {path}", f"not applicable to a model of kind '{header['kind']}'",
             "a model of a system", "leave --system out",
         )  # fmt: skip
-    needs_system = system is None and _systems_in(header, path)
-    if needs_system and (copy := find_system_copy(Path(path))) is not None:
-        if copy.is_code and not is_trusted(copy):
+    if system is None and kept_system.HEADER in header and _systems_in(header, path):
+        system = copy = kept_system.find_system_copy(Path(path))
+        if copy is not None and copy.is_code and not kept_system.is_trusted(copy):
             raise InputError(
                 path, f"a model of the system in {copy.path}, Python code that its run keeps",
                 "your consent", f"to run it, load_model(path, system={str(copy.path)!r})",
             )  # fmt: skip
-        system = copy
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
 

@@ -23,7 +23,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, describe_error, require_text
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter, tracing_remedy
 from tustinnet.registry import SYSTEMS
-from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot_text
+from tustinnet.systems.robot_reading import ROBOT_ENDINGS, read_robot_text
 
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")

@@ -46,7 +46,7 @@ from tustinnet.systems.robot import (
     rotation_about,
 )
 from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
-from tustinnet.systems.robot_files import ROBOT_ENDINGS, read_robot
+from tustinnet.systems.robot_reading import ROBOT_ENDINGS, read_robot
 from tustinnet.systems.robot_shapes import with_inertias
 from tustinnet.systems.robot_writing import JointValues, write_mjcf, write_urdf
 

@@ -23,7 +23,6 @@ from tustinnet.wording import counted
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
 _ROUND = 5e-4  # relative; a period this near to one of two digits is that
-_SAYS = 3.0  # weight of a word that says a quantity
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
 _MOST_DAMAGED = 0.1  # of the rows; a file with more is no table
@@ -353,9 +352,7 @@ def _most_telling(columns: Columns) -> tuple[str, ...]:
     """Columns that are named as positions, velocities or inputs, then others, and their times."""
 
     def is_silent(name: str) -> bool:
-        quantities = read_name(name.replace("/", ".")).quantities
-        telling = ("position", "velocity", *INPUTS)
-        return max((quantities.get(q, 0.0) for q in telling), default=0.0) < _SAYS
+        return not read_name(name.replace("/", ".")).stated(("position", "velocity", *INPUTS))
 
     own = [name for name in columns.names if columns.clocks.get(name) != name]
     chosen = {*sorted(own, key=is_silent)[:_MOST_COLUMNS]}

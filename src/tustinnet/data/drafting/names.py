@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -32,6 +32,7 @@ _GREEK = str.maketrans(
     {"φ": "phi", "ϕ": "phi", "θ": "theta", "ϑ": "theta", "ψ": "psi", "ω": "omega", "α": "alpha",
      "β": "beta", "γ": "gamma", "τ": "tau", "Δ": "delta", "ẋ": "xdot", "\u0307": "dot"}
 )  # fmt: skip
+_STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
 _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
@@ -157,6 +158,10 @@ class NameReading:
         """The quantity with the largest weight, None where no word says one."""
         return max(self.quantities, key=lambda q: self.quantities[q], default=None)
 
+    def stated(self, quantities: Iterable[Quantity]) -> list[Quantity]:
+        """The given quantities that a whole word of the name says, as `torque`, not a letter."""
+        return [q for q in quantities if self.quantities.get(q, 0.0) >= _STATED]
+
 
 def read_name(name: str, file_unit: str = "") -> NameReading:
     """Reads the words and the unit in a column's name; a unit that the file says decides."""
@@ -212,7 +217,7 @@ def _read_quantities(
             quantities[quantity], word[quantity] = weight, because
 
     for text in words:
-        for table, weight in ((STRONG, 3.0), (WEAK, 1.0)):
+        for table, weight in ((STRONG, _STATED), (WEAK, 1.0)):
             for quantity, texts in table.items():
                 if text in texts:
                     add(quantity, weight, text)

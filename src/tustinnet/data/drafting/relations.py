@@ -16,7 +16,6 @@ _WITHOUT = [0, 1, 2, 4]  # the regression without the column that explains
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
 
-_SAYS = 3.0  # weight of a word that says a quantity
 _CIRCLE = 1.05  # no cosine is larger
 _ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
 _OF_ANGLE = 0.3  # range of a cosine or sine, at least
@@ -167,7 +166,7 @@ def find_sines(
     names = [
         n for n, s in samples.items()
         if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
-        and not any(q != "position" and w >= _SAYS for q, w in readings[n].quantities.items())
+        and not {*readings[n].stated(readings[n].quantities)} - {"position"}
         and readings[n].kind != "linear" and not readings[n].unit
     ]  # fmt: skip
     for k, first in enumerate(names):

@@ -25,7 +25,6 @@ FAINT = 1.9  # score of a position that may be something else
 _DRIVEN, _DRIVING = 0.5, 0.15  # shares of accelerations that an input explains, and those of it
 _WHITE = 1.2  # roughness of white noise is the root of 2
 _AXES = {"x", "y", "z", "yaw", "pitch", "roll", "rx", "ry", "rz", "azimuth", "elevation"}
-_SAID = 3.0  # weight of a word that says a quantity
 _CLEAR = 1.0  # a role whose score is by less above the next one is doubtful
 _ROLES: dict[Quantity, Role] = {
     **dict.fromkeys(INPUTS, "input"), "position": "position", "velocity": "velocity",
@@ -153,17 +152,17 @@ def _take_named_inputs(
     positions = [n for n, v in verdicts.items() if v.role == "position"]
     for name in positions:
         weights = readings[name].quantities
-        said: list[Quantity] = [q for q in INPUTS if weights.get(q, 0.0) >= _SAID]
-        if not said or not readings[name].object:
+        stated = readings[name].stated(INPUTS)
+        if not stated or not readings[name].object:
             continue
         for other in positions:
             plain = not any(q in readings[other].quantities for q in INPUTS)
             if plain and other != name and readings[other].object == readings[name].object:
                 course = compare_courses(samples[other], samples[name])
                 if abs(course.correlation) < _FOLLOWED:
-                    word = readings[name].word[said[0]]
+                    word = readings[name].word[stated[0]]
                     reason = f"'{word}' in its name, beside the position '{other}'"
-                    verdicts[name] = Verdict("input", (reason,), score=weights[said[0]])
+                    verdicts[name] = Verdict("input", (reason,), score=weights[stated[0]])
                     break
 
 

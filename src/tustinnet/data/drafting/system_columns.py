@@ -9,7 +9,6 @@ from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.vocabulary import CONTAINERS
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
-_SAID = 3.0  # weight of a word that says a quantity
 _GENERAL = {*CONTAINERS, "axis", "motor", "actuator", "link", "gelenk", "achse"}
 _WHOLE_NAME = 0.5  # of a score, for a name that holds all words of another one in their order
 _IN_UNIT = 0.3  # for a column in the unit of the input
@@ -96,7 +95,7 @@ def _may_be_position(column: str, kind: Kind, findings: Findings) -> bool:
     if verdict is None or verdict.role not in _PLACES or reading.qualifier == "command":
         return False
     others = (*INPUTS, "velocity", "acceleration", "error", "time")
-    if any(reading.quantities.get(quantity, 0.0) >= _SAID for quantity in others):
+    if reading.stated(others):
         return False
     if reading.unit in ANGLE or reading.unit in LENGTH:
         return (reading.unit in ANGLE) == (kind == "angular")
@@ -176,10 +175,9 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
 def _may_be_input(column: str, findings: Findings) -> bool:
     """Whether a column can be an input: not if its name says something else."""
     reading, verdict = findings.readings[column], findings.verdicts[column]
-    says_input = any(reading.quantities.get(q, 0.0) >= _SAID for q in INPUTS)
-    motion = ("position", "velocity", "acceleration", "error")
-    says_motion = any(reading.quantities.get(q, 0.0) >= _SAID for q in motion)
-    return says_input or (verdict.role in ("input", "set point") and not says_motion)
+    motion = reading.stated(("position", "velocity", "acceleration", "error"))
+    is_input = verdict.role in ("input", "set point") and not motion
+    return bool(reading.stated(INPUTS)) or is_input
 
 
 def _words(name: str) -> list[str]:

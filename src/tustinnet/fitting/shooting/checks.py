@@ -41,8 +41,7 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
     system = model.system
     q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
     hessian, n_m = jax.hessian(system.kinetic, argnums=1), q.shape[1]
-    unmeasured = system.unmeasured
-    n_q = n_m + (len(unmeasured.names) if unmeasured else 0)
+    unmeasured, n_q = system.unmeasured, len(system.coordinate_names)
     where = f"system '{system.name}', kinetic"
 
     def at_rest_and_moving(q: Array) -> Array:

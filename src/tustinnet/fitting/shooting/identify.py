@@ -142,7 +142,7 @@ def identify_task(
     origin = task.folds[member.fold].origin
     if origin is not None and origin.fits_records:
         initial_state = replace(initial_state, has_fitted_values=True)
-    if problem.search.method == "inverse-dynamics":
+    if problem.search.is_by_forces:
         identification = identify_by_inverse_dynamics(problem, initial_state)
         if identification is None:
             raise _unfinished_search(problem)
@@ -239,7 +239,7 @@ def _make_problem(
     free_sensors = sensor_parameters(system, recipe.model.free, plant_records)
     system = with_sensor_errors(system, free_sensors)
 
-    gains = gain_parameters(records, compares_inputs=recipe.search.method == "inverse-dynamics")
+    gains = gain_parameters(records, compares_inputs=recipe.search.is_by_forces)
     inputs = with_delays(records[0].inputs, {})  # unknown delays are searched for from 0 on
     return Problem(
         system=with_controller(system, channels, gains.parameters),

@@ -123,7 +123,7 @@ class Problem:
         """
         records, horizon = (*self.records, *self.validation), self.search.horizon
         is_open = self.system.feedback is None
-        if horizon is None and is_open and self.search.method == "inverse-dynamics":
+        if horizon is None and is_open and self.search.is_by_forces:
             # of slow machines it would be less than a start needs, short records are whole
             fewest = max(2, self.measured_start.samples)
             horizon = effective_horizon(max(_HELD_HORIZON, fewest * records[0].dt), records)

@@ -121,7 +121,7 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
     errors = [bounded(line, q) - q for line in lines]
     samples = thin(np.concatenate([q, v, u, *errors], axis=1), _POINTS)
     t = run.dt * np.arange(n)
-    by_unit = [[c.unit == unit for c in channels.coordinates] for unit in channels.units]
+    by_unit = channels.places_by_unit.values()
 
     def packed(signals: np.ndarray) -> list[dict[str, Any]]:
         return [pack(column) for column in signals[samples].T]
@@ -135,7 +135,7 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
         "u": packed(u),
         "runs": [
             {"error": packed(error),
-             "rmse": [float(np.sqrt(np.nanmean(error[:, columns] ** 2))) for columns in by_unit]}
+             "rmse": [float(np.sqrt(np.nanmean(error[:, places] ** 2))) for places in by_unit]}
             for error in errors
         ],
     }  # fmt: skip
