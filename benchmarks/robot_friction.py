@@ -52,10 +52,10 @@ def main(seeds: int) -> None:
             ("and Stribeck, by the recipe", (), ("stribeck",)),
             ("and curve, by the recipe", (), ("curve",)),
         ):
-            begun = time.perf_counter()
+            start_time = time.perf_counter()
             recipe = tn.read_recipe("inverse-dynamics", [f"model.forces={json.dumps(forces)}"])
             result = tn.identify(data, tn.load_robot(SCARA, friction=friction), recipe)
-            seconds = time.perf_counter() - begun
+            seconds = time.perf_counter() - start_time
             model = result.model
             if not (friction or forces):
                 plain = model
@@ -63,11 +63,11 @@ def main(seeds: int) -> None:
             short, whole = errors_of(model, data)
             errors = f"{missing:.2f} | {short:.2g} | {whole:.2g}"
             print(f"| {seed} | {name} | {errors} | {seconds:.0f} |", flush=True)
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         hybrid = tn.fit(data, "hybrid", physics=plain).model
         short, whole = errors_of(hybrid, data)
         print(f"| {seed} | hybrid on the first | | {short:.2g} | {whole:.2g} | "
-              f"{time.perf_counter() - begun:.0f} |", flush=True)  # fmt: skip
+              f"{time.perf_counter() - start_time:.0f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

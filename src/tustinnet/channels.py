@@ -162,14 +162,14 @@ class PDController:
         """
         if not self.loops:
             raise InputError(where, "no loop", "one for each input that is computed")
-        for kind, known, names in (
+        for kind, present, names in (
             ("input", [i.name for i in self.inputs], [loop.input for loop in self.loops]),
             ("coordinate", [c.name for c in coordinates], [x.coordinate for x in self.loops]),
         ):
             for k, name in enumerate(names):
-                if name not in known:
+                if name not in present:
                     raise InputError(
-                        where, f"no {kind} '{name}'", f"one of {', '.join(known) or '(none)'}"
+                        where, f"no {kind} '{name}'", f"one of {', '.join(present) or '(none)'}"
                     )
                 if name in names[:k]:
                     raise InputError(where, f"two loops of the {kind} '{name}'", "one")

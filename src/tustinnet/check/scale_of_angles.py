@@ -106,8 +106,8 @@ def _scaled_share(
     """Share of the accelerations that the model leaves where some angles have another scale."""
     scales = np.ones(q.shape[1])
     scales[which] = scale
-    held = regressors.held.copy()
-    held[which] = np.ptp(q[:, which], axis=0) * scale < _SMALL_RANGE
-    scaled = replace(regressors, held=held, creep=regressors.creep * scales)
+    at_rest = regressors.held.copy()
+    at_rest[which] = np.ptp(q[:, which], axis=0) * scale < _SMALL_RANGE
+    scaled = replace(regressors, held=at_rest, creep=regressors.creep * scales)
     first = views[0].experiment
     return unexplained_share(scaled.with_names(first.q[:2], first.u[:2]), views, scales)

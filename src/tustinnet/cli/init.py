@@ -98,8 +98,8 @@ def _load_system(which: str | None, default_density: float | None) -> "Lagrangia
     terminal.prepare_jax()
     from tustinnet.systems.files import load_system
 
-    found = find_system_to_fit(which, default_density)
-    return None if found is None else load_system(found).plant
+    file = find_system_to_fit(which, default_density)
+    return None if file is None else load_system(file).plant
 
 
 def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:

@@ -350,17 +350,17 @@ def find_system_to_fit(
     from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
 
-    found = None if system is None else find_system(system)
+    file = None if system is None else find_system(system)
     if default_density is None:
-        return found
+        return file
     from tustinnet.systems.robot_shapes import with_inertias
 
-    if found is None or isinstance(found, str):
+    if file is None or isinstance(file, str):
         raise InputError(
             "--default-density", "not applicable without the file of a robot",
             "--system FILE.urdf", "omit it",
         )  # fmt: skip
-    return with_inertias(found, default_density)
+    return with_inertias(file, default_density)
 
 
 def load_model(path: Path, system: str | None) -> "Model":
@@ -476,8 +476,8 @@ def choose_free_runs(
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon
     records = _leave_out_short(records, start, names)
     notes = [f"default: {', '.join(defaults)}"] if defaults else []
-    known = {name for header in headers.values() for name in find_fitted(header, records)}
-    fitted = [e.name for e in records if e.name in known]
+    used = {name for header in headers.values() for name in find_fitted(header, records)}
+    fitted = [e.name for e in records if e.name in used]
     if fitted:
         count = "all records" if len(fitted) == len(records) else f"{len(fitted)} of the records"
         more = ", ..." if len(fitted) > _MAX_NAMED else ""

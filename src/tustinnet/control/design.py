@@ -39,7 +39,7 @@ _WINDOW_LENGTH = 0.05  # m, where that range is not known
 
 @dataclass(frozen=True)
 class ControlTask:
-    """What a controller is to do.
+    """Task of a controller: points to hold, a motion between them, and limits.
 
     Attributes:
         at: positions to hold, by the name of their coordinate [rad or m].
@@ -325,7 +325,7 @@ def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
 
 
 def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict[str, float]:
-    """How near to a position counts as held, by name."""
+    """Distances within which a position counts as held, by name."""
     windows = {}
     for j, c in enumerate(model.channels.coordinates):
         if c.name not in at:

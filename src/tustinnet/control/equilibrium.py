@@ -86,7 +86,7 @@ class OperatingPoint:
 
     @property
     def stability(self) -> str:
-        """Its stability in words."""
+        """Stability of the equilibrium in words."""
         if self.is_unstable:
             worst = self.modes[0]  # that grows fastest
             times = f"doubles in {np.log(2) / worst.rate:.3g} s"
@@ -100,13 +100,13 @@ class OperatingPoint:
 
     @property
     def controllable(self) -> str:
-        """Its controllability from the inputs in words."""
+        """Controllability of the equilibrium from the inputs in words."""
         missing = [m for m in self.modes if not m.controllable]
         return _in_words("controllable", "not controllable from the inputs", missing)
 
     @property
     def observable(self) -> str:
-        """Its observability from the encoders in words."""
+        """Observability of the equilibrium from the encoders in words."""
         missing = [m for m in self.modes if not m.observable]
         return _in_words("observable", "not observable from the encoders", missing)
 

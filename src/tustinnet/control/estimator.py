@@ -95,7 +95,7 @@ class ExtendedKalmanFilter:
 
     @property
     def normalised_innovations(self) -> Vector:
-        """What the last measurement was beyond the expected, in expected deviations, (n_q,)."""
+        """Excess of the last measurement over the expected one, in expected deviations, (n_q,)."""
         return self._filter.innovations / np.sqrt(self._filter.spreads)
 
     def reset(self, y: Vector) -> Vector:

@@ -39,10 +39,13 @@ _PENALTY = 1e4  # of a deviation beyond a limit, as a multiple of its own weight
 _EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every so many iterations
 # random inputs of a first guess: for how long they last [s], their share of the limits' range
 _CORRELATED, _AMPLITUDE = 0.3, 0.3
-_BEGUN, _FINISHED = 20, 3  # iterations for every guess; guesses, the best so far, that are finished
+_FIRST_ITERATIONS = 20  # of every guess
+_FINISHED = 3  # guesses, the best so far, that are gone on with
 _FARTHEST = 1.5 * np.pi  # rad, of a goal from a start
 _SAME_GOAL = 1e-6  # of plans that are first guesses
-_HELD = 0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
+_HOLDING_SHARE = (
+    0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
+)
 
 
 class Motion(NamedTuple):
@@ -278,7 +281,7 @@ def ilqr(
     targets = _targets(system, x0, x_end) if turns else [x_end]
     solvers = [Solver(system, bounds, replace(cost, x=target)) for target in targets]
     first_searches = [
-        (solver, *solver.minimise(motion, min(iterations, _BEGUN)))
+        (solver, *solver.minimise(motion, min(iterations, _FIRST_ITERATIONS)))
         for solver, motion in _first_motions(solvers, first, guesses, steps, seed)
     ]
     finite = [search for search in first_searches if np.isfinite(search[1].cost)]
@@ -322,7 +325,7 @@ def _is_held(
     """Whether feedback about the goal would need no more than a part of the inputs' limits."""
     needed = np.abs(gain @ cost.end_error(end))
     room = np.minimum(limits.upper - cost.u, cost.u - limits.lower)
-    return bool(np.all(needed <= _HELD * np.maximum(room, 0.0)))
+    return bool(np.all(needed <= _HOLDING_SHARE * np.maximum(room, 0.0)))
 
 
 def make_cost(

@@ -68,7 +68,7 @@ class Feedback:
 
     @property
     def previous(self) -> int:
-        """How many samples of previous commands `z` has."""
+        """Number of samples of previous commands that `z` has."""
         n_u, n_z = self.gain.shape
         return (n_z - len(self.x0) - len(self.integral)) // n_u
 

@@ -388,7 +388,7 @@ class TimeCard(Declaration):
 
 
 class FileCard(Declaration):
-    """One file, or a range of its rows, as a record.
+    """Entry of a card for a record: a file, or a range of its rows.
 
     Attributes:
         file: path below the card's folder, or a pattern (`train/*.csv`); no `..` and no `**`.

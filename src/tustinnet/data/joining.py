@@ -86,13 +86,13 @@ def join_columns(
         elif own is not None:
             clocks |= dict.fromkeys(names.values(), clocks[own])
 
-    def read(wanted: Sequence[str]) -> list[Column]:
+    def read(chosen: Sequence[str]) -> list[Column]:
         for columns in {id(c): c for c, _ in sources.values()}.values():
-            columns.fetch([sources[n][1] for n in wanted if n in sources
+            columns.fetch([sources[n][1] for n in chosen if n in sources
                            and sources[n][0] is columns])  # fmt: skip
         return [
             times[name].seconds() if name in times else sources[name][0][sources[name][1]]
-            for name in wanted
+            for name in chosen
         ]
 
     others_of = {f"{label}/{n}": text for label, (c, _) in others.items()

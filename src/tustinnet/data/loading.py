@@ -198,8 +198,8 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
     wrapped = [
         j for j, c in enumerate(card.coordinates) if (j in wrapping if c.wraps is None else c.wraps)
     ]
-    begun = (begin_near_zero(record.experiment, wrapped) for record in records)
-    return [with_near_set_points(record) for record in begun]
+    from_zero = (begin_near_zero(record.experiment, wrapped) for record in records)
+    return [with_near_set_points(record) for record in from_zero]
 
 
 def _load_file(

@@ -53,7 +53,7 @@ class MemberGroup(eqx.Module):
     structure: Any = eqx.field(static=True)
 
     def member(self, i: int = 0) -> Model:
-        """One of the members; they differ in nothing but arrays."""
+        """Member of the committee by its index; members differ in nothing but arrays."""
         return jax.tree.unflatten(self.structure, [a[i] for a in self.arrays])
 
     def step_members(

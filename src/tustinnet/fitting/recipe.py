@@ -379,7 +379,7 @@ class TrainingRecipe(Recipe):
         return self.horizon
 
     def with_stages(self, **changes: Any) -> "TrainingRecipe":
-        """This recipe with other values in every stage."""
+        """Copy of the recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
         return self.model_copy(update={"stages": stages})
 

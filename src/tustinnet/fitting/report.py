@@ -249,7 +249,7 @@ class Identification:
 
     @property
     def values(self) -> dict[str, float]:
-        """All values after the search, by name, those fixed included."""
+        """Values of the parameters after the search, by name, those fixed included."""
         return dict(self.fixed) | {e.name: e.value for e in self.estimates}
 
     def as_plain(self) -> dict[str, Any]:
@@ -345,7 +345,7 @@ class FitResult:
         return self.findings[0] if result and result.reversed_signs else self.outcome
 
     def detail(self, key: str) -> Any:
-        """One of the details, None where this way of fitting does not have it."""
+        """Detail of the fit by its name, None where this way of fitting does not have it."""
         return next((values[key] for values in self.details.values() if key in values), None)
 
     def as_header(self) -> dict[str, Any]:

@@ -116,7 +116,7 @@ class Task:
         return self.recipe
 
     def with_members(self, members: Sequence[Member]) -> "Task":
-        """This task for some of the members."""
+        """Task with some of the members."""
         return replace(self, members=tuple(members))
 
 

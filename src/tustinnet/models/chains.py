@@ -92,7 +92,7 @@ class BodyInertia(NamedTuple):
 
 
 class _Placement(NamedTuple):
-    """Where a body is in the frame of its parent: rotation (3, 3), and position (3,) [m]."""
+    """Pose of a body in the frame of its parent: rotation (3, 3), and position (3,) [m]."""
 
     rotation: Any
     position: Any
@@ -263,7 +263,7 @@ class Chain:
         return [body_inertia(body, p) if body.has_mass else None for body in self.bodies]
 
     def _placements(self, q: Coordinates) -> list[_Placement]:
-        """Where each body is in the frame of its parent, at positions (n_q,)."""
+        """Poses of bodies in the frames of their parents, at positions (n_q,)."""
         placements = []
         for body in self.bodies:
             travel = body.ratio * q[body.coordinate] + body.offset

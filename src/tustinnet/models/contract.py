@@ -221,7 +221,7 @@ class ContinuousModel(Stateful):
     def between_samples(
         self, x: State, u: InputVector
     ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
-        """What holds from a sample to the next: a model, and its inputs by those of this one.
+        """Model that holds from a sample to the next, and its inputs by those of this one.
 
         Only a model with something that is sampled, as a controller, is another one there.
 

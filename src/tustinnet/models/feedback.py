@@ -154,7 +154,7 @@ class PDFeedback(FeedbackLaw):
         return -solve_positive(square + ridge * jnp.eye(self.size), by_output.T @ rest)
 
     def plant_inputs(self, outputs: Any, w: Any) -> Float[Array, " n_u"]:
-        """All inputs of the system.
+        """Inputs of the system, computed ones and others.
 
         Args:
             outputs: those that are computed, (loops,).

@@ -219,7 +219,7 @@ class FeedbackLaw(ABC):
 
     @abstractmethod
     def initial(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
-        """Its expected internal states where a record begins, (n_s,)."""
+        """Internal states of the controller expected where a record begins, (n_s,)."""
 
     @abstractmethod
     def spread(self, p: Values) -> Any:
@@ -227,7 +227,7 @@ class FeedbackLaw(ABC):
 
     @abstractmethod
     def plant_inputs(self, outputs: Any, w: InputVector) -> Any:
-        """All inputs of the system, (n_u,), by those that it computes, (size,)."""
+        """Inputs of the system, (n_u,), by those that the controller computes, (size,)."""
 
 
 class _WithConstantRates(ContinuousModel):
@@ -729,13 +729,13 @@ class LagrangianModel(ContinuousModel):
         if feedback is None or not feedback.is_sampled:
             return super().between_samples(x, u)
         (q, v, z), size = self._parts(x), feedback.size
-        held = feedback.compute(q, v, z[len(z) - len(feedback.states) :], u, self.values)
+        computed = feedback.compute(q, v, z[len(z) - len(feedback.states) :], u, self.values)
         plant = LagrangianModel(feedback.plant, self.values)
 
         def inputs(w: InputVector) -> Any:
-            return feedback.plant_inputs(held[:size], w)
+            return feedback.plant_inputs(computed[:size], w)
 
-        return (_WithConstantRates(plant, held[size:]) if feedback.states else plant), inputs
+        return (_WithConstantRates(plant, computed[size:]) if feedback.states else plant), inputs
 
     def memory_rate(self, x: State, u: InputVector | None = None) -> Internal:
         """Rates of the internal states of the memory at a state, without unmeasured coordinates.

@@ -70,7 +70,7 @@ def _factor(value: float) -> str:
 
 
 def robustness_table(robustness: Robustness, channels: Channels) -> Table:
-    """What the controller does on plants of every kind."""
+    """Table of what the controller does on plants of every kind."""
     units = {c.name: c.unit for c in channels.coordinates}
     names = list(robustness.rows[0].worst)
     rows = []
@@ -150,7 +150,7 @@ def robustness_figure(robustness: Robustness) -> Figure:
 
 
 def sentences(design: ControlDesign) -> list[str]:
-    """What is known of a controller, in a few sentences."""
+    """Sentences on what is known of a controller."""
     point, channels = design.point, design.model.channels
     place = ", ".join(
         f"{c.name} = {x:.4g} {c.unit}"

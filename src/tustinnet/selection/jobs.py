@@ -203,7 +203,7 @@ class RunContext:
         return None if self.system is None else load_system_or_template(self.system)
 
     def with_changes(self, **fields: Any) -> "RunContext":
-        """This context with other fields than `system`; the system's file is not run again.
+        """Copy of the context with other fields than `system`; the system's file is not run again.
 
         Args:
             fields: the fields that change, by name.

@@ -243,19 +243,19 @@ def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, st
     usual = _TENTH * float(np.median([len(e) for e in context.data])) * dt
     shortest = _STARTS * start_named(context.scoring.start).samples * dt
     horizon = max(min(chosen, default=usual), shortest)
-    is_held = context.cutoff is not None and context.data.channels.controller is None
+    may_be_controlled = context.cutoff is not None and context.data.channels.controller is None
     remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
     remedy += "records be judged in its loop"
     note = (
         "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
         f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
-        f"{remedy * is_held}"
+        f"{remedy * may_be_controlled}"
     )
     scoring = replace(context.scoring, horizon=horizon)
     # what this run has fitted is scored again, not gone on with
     tried = [name for name, result in halving.results.items() if result.fits_by_fold]
-    is_begun = not all(halving.plan.candidate(name).is_by_forces for name in tried)
-    resume = context.resume and not is_begun
+    has_simulated = not all(halving.plan.candidate(name).is_by_forces for name in tried)
+    resume = context.resume and not has_simulated
     return context.with_changes(scoring=scoring, resume=resume), note
 
 

@@ -242,7 +242,7 @@ def _explain_lateness(
     """
 
     def compare(identification: Identification) -> float:
-        """How many times the error without delays the error of a typical record is."""
+        """Error of a typical record by that without delays."""
         before, rmse = undelayed.rmse, identification.rmse
         return float(np.median([rmse[name] / before[name] for name in before]))
 
@@ -271,21 +271,21 @@ def _explain_lateness(
     explanations: dict[int, tuple[float | None, str]] = {}
     for k, delay in clear.items():
         name = timing[k].name
-        found = f"{delay.value:.3g} ± {delay.error:.1g} s ({delay.value / dt:.2g} periods)"
+        duration = f"{delay.value:.3g} ± {delay.error:.1g} s ({delay.value / dt:.2g} periods)"
         if lagging is not None and is_lag:
             lag = _estimate(lagging, f"{name}.{LAG}")
             error = "" if lag.error is None else f" ± {lag.error:.1g}"
             sentence = (
                 f"lag of '{name}': first order with a time constant of {lag.value:.3g}{error} s, "
                 f"and no delay; the simulation error is {lag_ratio:.2g} times that without, with a "
-                f"delay of {found} instead {ratio:.2g} times (the force `{LAG}` adds it to "
+                f"delay of {duration} instead {ratio:.2g} times (the force `{LAG}` adds it to "
                 "equations of motion)"
             )
             explanations[k] = None, sentence
             continue
         instead = f", with a lag instead {lag_ratio:.2g} times" if np.isfinite(lag_ratio) else ""
         sentence = (
-            f"delay of '{name}': {found}; the simulation error is {ratio:.2g} times that without"
+            f"delay of '{name}': {duration}; the simulation error is {ratio:.2g} times that without"
             f"{instead}"
         )
         explanations[k] = delay.value, sentence

@@ -150,7 +150,7 @@ class _Selection(Entries):
 
 
 class _Sources(Entries):
-    """What a model was made from."""
+    """Sources of a model: what it was made from."""
 
     data: _Data | None = None
     files: list["_File"] = Field(default_factory=list)
@@ -370,12 +370,12 @@ def find_fitted(header: Mapping[str, Any], records: Iterable[Experiment]) -> lis
         header: the header of the model's file.
         records: the records.
     """
-    known = _fingerprints(header)
+    fingerprints = _fingerprints(header)
     return [
         e.name
         for e in records
         if _shares_rows(e, header)
-        or any(is_among(e, texts, quanta) for quanta, texts in known.items())
+        or any(is_among(e, texts, quanta) for quanta, texts in fingerprints.items())
     ]
 
 

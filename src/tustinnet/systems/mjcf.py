@@ -27,7 +27,7 @@ from tustinnet.systems.robot import (
 _EXPECTED = "a robot in MuJoCo's format (MJCF)"
 _WORLD = 0  # the body that everything stands on
 # sections of a file that no equation of motion needs, and that may name files
-_SEEN = (
+_UNUSED = (
     "meshes", "hfields", "skins", "flexes", "materials", "textures", "sensors", "keys", "pairs",
     "excludes", "cameras", "lights",
 )  # fmt: skip
@@ -142,7 +142,7 @@ def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
                     _ADD_INERTIA,
                 )  # fmt: skip
             spec.delete(geom)
-    for name in _SEEN:
+    for name in _UNUSED:
         for element in list(getattr(spec, name, ())):
             spec.delete(element)
 

@@ -228,12 +228,12 @@ class RobotEquations:
 
     @property
     def _link_places(self) -> list[int]:
-        """Where the link of each joint stands among all coordinates."""
+        """Place of each joint's link among all coordinates."""
         return self._places(self.at_motor)
 
     @property
     def _motor_places(self) -> list[int]:
-        """Where the motor of each joint stands among all coordinates."""
+        """Place of each joint's motor among all coordinates."""
         return self._places(tuple(k for k in self.elastic if k not in self.at_motor))
 
     def _places(self, without_encoder: tuple[int, ...]) -> list[int]:

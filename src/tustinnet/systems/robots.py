@@ -292,17 +292,19 @@ class RobotFile(ChannelSource):
             text = write_urdf(self.text, links, joints)
         else:
             text = write_mjcf(self.text, links, joints, self.path)
-        held = {f"{body}.{name}" for body in links for name in INERTIAL}
+        parameters = {f"{body}.{name}" for body in links for name in INERTIAL}
         kinds = ("viscous", "coulomb") if is_urdf else ("viscous", "coulomb", "armature")
-        held |= {f"{joint}.{kind}" for joint in joints for kind in kinds}
-        held |= {f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None}
+        parameters |= {f"{joint}.{kind}" for joint in joints for kind in kinds}
+        parameters |= {
+            f"{joint}.stiffness" for joint, own in joints.items() if own.stiffness is not None
+        }
         # what options of `load_robot` add is not in the file, whatever its value
         plain = RobotFile(self.text, self.path, self.locked).load().nominal()
-        by_group = {name for name in values if name.partition("[")[0] in held}
+        by_group = {name for name in values if name.partition("[")[0] in parameters}
         lacking = [
             name
             for name, x in values.items()
-            if name not in held | by_group and x != plain.get(name, 0.0)
+            if name not in parameters | by_group and x != plain.get(name, 0.0)
         ]
         return text, tuple(lacking)
 
@@ -323,7 +325,7 @@ def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile
 
 
 class _Mismatch(NamedTuple):
-    """What does not agree between a card and a robot's file.
+    """Mismatch between a card and a robot's file.
 
     Attributes:
         problem: what is wrong.
@@ -449,7 +451,7 @@ class _Assembly:
         where: object,
         source: RobotFile,
     ) -> "_Assembly":
-        """Itself with coordinates and inputs in another order, see `RobotFile.for_channels`.
+        """Assembly with coordinates and inputs in another order, see `RobotFile.for_channels`.
 
         Raises:
             InputError: all that does not agree, at once.
@@ -483,7 +485,7 @@ class _Assembly:
         return self
 
     def _compare_coordinates(self, coordinates: Sequence[Coordinate]) -> list["_Mismatch"]:
-        """What the coordinates of a card and the joints that move have not in common."""
+        """Mismatches between the coordinates of a card and the joints that move."""
         names, file = [c.name for c in coordinates], self.path.name
         mismatches = []
         unknown = [name for name in names if name not in self.free]
@@ -521,17 +523,17 @@ class _Assembly:
 
     def _find_drive(self, i: Input) -> int | None:
         """The index of the actuator that an input of a card is that of, None without one."""
-        found = [k for k, own in enumerate(self.inputs) if own.name == i.name]
-        if not found:
+        matching = [k for k, own in enumerate(self.inputs) if own.name == i.name]
+        if not matching:
             # the longest name: `joint1` is part of `joint10_torque`
             holds = [k for k, d in enumerate(self.drives) if d.joint in i.name]
-            found = sorted(holds, key=lambda k: -len(self.drives[k].joint))[:1]
-        return found[0] if found else None
+            matching = sorted(holds, key=lambda k: -len(self.drives[k].joint))[:1]
+        return matching[0] if matching else None
 
     def _compare_input(
         self, i: Input, k: int | None, drives: Sequence[int | None]
     ) -> list["_Mismatch"]:
-        """What is wrong with an input of a card and the actuator that it is that of."""
+        """Mismatches between an input of a card and the actuator that it is that of."""
         if k is None:
             near = _nearest(i.name, [own.name for own in self.inputs])
             return [_Mismatch(
@@ -656,7 +658,7 @@ class _Assembly:
         left for the link that moves is the inertia of a body; else this link has all of it and the
         others have none.
         """
-        found: dict[str, LinkInertia | None] = {}
+        inertias: dict[str, LinkInertia | None] = {}
         for i, body in enumerate(self.bodies):
             if not body.has_mass:
                 continue
@@ -665,14 +667,14 @@ class _Assembly:
             carried = [part for _, part in self.carried[i]]
             rest = _without(whole, carried) if carried else whole
             if rest is None:
-                found |= {name: None for name, _ in self.carried[i]}
+                inertias |= {name: None for name, _ in self.carried[i]}
                 rest = whole
-            found[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
-        return found
+            inertias[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
+        return inertias
 
     def joint_values(self, values: Mapping[str, float]) -> dict[str, JointValues]:
         """The values of joints; what joints that follow have by the file is taken off first."""
-        found = {}
+        values_by_joint = {}
         for name in self.free:
             followers = [
                 (self.joints[other], abs(m.ratio))
@@ -685,12 +687,12 @@ class _Assembly:
                 "armature": sum(j.armature * r**2 for j, r in followers),
             }
             own = {kind: max(values[f"{name}.{kind}"] - x, 0.0) for kind, x in less.items()}
-            found[name] = JointValues(**own)
+            values_by_joint[name] = JointValues(**own)
         for name in self.moved_by:
             if self.joints[name].stiffness:
-                known = found.get(name, JointValues())
-                found[name] = replace(known, stiffness=values[f"{name}.stiffness"])
-        return found
+                before = values_by_joint.get(name, JointValues())
+                values_by_joint[name] = replace(before, stiffness=values[f"{name}.stiffness"])
+        return values_by_joint
 
     def _add_body(self, joint: RobotJoint, parent: int | None, frame: _Pose, mover: Mimic) -> int:
         """Adds the body that a joint carries; its frame is at the joint."""
@@ -1090,7 +1092,7 @@ def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkIn
 
 
 def _without(whole: LinkInertia, parts: Sequence[LinkInertia]) -> LinkInertia | None:
-    """What is left of an inertia without some parts of it; None where no body has that."""
+    """Rest of an inertia without some parts of it; None where no body has that."""
     mass, moment, tensor = whole.mass, whole.mass * whole.center, whole.tensor
     for part, sign in ((whole, 1.0), *((part, -1.0) for part in parts)):
         r, shift = part.center, sign * part.mass

@@ -31,6 +31,7 @@ def truth(system) -> dict[str, float]:
 def with_values(model: tn.Model, system: tn.LagrangianSystem, values: dict[str, float]) -> tn.Model:
     """A model with other values."""
     arrays = {name: jnp.asarray(values[name]) for name in system.nominal()}
+    # a model of equations of motion has the field, which its base class does not know
     return replace(model, continuous=system.model(arrays))  # pyright: ignore[reportCallIssue]
 
 

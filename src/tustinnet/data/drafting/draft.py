@@ -335,7 +335,7 @@ def _columns(
     verdicts: Mapping[str, Verdict], numbers: Mapping[str, Numbers],
     clocks: Sequence[str],
 ) -> list[DraftColumn]:  # fmt: skip
-    """Every column with its role, its use and the reasons."""
+    """Columns of the logs, each with its role, its use and the reasons."""
     velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
     coordinates = {c.column: c for c in choice.coordinates}
     inputs = {i.column: i for i in choice.inputs}

@@ -14,7 +14,7 @@ from tustinnet.data.drafting.roles import Verdict
 
 @dataclass(frozen=True)
 class Question:
-    """What the columns do not say.
+    """Question on what the columns do not say.
 
     Attributes:
         key: name of the answer.
@@ -115,7 +115,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that is known of the columns when channels are chosen.
+    """Knowledge of the columns from which channels are chosen.
 
     Attributes:
         readings: the meaning of their names.

@@ -138,11 +138,7 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     assumed: tuple[str, ...] = ()
     quantity = reading.quantity
     key = f"unit {column}"
-    unit = findings.answers.get(key) or reading.unit
-    if not unit:
-        strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
-        is_said = reading.quantities.get(strongest, 0.0) >= 3
-        unit = _QUANTITY_UNITS[strongest] if is_said else ""
+    unit = _find_unit(column, findings)
     if not unit and quantity == "duty":
         unit = "%" if 1.5 < numbers.largest <= 100 else "1"
     leads = findings.verdicts[column].leads
@@ -171,11 +167,7 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
         channel: the input; a unit of `1` takes any.
         findings: what is known of the columns.
     """
-    reading, numbers = findings.readings[column], findings.numbers[column]
-    strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
-    is_said = reading.quantities.get(strongest, 0.0) >= 3
-    own = findings.answers.get(f"unit {column}") or reading.unit
-    own = own or (_QUANTITY_UNITS[strongest] if is_said else "")
+    numbers, own = findings.numbers[column], _find_unit(column, findings)
     if channel.unit == "1":
         return InputChoice(column, channel.name, own or "1", assumed=() if own else ("unit",))
     if not own:
@@ -187,6 +179,15 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
     size, base = _to_si(own)
     doubt = f"the unit: the system takes {channel.unit}, and the column is in {own}"
     return InputChoice(column, channel.name, base, doubts=(doubt,), scale=size)
+
+
+def _find_unit(column: str, findings: Findings) -> str:
+    """The unit of an input: as answered, as named, or of the quantity that a word says; or ""."""
+    reading = findings.readings[column]
+    if unit := findings.answers.get(f"unit {column}") or reading.unit:
+        return unit
+    strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
+    return _QUANTITY_UNITS[strongest] if reading.stated([strongest]) else ""
 
 
 def _to_si(unit: str) -> tuple[float, str]:

@@ -109,8 +109,8 @@ def _find_kinds(logs: Sequence[Log]) -> list[_Kind]:
 
 def _words(file: str) -> list[str]:
     """Words and numbers of a path without its ending; numbers without zeros before them."""
-    found = re.findall(r"[^\W\d_]+|\d+", re.sub(r"\.\w+$", "", file).lower())
-    return [w.lstrip("0") or "0" if w.isdigit() else w for w in found]
+    words = re.findall(r"[^\W\d_]+|\d+", re.sub(r"\.\w+$", "", file).lower())
+    return [w.lstrip("0") or "0" if w.isdigit() else w for w in words]
 
 
 def _quantities(logs: Sequence[Log], label: str) -> dict[str, float]:

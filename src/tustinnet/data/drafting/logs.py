@@ -117,8 +117,8 @@ class Log:
         spans = {clock: self.spans[clock] for clock in {*used, *self.clocks[:1]}}
         if len(spans) < 2:
             return self
-        held = spans.keys() - {self.clock_of.get(name) for name in motion} - {self.clocks[0]}
-        is_covered = find_covered(self.values[self.clocks[0]] * self.factor, spans, held)
+        of_inputs = spans.keys() - {self.clock_of.get(name) for name in motion} - {self.clocks[0]}
+        is_covered = find_covered(self.values[self.clocks[0]] * self.factor, spans, of_inputs)
         values = {name: column[is_covered] for name, column in self.values.items()}
         return replace(self, values=values)
 
@@ -418,7 +418,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
 
 
 def _speaks_of_motion(reading: NameReading) -> bool:
-    return reading.quantity is not None and max(reading.quantities.values()) >= 3
+    return bool(reading.stated(reading.quantities))
 
 
 def _intervals(columns: Sequence[Values]) -> Values | None:

@@ -117,7 +117,7 @@ _PURE = POSITION_WORDS.union(
 )  # fmt: skip
 """Words that say which quantity, but not of what."""
 _FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
-_KNOWN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
+_VOCABULARY = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
 _LAST_PARTS = sorted(
     (w for q in ("position", "velocity", "acceleration", *INPUTS, "error") for w in STRONG[q]
      if len(w) >= 5 and w.isascii()), key=len, reverse=True,
@@ -165,10 +165,10 @@ class NameReading:
 
 def read_name(name: str, file_unit: str = "") -> NameReading:
     """Reads the words and the unit in a column's name; a unit that the file says decides."""
-    known = _look_up(file_unit) if file_unit else None
-    if known is not None and known[0]:
+    spelling = _look_up(file_unit) if file_unit else None
+    if spelling is not None and spelling[0]:
         reading = read_name(f"{name} [{file_unit}]")
-        if reading.unit == known[0]:
+        if reading.unit == spelling[0]:
             return replace(reading, name=name)
     plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
     plain = _ACCENTS.sub("", unicodedata.normalize("NFD", plain))
@@ -261,10 +261,10 @@ def _kind(words: Sequence[str], unit: str) -> Kind | None:
     if base in LENGTH or unit in ("km/h", "g", "N", "kN"):
         return "linear"
     symbols = {m["symbol"] for w in words if (m := _SYMBOL.fullmatch(w))}
-    found = {*words} | symbols
-    angular, linear = bool(found & ANGULAR), bool(found & LINEAR)
+    texts = {*words} | symbols
+    angular, linear = bool(texts & ANGULAR), bool(texts & LINEAR)
     # `cart`, `x` decide against `joint` and `encoder`, which both kinds have
-    if linear and found & ANGULAR <= {"joint", "encoder", "enc", "gelenk", "geber"}:
+    if linear and texts & ANGULAR <= {"joint", "encoder", "enc", "gelenk", "geber"}:
         return "linear"
     return "angular" if angular else "linear" if linear else None
 
@@ -329,13 +329,13 @@ def _split_words(name: str) -> list[str]:
 
 def _split_compound(word: str) -> list[str]:
     """The parts of a word of German and its neighbours: `istposition`, `seilwinkel`."""
-    if word in _KNOWN:
+    if word in _VOCABULARY:
         return [word]
     end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w) + 1), None)
     if end is None:
         return [word]
     rest = word.removesuffix(end)
-    return [rest, end] if len(rest) > _SHORTEST_PART or rest in _KNOWN else [word]
+    return [rest, end] if len(rest) > _SHORTEST_PART or rest in _VOCABULARY else [word]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:

@@ -315,10 +315,10 @@ def _counts(
         because.append(f"{answer[0]} counts in a turn {answer[1]}")
         return int(float(answer[0])), False
     by_wrap = round(turn) if turn and turn not in _OVERFLOWS else None
-    known = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
-    if known is not None and (by_wrap is None or abs(known / by_wrap - 1) < _SAME_FACTOR):
-        because.append(f"{by_wrap or known} counts in a turn")
-        return by_wrap or known, False
+    compared = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
+    if compared is not None and (by_wrap is None or abs(compared / by_wrap - 1) < _SAME_FACTOR):
+        because.append(f"{by_wrap or compared} counts in a turn")
+        return by_wrap or compared, False
     counts = by_wrap or _USUAL_COUNTS
     overflow = f", which starts again at {turn:.0f}" if turn else ""
     text = f"counts in a turn of the encoder '{column}'{overflow}"
@@ -378,8 +378,8 @@ def _velocity(
 def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool, str]:
     """Whether a velocity column has a sensor of its own, and the reason."""
     words = {*findings.readings[velocity].words}
-    if found := words & _SENSORS:
-        return True, f"a sensor of its own by its name ('{found.pop()}')"
+    if sensors := words & _SENSORS:
+        return True, f"a sensor of its own by its name ('{sensors.pop()}')"
     if findings.readings[velocity].qualifier == "measured" and words & {"meas", "measured", "mess"}:
         return True, "measured by its name"
     a = np.concatenate([np.gradient(q) for q in findings.samples[position]])

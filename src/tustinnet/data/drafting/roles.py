@@ -35,7 +35,7 @@ _ROLES: dict[Quantity, Role] = {
 
 @dataclass(frozen=True)
 class Evidence:
-    """One reason to take a column for something.
+    """Reason to take a column for something.
 
     Attributes:
         role: the role that it speaks for.
@@ -201,7 +201,7 @@ def _take_drivers_for_inputs(
 def _take_continuous_columns_for_inputs(
     numbers: Mapping[str, Numbers], verdicts: dict[str, Verdict]
 ) -> None:
-    """Where no column is an input, takes those for it that do not move in steps as positions do."""
+    """Takes columns that do not move in steps, as positions do, for inputs where there are none."""
     positions = [name for name, verdict in verdicts.items() if verdict.role == "position"]
     if any(numbers[name].count is not None for name in positions):
         for name in positions:
@@ -230,7 +230,7 @@ def _decide(numbers: Numbers, evidence: Sequence[Evidence]) -> Verdict:
 def _own_evidence(reading: NameReading, numbers: Numbers) -> list[Evidence]:
     """Evidence in the name and the numbers of a column."""
     evidence = [*_name_evidence(reading), *_number_evidence(numbers)]
-    if reading.quantities.get("voltage", 0.0) >= 3 and numbers.is_nearly_constant:
+    if reading.stated(["voltage"]) and numbers.is_nearly_constant:
         evidence.append(Evidence("other", 12.0, "nearly constant, as the voltage of a supply"))
     return evidence
 
@@ -250,7 +250,7 @@ def _name_evidence(reading: NameReading) -> Iterator[Evidence]:
         else:
             yield Evidence(role, weight, by)
     if is_command:
-        speaks_of_input = any(q in INPUTS and w >= 3 for q, w in reading.quantities.items())
+        speaks_of_input = bool(reading.stated(INPUTS))
         if speaks_of_input:
             yield Evidence("input", 2.0, "named a command")
         else:
@@ -292,12 +292,12 @@ def _find_integral(
     reading = readings[name]
     if numbers[name].levels or numbers[name].wrap is not None:
         return None
-    if any(q in INPUTS and w >= 3 for q, w in reading.quantities.items()):
+    if reading.stated(INPUTS):
         return None  # a voltage may be nearly proportional to the speed
-    if reading.quantities.get("other", 0.0) >= 3:
+    if reading.stated(["other"]):
         return None  # as the electrical speed of a motor of some poles
     speaks = max(reading.quantities.get(q, 0.0) for q in ("velocity", "acceleration")) >= 1
-    if reading.quantities.get("position", 0.0) >= 3 and not speaks:
+    if reading.stated(["position"]) and not speaks:
         return None  # of a position, another one may be the slope by chance
     best, best_score = None, 0.0
     for other, verdict in verdicts.items():
@@ -343,10 +343,10 @@ def _find_follower(
     """The position or velocity that follows a column at a factor of about 1, None without one."""
     reading = readings[name]
     is_command = reading.qualifier == "command"
-    known = max(reading.quantities.values(), default=0.0) >= 3
-    if (known and not is_command) or (reading.unit and not is_command):
+    is_stated = bool(reading.stated(reading.quantities))
+    if (is_stated and not is_command) or (reading.unit and not is_command):
         return None
-    if any(q in INPUTS and w >= 3 for q, w in reading.quantities.items()):
+    if reading.stated(INPUTS):
         return None
     best, best_score = None, 0.0
     for other, verdict in verdicts.items():

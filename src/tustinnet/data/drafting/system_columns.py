@@ -189,7 +189,7 @@ def _words(name: str) -> list[str]:
 def _similarity(
     name: str, reading: NameReading, columns: Sequence[str], names: Iterable[str]
 ) -> float:
-    """How much of a channel's name a column holds, 0 to 1.5; 0 unless all that tells it is there.
+    """Share of a channel's name that a column holds, 0 to 1.5; 0 unless all that tells it is there.
 
     Numbers alone count where columns have the numbers of all channels: columns that count from 0
     are not those of joints that count from 1.
@@ -206,8 +206,8 @@ def _similarity(
     numbers = {word for word in words if word.isdigit()}
     if numbers == {*words}:
         own = {word for other in names for word in _words(other) if word.isdigit()}
-        found = {w for column in columns for w in read_name(column).words if w.isdigit()}
-        if not numbers or found != own:
+        in_columns = {w for column in columns for w in read_name(column).words if w.isdigit()}
+        if not numbers or in_columns != own:
             return 0.0
     elif {word for word in reading.words if word.isdigit()} - numbers and numbers:
         return 0.0
@@ -224,12 +224,12 @@ def _assign(scores: Mapping[tuple[str, str], float]) -> dict[str, str]:
     return assigned
 
 
-def input_factor(unit: str, wanted: str) -> float | None:
+def input_factor(unit: str, own_unit: str) -> float | None:
     """Units of an input in one unit of its column; None for another quantity, or an unknown one."""
-    if not unit or not wanted:
+    if not unit or not own_unit:
         return None
     try:
-        (factor, base), (own, own_base) = convert_to_si(unit), convert_to_si(wanted)
+        (factor, base), (own, own_base) = convert_to_si(unit), convert_to_si(own_unit)
     except ValueError:
         return None
     return factor / own if base == own_base else None

@@ -95,12 +95,12 @@ class _Change:
 
     @property
     def geometry(self) -> tuple[tuple[float, ...], tuple[int, ...]]:
-        """What is changed of the positions."""
+        """Changes of the positions: factors, and the order of the columns."""
         return self.factors, self.order
 
 
 class _Outcome(NamedTuple):
-    """What a change leaves unexplained.
+    """Missing forces that a change leaves.
 
     Attributes:
         shares: missing force of each joint by that of its actuators; 0 without one, (n,).

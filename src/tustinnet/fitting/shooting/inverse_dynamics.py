@@ -65,7 +65,7 @@ _RANK = 1e-6  # of inputs' directions, below which one is a combination of other
 
 
 class Obstacle(NamedTuple):
-    """What keeps a system from being identified by inverse dynamics.
+    """Reason why a system cannot be identified by inverse dynamics.
 
     Attributes:
         problem: what it is, as words behind "inverse dynamics".
@@ -95,7 +95,7 @@ class MeasuredForces(NamedTuple):
 
     @property
     def step(self) -> int:
-        """Every how many samples forces are compared."""
+        """Number of samples from one at which forces are compared to the next."""
         return max(1, int(1 / (_SAMPLES * self.cutoff * self.dt)))
 
     @property

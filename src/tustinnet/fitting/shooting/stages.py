@@ -48,7 +48,7 @@ _LEAST_CHANGE = 1e-5  # of a logarithm, or of a range, by which new weights stil
 
 @dataclass(frozen=True)
 class SearchStage:
-    """One stage of a search.
+    """Stage of a search.
 
     Attributes:
         initial_treatment: how initial states are treated, see `CutOptions`.

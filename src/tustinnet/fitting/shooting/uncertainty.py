@@ -50,8 +50,8 @@ class Uncertainty:
     @property
     def trusted(self) -> Float[np.ndarray, "n_p n_p"]:
         """Covariance to trust: that of the records, or segments, where there are enough of them."""
-        known = (x for x in (self.clustered, self.by_segments) if x is not None)
-        return next(known, self.naive)
+        covariances = (x for x in (self.clustered, self.by_segments) if x is not None)
+        return next(covariances, self.naive)
 
     @property
     def source(self) -> str:

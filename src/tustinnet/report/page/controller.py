@@ -116,8 +116,8 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
     u = np.concatenate([run.inputs, run.inputs[-1:]]) if len(run.inputs) else np.zeros((n, 0))
     lines = [run.estimates[:, positions]]
     if plan is not None:
-        held = np.repeat(plan.goal[None], max(0, n - len(plan.x)), axis=0)
-        lines.append(np.concatenate([plan.x, held])[:n, positions])
+        at_goal = np.repeat(plan.goal[None], max(0, n - len(plan.x)), axis=0)
+        lines.append(np.concatenate([plan.x, at_goal])[:n, positions])
     errors = [bounded(line, q) - q for line in lines]
     samples = thin(np.concatenate([q, v, u, *errors], axis=1), _POINTS)
     t = run.dt * np.arange(n)
