@@ -14,8 +14,9 @@ another fit.
   depend on the kind of motion; so those of other single records must not explain it either.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -148,10 +149,11 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
         )
         for i, ratio in unlike.items()
     ]  # fmt: skip
-    with_friction = _make_errors(_with_friction(pieces, records, samples), records)
+    # most records have no stretch for which it is asked
+    with_friction = cache(lambda: _make_errors(_with_friction(pieces, records, samples), records))
     parts += _find_stretches(
         [errors[i] for i in alike],
-        [with_friction[i] for i in alike],
+        lambda k: with_friction()[alike[k]],
         [records[i] for i in alike],
         samples,
     )
@@ -372,7 +374,7 @@ def _find_unlike(errors: Sequence[_PieceErrors]) -> dict[int, float]:
 
 def _find_stretches(
     errors: Sequence[_PieceErrors],
-    with_friction: Sequence[_PieceErrors],
+    with_friction: Callable[[int], _PieceErrors],
     records: Sequence[Experiment],
     samples: int,
 ) -> list[SpoiledPart]:
@@ -382,7 +384,7 @@ def _find_stretches(
 
     Args:
         errors: the errors of the pieces of each record.
-        with_friction: the same errors, with friction as the last parameters.
+        with_friction: returns those of a record, with friction as the last parameters.
         records: the records.
         samples: length of a piece.
     """
@@ -417,7 +419,7 @@ def _find_stretches(
                     "as usual"
                 )
                 is_far = single[i][a:b] > _EDGE * usual
-                if _is_friction(with_friction[i].part(slice(a, b)), is_far, changes[i]):
+                if _is_friction(with_friction(i).part(slice(a, b)), is_far, changes[i]):
                     reason = (
                         f"{far_off}, by a force that changes its sign with the velocity: friction "
                         "that the model lacks, or has otherwise"
