@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
+from tustinnet.store import files
 from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.store.files import lock_folder, write_into
 
@@ -36,6 +37,39 @@ def test_a_link_that_leads_outside_is_not_followed(tmp_path):
     with pytest.raises(tn.InputError, match="outside of the output folder"):
         write_into(inside, "figures/a.png", b"")
     assert not list(outside.iterdir())
+
+
+@pytest.mark.parametrize("planted", ["the file", "a part", "the last part"])
+def test_a_planted_link_is_replaced_and_not_followed(tmp_path, monkeypatch, planted):
+    """Also where somebody guesses the name that a file has while it is written."""
+    inside, victim = tmp_path / "in", tmp_path / "victim"
+    inside.mkdir()
+    victim.write_text("precious")
+    if planted == "the file":
+        (inside / "f").symlink_to(victim)
+    else:
+        monkeypatch.setattr(files.secrets, "token_hex", lambda _: "0123abcd")
+        random = "" if planted == "a part" else ".0123abcd"
+        (inside / f".f.{os.getpid()}{random}.part").symlink_to(victim)
+    if planted == "the last part":
+        with pytest.raises(tn.InputError, match="cannot be written"):
+            write_into(inside, "f", "text")
+    else:
+        write_into(inside, "f", "text")
+        assert (inside / "f").read_text() == "text"
+        assert not (inside / "f").is_symlink()
+    assert victim.read_text() == "precious"
+
+
+def test_a_folder_is_probed_without_following_links(tmp_path, monkeypatch):
+    monkeypatch.setattr(files.secrets, "token_hex", lambda _: "0123abcd")
+    victim = tmp_path / "victim"
+    inside = tmp_path / "in"
+    inside.mkdir()
+    (inside / f".writable.{os.getpid()}.0123abcd.part").symlink_to(victim)
+    with pytest.raises(tn.InputError, match="cannot be written"):
+        files.require_writable_folder(inside)
+    assert not victim.exists()
 
 
 def test_a_file_that_does_not_fit_leaves_the_one_before(tmp_path):

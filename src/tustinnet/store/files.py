@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import secrets
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,7 +20,7 @@ except ImportError:  # Windows: two runs in one folder are not kept apart there
 
 FIGURE_ENDINGS = (".png", ".svg", ".pdf")  # formats of figures
 PART = ".part"  # how the name of a file ends while it is written
-_HALF_WRITTEN = re.compile(r"\.(.+\.\d+|shared-[0-9a-f]{32})\.part")
+_HALF_WRITTEN = re.compile(r"\.(.+\.\d+(\.[0-9a-f]{8})?|shared-[0-9a-f]{32})\.part")
 
 
 def write_into(folder: Path, name: str, content: bytes | str) -> None:
@@ -35,14 +36,14 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
     """
     path = folder / name
     payload = content.encode() if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
+    temporary = _part_of(path)
     try:
         if not path.parent.resolve().is_relative_to(folder.resolve()):
             raise InputError(path, "outside of the output folder", f"a file below {folder}")
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)
         try:
-            with temporary.open("wb") as file:
+            with temporary.open("xb") as file:
                 file.write(payload)
                 file.flush()
                 os.fsync(file.fileno())
@@ -53,12 +54,17 @@ def write_into(folder: Path, name: str, content: bytes | str) -> None:
         raise unwritable_error(path, error) from error
 
 
+def _part_of(path: Path) -> Path:
+    """The name of a file while it is written, which nobody can guess and plant a link under."""
+    return path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}{PART}")
+
+
 def _remove_abandoned(path: Path) -> None:
     """Removes what processes that were killed had written of a file."""
     if fcntl is None:  # Windows, where asking after a process would end it
         return
     for part in path.parent.glob(f".{glob.escape(path.name)}.*{PART}"):
-        number = part.name.removesuffix(PART).rpartition(".")[2]
+        number = part.name[len(path.name) + 2 :].partition(".")[0]
         if number.isdecimal() and not _is_running(int(number)):
             part.unlink(missing_ok=True)
 
@@ -76,10 +82,10 @@ def _is_running(number: int) -> bool:
 
 def require_writable_folder(folder: Path) -> None:
     """Makes a folder and raises `InputError` unless files can be written into it."""
-    probe = folder / f".writable.{os.getpid()}{PART}"
+    probe = _part_of(folder / "writable")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
+        probe.touch(exist_ok=False)
         probe.unlink()
     except OSError as error:
         raise unwritable_error(folder, error) from error
