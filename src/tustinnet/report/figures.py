@@ -12,6 +12,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from tustinnet.channels import Channels
 from tustinnet.check.report import ExperimentReport
@@ -46,6 +47,8 @@ _STYLE = {
     "lines.linewidth": 1.1,
     "legend.frameon": False,
     "svg.hashsalt": "tustinnet",
+    "text.parse_math": False,  # a name with $ is a name
+    "text.usetex": False,  # nor does it reach LaTeX, whatever a `matplotlibrc` says
 }
 
 
@@ -192,6 +195,8 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
             y = y[np.isfinite(y)]
             if y.size and y.min() > 0 and y.max() > _LINEAR_BELOW * y.min():
                 axes.set_yscale("log")
+                axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+                axes.yaxis.set_minor_formatter(NullFormatter())
             for begin in _find_stage_begins(next(iter(histories.values()))):
                 axes.axvline(begin + 0.5, color="0.6", linewidth=0.8, linestyle=":")
         panels[-1].set_xlabel("epoch (all stages)")

@@ -247,4 +247,4 @@ def _label(
     ha: Literal["left", "center", "right"] = "center",
 ) -> None:  # fmt: skip
     x, y = np.asarray(at)
-    axes.text(x, y, text, fontsize=size, color=colour, ha=ha, va="center")
+    axes.text(x, y, text, fontsize=size, color=colour, ha=ha, va="center", parse_math=True)
