@@ -35,6 +35,15 @@ def to_printable(text: str, longest: int) -> str:
     return escaped if len(escaped) <= longest else f"{escaped[: longest - 4]} ..."
 
 
+def escape_unprinted(text: str) -> str:
+    r"""Text in which characters that are not printed, such as control characters, are escapes.
+
+    A name from outside passes here when it enters, so that nothing that prints it has to.
+    An escape character becomes `\x1b`, a line end `\n`.
+    """
+    return "".join(ascii(c)[1:-1] if unicodedata.category(c) in _UNPRINTED else c for c in text)
+
+
 def describe_error(error: BaseException) -> str:
     """Kind and text of a foreign error, short, also of one whose text cannot be made."""
     try:

@@ -126,9 +126,8 @@ def test_a_reader_that_crashes_or_hangs_is_told(
 import os, time
 import tustinnet.data.binary_files as files
 files.list_columns = lambda *_: {does}
-files.serve()
 """
-    program = reading_process._PROGRAM.split("from")[0] + program
+    program = reading_process._PROGRAM.replace("from", program + "from", 1)
     monkeypatch.setattr(reading_process, "_PROGRAM", program)
     monkeypatch.setattr(reading_process, "_NAMES_S", seconds)
     stop()
@@ -175,7 +174,8 @@ def test_the_reader_ends_with_the_process_that_started_it(tmp_path: Path) -> Non
     program = f"""
 import os, pathlib
 from tustinnet.data import reading_process
-reading_process.list_columns(pathlib.Path({str(path)!r}), 'tustinnet.data.formats.npz:READER')
+from tustinnet.data.readers import read_columns
+read_columns(pathlib.Path({str(path)!r}))
 print(reading_process._process._child.pid, flush=True)
 os._exit(1)
 """
@@ -204,4 +204,4 @@ def test_a_file_that_may_not_be_read_is_named(
 
 
 def test_the_limits_leave_room_for_the_columns() -> None:
-    assert 2 * binary_files.LARGEST < binary_files._ADDRESS_SPACE
+    assert 2 * binary_files.LARGEST < reading_process._MEMORY

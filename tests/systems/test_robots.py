@@ -20,7 +20,9 @@ from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
+from tustinnet.systems import mjcf
 from tustinnet.systems.qube_servo2 import SYSTEM as QUBE
+from tustinnet.systems.robot_reading import read_robot
 
 mujoco = import_module("mujoco")  # no types are known
 
@@ -722,3 +724,62 @@ def test_limits_of_joints_are_those_of_a_file_of_mujoco(tmp_path):
     slide, pole = tn.load_system(tmp_path / "robot.xml").limits
     assert slide == MotionLimits((-0.4, 0.6), force=7.5), "the smallest of both directions"
     assert pole == MotionLimits(force=2.0)
+
+
+# --- files that were made to do harm ---
+
+BOMBS = {
+    "shapes": '<worldbody><replicate count="3000" offset="0 0 1"><replicate count="3000" '
+    'offset="0 1 0"><geom size=".1"/></replicate></replicate>{}</worldbody>',
+    "bodies": '<worldbody><replicate count="100000000" offset="0 0 1">{}</replicate></worldbody>',
+    "a field": '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>'
+    "<worldbody>{}</worldbody>",
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_a_small_file_that_takes_gigabytes_is_refused_by_a_line(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(mjcf, "_SECONDS", 3.0)
+    monkeypatch.setattr(mjcf, "_MEMORY", 2**28)
+    file = tmp_path / "bomb.xml"
+    body = BOMBS[kind].format(BODY.format('name="j1"'))
+    file.write_text(f"<mujoco>{body}</mujoco>")
+    with pytest.raises(InputError, match=r"bomb\.xml: (the file crashes|MuJoCo refuses)"):
+        tn.load_robot(file)
+
+
+@pytest.mark.parametrize("where", ["outside.xml", "link.xml", "/etc/passwd"])
+def test_nothing_is_included_from_outside_of_a_files_folder(where, tmp_path):
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    body = f"<mujocoinclude>{BODY.format('')}</mujocoinclude>"
+    (tmp_path / "outside.xml").write_text(body)
+    (folder / "link.xml").symlink_to(tmp_path / "outside.xml")
+    name = where if where != "outside.xml" else "../outside.xml"
+    text = f'<mujoco><worldbody><include file="{name}"/></worldbody></mujoco>'
+    (folder / "robot.xml").write_text(text)
+    with pytest.raises(InputError, match=f"includes '{re.escape(name)}', outside of its folder"):
+        tn.load_robot(folder / "robot.xml")
+    # nor by a text whose includes nobody has resolved, as that of a copy in a run's folder
+    with pytest.raises(InputError, match="<include>, which stands for other files"):
+        read_robot(text, folder / "system.xml")
+
+
+@pytest.mark.parametrize("ending", ["urdf", "xml"])
+def test_a_chain_of_a_thousand_joints_is_refused_by_a_line(ending, tmp_path):
+    inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
+    if ending == "xml":
+        body = "".join(f'<body><joint name="j{k}"/>{inertial}' for k in range(101))
+        text = f"<mujoco><worldbody>{body}{'</body>' * 101}</worldbody></mujoco>"
+    else:
+        links = "".join(f'<link name="l{k}"/>' for k in range(1001))
+        joints = "".join(
+            f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+            "</joint>"
+            for k in range(1000)
+        )
+        text = f'<robot name="r">{links}{joints}</robot>'
+    file = tmp_path / f"long.{ending}"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"\d+ joints that move; expected at most 100"):
+        tn.load_robot(file)

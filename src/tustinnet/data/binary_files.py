@@ -1,16 +1,10 @@
 """Binary files: the names of their columns, and the numbers in some of them.
 
-`serve` runs in a process of its own (`reading_process` starts it): on damaged files the libraries
-of the readers can crash, hang or ask for any amount of memory.
+`reading_process` has this done in a process of its own.
 """
 
 import dataclasses
-import importlib
-import json
 import math
-import os
-import signal
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,13 +13,22 @@ import numpy as np
 
 from tustinnet.data.columns import Column, Listing, require_different
 from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
-from tustinnet.errors import InputError, convert_errors
+from tustinnet.errors import InputError
 from tustinnet.registry import load_place
 from tustinnet.wording import counted
 
 LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
-_ADDRESS_SPACE = 6 * 2**30  # bytes: these columns, their sources, and the libraries
 _MOST_COLUMNS = 100_000
+
+
+def list_columns_by(path: Path, reader: str) -> tuple[dict[str, Any], list[Column]]:
+    """`list_columns` by a reader as `module:attribute`, as plain values, and no numbers."""
+    return dataclasses.asdict(list_columns(path, load_place(reader))), []
+
+
+def read_by(path: Path, reader: str, names: list[str]) -> tuple[None, list[Column]]:
+    """`read` by a reader as `module:attribute`."""
+    return None, read(path, load_place(reader), names)
 
 
 def list_columns(path: Path, reader: Reader) -> Listing:
@@ -106,65 +109,6 @@ def _places(path: Path, shapes: list[tuple[str, Shape]]) -> dict[str, _Place]:
 def _by_column(places: Mapping[str, _Place], values: Mapping[str, str]) -> dict[str, str]:
     """Values by the name of a column, from those by the name of an array."""
     return {name: values[p.array] for name, p in places.items() if values.get(p.array)}
-
-
-# --- the process ---
-
-
-def serve() -> None:
-    """Answers requests on stdin until it is closed.
-
-    A request is a line of JSON: `path`, the `folder` where a relative one begins, `names` (columns
-    to read, or null to list them), the `reader` as `module:attribute`, and `seconds` that it may
-    take. With a null `path` it requests the import of the reader's library. A reply is a line of
-    JSON, too: the `listing`, or `lengths`, followed by the numbers of the columns as bytes of
-    float64, or the message with which the request is `refused`.
-    """
-    replies = os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print there, which is no reply
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
-    if sys.platform == "linux":
-        import resource
-
-        for kind, limit in ((resource.RLIMIT_AS, _ADDRESS_SPACE), (resource.RLIMIT_CORE, 0)):
-            soft, hard = resource.getrlimit(kind)
-            if soft == resource.RLIM_INFINITY or soft > limit:
-                resource.setrlimit(kind, (limit, hard))
-    for line in sys.stdin.buffer:
-        reply, columns = _answer(json.loads(line))
-        replies.write(json.dumps(reply).encode() + b"\n")
-        for column in columns:
-            replies.write(column.data.cast("B"))
-        replies.flush()
-
-
-def _answer(request: dict[str, Any]) -> tuple[dict[str, Any], list[Column]]:
-    _alarm(request["seconds"])
-    try:
-        reader: Reader = load_place(request["reader"])
-        if request["path"] is None:
-            importlib.import_module(reader.library)
-            return {}, []
-        path, names = Path(request["path"]), request["names"]
-        if request["folder"] is not None:
-            os.chdir(request["folder"])
-        with convert_errors(
-            path, f"cannot be read as {path.suffix.lower()}", "a whole file of that format"
-        ):
-            if names is None:
-                return {"listing": dataclasses.asdict(list_columns(path, reader))}, []
-            columns = read(path, reader, names)
-            return {"lengths": [len(column) for column in columns]}, columns
-    except InputError as error:
-        return {"refused": str(error)}, []
-    finally:
-        _alarm(0)
-
-
-def _alarm(seconds: float) -> None:
-    """Ends this process after some seconds, also where the parent cannot any more."""
-    if sys.platform != "win32":
-        signal.alarm(math.ceil(seconds))
 
 
 def _numbered(places: Mapping[str, _Place], labels: Mapping[str, str]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """The files that a card names, and the names of their records."""
 
+import os
 import re
 import warnings
 from collections import Counter
@@ -82,7 +83,7 @@ def _resolve_patterns(
     result: list[FileCard] = []
     missing: list[str] = []
     for entry in entries:
-        if any(c in entry.file for c in "*?["):
+        if any(c in entry.file for c in "*?[") and not os.path.lexists(folder / entry.file):
             with convert_errors(folder / entry.file, "no usable pattern", "e.g. train/*.csv"):
                 found = list(folder.glob(entry.file))
             paths = _without_folders(found)

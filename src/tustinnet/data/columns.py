@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.data.formats.reader import Part
-from tustinnet.errors import InputError, convert_errors
+from tustinnet.errors import InputError, convert_errors, escape_unprinted
 
 Column = Float[np.ndarray, " n"]
 
@@ -17,6 +17,11 @@ _ELEMENT = re.compile(r"(?P<variable>[^.({\[]+)[({](?P<number>\d{1,9})[)}](?P<re
 # an export of Simulink: its signals are channels of one record, and no records
 _SIGNAL = re.compile(r"(?P<export>.*)\.signals\(\d+\)\.", re.DOTALL)
 NUMBERED = "column "  # columns without a name are called "column 1", ...
+
+
+def are_numbers(names: Sequence[str]) -> bool:
+    """Whether columns are called by their numbers alone, as those of a file without names."""
+    return list(names) == [f"{NUMBERED}{number}" for number in range(1, len(names) + 1)]
 
 
 def find_column(names: Sequence[str], key: int | str) -> str | None:
@@ -53,7 +58,8 @@ class Listing:
 class Columns:
     """The columns of a file by name, in the file's order, read as numbers on access.
 
-    A column of text does no harm until it is read, which is an `InputError`.
+    A column of text does no harm until it is read, which is an `InputError`. Whatever a file calls
+    something enters here: characters that are not printed are escaped (`escape_unprinted`).
 
     Attributes:
         names: names of the columns.
@@ -77,9 +83,16 @@ class Columns:
         labels: Mapping[str, str] | None = None,
         parts: Mapping[str, Part] | None = None,
     ) -> None:
-        self.names, self.notes, self.others = tuple(names), notes, others or {}
-        self.clocks, self.units, self.parts = clocks or {}, units or {}, parts or {}
-        self.labels = labels or {}
+        self._sources = {escape_unprinted(name): name for name in names}
+        self.names = tuple(self._sources)
+        require_different([escape_unprinted(name) for name in names], "names of columns")
+        self.notes = tuple(map(escape_unprinted, notes))
+        self.others, self.clocks = _escape_all(others), _escape_all(clocks)
+        self.units, self.labels = _escape_all(units), _escape_all(labels)
+        self.parts = {
+            escape_unprinted(label): Part(escape_unprinted(part.prefix), part.rows)
+            for label, part in (parts or {}).items()
+        }
         self._read, self._rows = read, rows
         self._columns: dict[str, Column] = {}
 
@@ -104,7 +117,8 @@ class Columns:
         """Reads some columns at once, which is quicker than one after the other."""
         missing = [name for name in dict.fromkeys(names) if name not in self._columns]
         if missing:
-            self._columns.update(zip(missing, self._read(missing), strict=True))
+            columns = self._read([self._sources[name] for name in missing])
+            self._columns.update(zip(missing, columns, strict=True))
 
     def release(self) -> None:
         """Gives back the memory of the numbers and of the file; nothing can be read after it."""
@@ -181,6 +195,11 @@ class Columns:
     def __getitem__(self, name: str) -> Column:
         self.fetch([name])
         return self._columns[name]
+
+
+def _escape_all(texts: Mapping[str, str] | None) -> dict[str, str]:
+    """Texts by name, both with what is not printed escaped."""
+    return {escape_unprinted(name): escape_unprinted(x) for name, x in (texts or {}).items()}
 
 
 def _read_nothing(names: list[str]) -> list[Column]:

@@ -14,7 +14,7 @@ from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.alignment import align_columns
 from tustinnet.data.card import Card, ColumnKey, FileCard, JoinCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
-from tustinnet.data.columns import NUMBERED, Column, Columns, find_column, frame_columns
+from tustinnet.data.columns import Column, Columns, are_numbers, find_column, frame_columns
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.drafting.logs import find_clock_of
@@ -373,7 +373,7 @@ class _ColumnReader:
 
 def _header_hint(names: Sequence[str]) -> str:
     """A probable defect of a text file's layout, judged by its column names."""
-    if all(name.startswith(NUMBERED) for name in names):
+    if are_numbers(names):
         return "the file has no header: columns go by number"
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return "set `delimiter` under [format]"

@@ -76,8 +76,8 @@ def read_columns(
             require_package(reader.library.partition(".")[0], reader.extra, path)
         place = READERS.place(suffix)
         if isinstance(place, str):
-            listing = reading_process.list_columns(path, place)
-            read = partial(reading_process.read, path, place, speed=reader.speed)
+            listing = reading_process.list_columns(path, place, reader)
+            read = partial(reading_process.read, path, place, reader)
         else:  # one that a program registered: another process does not know it
             listing = binary_files.list_columns(path, reader)
             read = partial(binary_files.read, path, reader)

@@ -1,11 +1,17 @@
-"""The process in which binary files are read, so that a crash there stops nothing else."""
+"""The process in which files of foreign formats are read, so that a crash there stops nothing else.
+
+`guarded_process` is that process seen from inside.
+"""
 
 import atexit
 import json
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
+from collections.abc import Sequence
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, cast
@@ -13,12 +19,13 @@ from typing import Any, cast
 import numpy as np
 
 from tustinnet.data.columns import Column, Listing
-from tustinnet.data.formats.reader import Part
+from tustinnet.data.formats.reader import Part, Reader
 from tustinnet.errors import InputError, convert_errors
 
 _START_S = 60.0  # to start Python and import a library, also on a busy machine
 _NAMES_S = 10.0  # to list the columns of a file
 _NUMBERS_S = 60.0  # to read columns
+_MEMORY = 5 * 2**30  # bytes: the columns of a card, their sources, what its library takes
 _MUCH = 2**26  # bytes read at once, above which the process is stopped
 _SPEED = 10e6  # bytes of the file a second, on top of that, while it is listed
 
@@ -26,7 +33,7 @@ _SPEED = 10e6  # bytes of the file a second, on top of that, while it is listed
 _PROGRAM = """
 import sys
 sys.path[:] = sys.argv[1:]
-from tustinnet.data.binary_files import serve
+from tustinnet.data.guarded_process import serve
 serve()
 """
 _ONE_THREAD = ("POLARS_MAX_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -39,10 +46,12 @@ class _Process:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
-        self.readers: set[str] = set()
+        self.modules: set[tuple[str, str]] = set()
+        self._scratch = tempfile.mkdtemp(prefix="tustinnet-")  # where its libraries may write
         environment = {k: v for k, v in os.environ.items() if k != "PYTHONFAULTHANDLER"}
+        environment["TMPDIR"] = os.path.realpath(self._scratch)
         self._child = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-c", _PROGRAM, *sys.path],
+            [sys.executable, "-W", "ignore", "-c", _PROGRAM, *map(os.path.abspath, sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -83,23 +92,27 @@ class _Process:
         if self.owner == os.getpid():
             self._child.kill()
             self._child.communicate()
+            shutil.rmtree(self._scratch, ignore_errors=True)
 
 
 _process: _Process | None = None
 _one_at_a_time = threading.Lock()
 
 
-def list_columns(path: Path, reader: str) -> Listing:
+def list_columns(path: Path, place: str, reader: Reader) -> Listing:
     """The names of the columns of a binary file, and what else is known of them.
 
     Args:
         path: the file.
-        reader: the reader of such files, as `module:attribute`.
+        place: the reader of such files, as `module:attribute`.
+        reader: the reader itself.
 
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    listing = _request(path, reader, None, _NAMES_S, _SPEED)[0]["listing"]
+    seconds = _NAMES_S + _size(path) / _SPEED
+    function, modules = "tustinnet.data.binary_files:list_columns_by", _modules(place, reader)
+    listing, _ = call(path, function, [place], seconds=seconds, modules=modules)
     parts = {
         label: Part(part["prefix"], None if part["rows"] is None else tuple(part["rows"]))
         for label, part in listing["parts"].items()
@@ -107,55 +120,103 @@ def list_columns(path: Path, reader: str) -> Listing:
     return Listing(**{**listing, "parts": parts})
 
 
-def read(path: Path, reader: str, names: list[str], *, speed: float) -> list[Column]:
+def read(path: Path, place: str, reader: Reader, names: list[str]) -> list[Column]:
     """Some columns of a binary file.
 
     Args:
         path: the file.
-        reader: the reader of such files, as `module:attribute`.
+        place: the reader of such files, as `module:attribute`.
+        reader: the reader itself.
         names: the columns.
-        speed: bytes of the file that the reader reads in a second, at least.
 
     Raises:
         InputError: as `list_columns`; numbers that take too much memory; text.
     """
-    return _request(path, reader, names, _NUMBERS_S, speed)[1] if names else []
+    if not names:
+        return []
+    seconds = _NUMBERS_S + _size(path) / reader.speed
+    function, modules = "tustinnet.data.binary_files:read_by", _modules(place, reader)
+    return call(path, function, [place, names], seconds=seconds, modules=modules)[1]
 
 
-def _request(
-    path: Path, reader: str, names: list[str] | None, seconds: float, speed: float
-) -> Reply:
+def _size(path: Path) -> int:
     with convert_errors(path, "cannot be looked at", "a file"):
-        seconds += path.stat().st_size / speed
-        folder = None if path.is_absolute() else str(Path.cwd())
+        return path.stat().st_size
+
+
+def _modules(place: str, reader: Reader) -> tuple[str, str]:
+    return place.partition(":")[0], reader.library
+
+
+def call(
+    path: Path,
+    function: str,
+    arguments: Sequence[Any],
+    *,
+    seconds: float,
+    modules: tuple[str, str],
+    memory: int = _MEMORY,
+) -> tuple[Any, list[Column]]:
+    """The result of a function that reads a file, called in the process.
+
+    Args:
+        path: the file.
+        function: the function as `module:attribute`; its first argument is the file. It returns
+            what JSON can say, arrays as lists, and columns of numbers.
+        arguments: its other arguments, which JSON can say.
+        seconds: how long it may take.
+        modules: what is imported before, which may take longer: the reader's own module, and the
+            library that it uses.
+        memory: how many bytes it may take, beside those that the process has.
+
+    Raises:
+        InputError: what the function raises; a file that crashes it, takes it too long, or makes it
+            do more than read.
+    """
+    folder = None if path.is_absolute() else str(Path.cwd())
+    request = {
+        "path": str(path),
+        "folder": folder,
+        "function": function,
+        "arguments": arguments,
+        "memory": memory,
+    }
     with _one_at_a_time:
-        process = _running_process(path, reader)
-        request = {"path": str(path), "folder": folder, "names": names, "reader": reader}
+        process = _running_process(path, modules)
         reply = process.send(request, seconds)
-        if reply is not None and sum(column.nbytes for column in reply[1]) > _MUCH:
+        if reply is None:
+            raise InputError(
+                path,
+                f"the file crashes its reader, or keeps it busy for more than {seconds:.0f} s",
+                f"a whole {path.suffix.lower()} file",
+                "write it anew",
+            )
+        content, columns = reply
+        if sum(column.nbytes for column in columns) > _MUCH:
             process.stop()  # its libraries would keep the memory
-    if reply is None:
-        raise InputError(
-            path,
-            f"the file crashes its reader, or keeps it busy for more than {seconds:.0f} s",
-            f"a whole {path.suffix.lower()} file",
-            "write it anew",
-        )
-    if "refused" in reply[0]:
-        raise InputError(*reply[0]["refused"].split(": ", 1))
-    return reply
+        _raise_refusal(content, process)
+    return content["result"], columns
 
 
-def _running_process(path: Path, reader: str) -> _Process:
-    """The process, with the library of a reader, started where necessary."""
+def _running_process(path: Path, modules: tuple[str, str]) -> _Process:
+    """The process, with the modules of a reader imported, started where necessary."""
     global _process
     if _process is None or not _process.is_usable:
         with convert_errors(path, "the process that reads such files does not start", "Python"):
             _process = _Process()
         atexit.register(_process.stop)
-    if reader not in _process.readers:
-        if _process.send({"path": None, "reader": reader}, _START_S) is None:
+    if modules not in _process.modules:
+        reply = _process.send({"path": str(path.absolute()), "modules": modules}, _START_S)
+        if reply is None:
             suffix = path.suffix.lower()
             raise InputError(path, f"the process that reads {suffix} files does not start")
-        _process.readers.add(reader)
+        _raise_refusal(reply[0], _process)
+        _process.modules.add(modules)
     return _process
+
+
+def _raise_refusal(content: dict[str, Any], process: _Process) -> None:
+    if content.get("ends"):
+        process.stop()
+    if "refused" in content:
+        raise InputError(*content["refused"].split(": ", 1))

@@ -120,8 +120,7 @@ def read_text(
                     for name in requested]  # fmt: skip
         return [
             _numbers(
-                cells.to_series(index[name]), dialect, f"{path} row {{}}, {name}", rows,
-                has_header=found.rows > 0,
+                cells.to_series(index[name]), dialect, path, name, rows, has_header=found.rows > 0
             )
             for name in requested
         ]  # fmt: skip
@@ -450,12 +449,13 @@ def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":
 def _numbers(
     cells: "pl.Series",
     dialect: Dialect,
-    where: str,
+    path: Path,
+    name: str,
     rows: Sequence[int] | Int[np.ndarray, " n"],
     *,
     has_header: bool,
 ) -> Column:
-    """The numbers of some cells; `where` has {} in place of the row, for the message."""
+    """The numbers of the cells of a column; the message names its file, row and name."""
     import polars as pl
 
     is_plain = dialect.decimal == "." and not dialect.thousands
@@ -477,7 +477,8 @@ def _numbers(
         elif "," in text and not text.strip("+-0123456789.,"):
             remedy += ', or set `decimal = ","` or `"."` under [format]'
         raise InputError(
-            where.format(rows[sample]), f"the text '{text[:40]}'" if text else "an empty cell",
+            f"{path} row {rows[sample]}, {name}",
+            f"the text '{text[:40]}'" if text else "an empty cell",
             "a date or time, as in the first row" if has_dates else "a number", remedy,
         )  # fmt: skip
     return numbers.to_numpy()
@@ -495,9 +496,7 @@ def _of_pair(
     cells = table.to_series(column)
     filled = np.flatnonzero((cells.str.strip_chars().fill_null("") != "").to_numpy())
     cells = cells.head(int(filled[-1]) + 1 if len(filled) else 0)
-    numbers = _numbers(
-        cells, dialect, f"{path} row {{}}, {pairs.names[column]}", rows, has_header=True
-    )
+    numbers = _numbers(cells, dialect, path, pairs.names[column], rows, has_header=True)
     return numbers if column % 2 or pairs.factor is None else numbers * pairs.factor
 
 

@@ -7,11 +7,14 @@ textures and whatever else is only seen or touched is taken out before, so no fi
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tustinnet.data.reading_process import call
 from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.systems.robot import (
     LinkInertia,
@@ -21,17 +24,21 @@ from tustinnet.systems.robot import (
     RobotJoint,
     RobotLink,
     parse_xml,
+    require_few_joints,
+    restore_robot,
     without_rounding,
 )
 
 _EXPECTED = "a robot in MuJoCo's format (MJCF)"
+_SECONDS = 20.0  # to compile a file; a humanoid with its hands takes a tenth of one
+_MEMORY = 2**30  # bytes, for it
 _WORLD = 0  # the body that everything stands on
 # sections of a file that no equation of motion needs, and that may name files
 _UNUSED = (
     "meshes", "hfields", "skins", "flexes", "materials", "textures", "sensors", "keys", "pairs",
     "excludes", "cameras", "lights",
 )  # fmt: skip
-_READS_FILES = ("model", "attach", "flexcomp", "plugin")
+_READS_FILES = ("include", "model", "attach", "flexcomp", "plugin")
 # numbers of a compiled model that stand for forces without equations here, by what they are
 _UNSUPPORTED = {
     "body_gravcomp": "gravity compensation", "dof_dampingpoly": "damping that is not linear",
@@ -76,16 +83,37 @@ def include_files(text: str, where: object, read: Callable[[str], str]) -> str:
         parent[place : place + 1] = list(content)
 
 
-def read_mjcf(text: str, where: object) -> Robot:
-    """The robot of a file in MuJoCo's format.
+def read_mjcf(text: str, path: Path) -> Robot:
+    """The robot of a file in MuJoCo's format, compiled in a process of its own.
+
+    A few characters of such a file may stand for gigabytes of shapes.
 
     Args:
         text: the file's text, without includes.
-        where: the file, for messages.
+        path: the file, for messages.
 
     Raises:
-        InputError: MuJoCo is not installed or refuses the file; joints, actuators or forces without
-            equations here; a body whose inertia is that of a mesh.
+        InputError: MuJoCo is not installed or refuses the file, or takes too long or too much
+            memory; joints, actuators or forces without equations here; a body whose inertia is that
+            of a mesh.
+    """
+    require_package("mujoco", "robots", path)
+    modules = (__name__, "mujoco")
+    plain, _ = call(
+        path, f"{__name__}:compile_mjcf", [text], seconds=_SECONDS, modules=modules, memory=_MEMORY
+    )
+    return restore_robot(plain)
+
+
+def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """The robot of a file in MuJoCo's format as plain values, and no columns of numbers.
+
+    Args:
+        where: the file, for messages.
+        text: the file's text, without includes.
+
+    Raises:
+        InputError: see `read_mjcf`.
     """
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "mujoco":
@@ -99,7 +127,6 @@ def read_mjcf(text: str, where: object) -> Robot:
                 where, f"<{tag}>, which stands for other files", _EXPECTED,
                 "write its content into the file",
             )  # fmt: skip
-    require_package("mujoco", "robots", where)
     mujoco = import_module("mujoco")  # no types are known
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         spec = mujoco.MjSpec.from_string(text)
@@ -115,7 +142,7 @@ def read_mjcf(text: str, where: object) -> Robot:
                 "mass, centre and inertia", f"{_ADD_INERTIA}, or shapes (<geom>)",
             ) from None  # fmt: skip
     has_shape = {body.name for body in spec.bodies if body.geoms}
-    return _robot_of(mujoco, model, has_shape, where)
+    return asdict(_robot_of(mujoco, model, has_shape, where)), []
 
 
 def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
@@ -158,6 +185,7 @@ def _moves(body: Any) -> bool:
 def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Robot:
     """The description of a compiled model."""
     _require_supported(mujoco, model, where)
+    require_few_joints(model.njnt, where)
     links, joints = [], []
     for i in range(model.nbody):
         body = model.body(i)

@@ -1,9 +1,9 @@
 """A robot as its file describes it: links, joints and actuators, whatever the file's format."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from xml.parsers import expat
 
 import numpy as np
@@ -13,6 +13,7 @@ from tustinnet.errors import InputError, describe_error
 if TYPE_CHECKING:
     from tustinnet.models.chains import Vector3
 
+MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
 JointKind = Literal["angular", "linear", "fixed"]
 
 
@@ -147,6 +148,43 @@ class Robot:
     joints: tuple[RobotJoint, ...]
     actuators: tuple[RobotActuator, ...] | None
     gravity: "Vector3"
+
+
+def restore_robot(plain: Mapping[str, Any]) -> Robot:
+    """The robot of the plain values that `dataclasses.asdict` and JSON make of one."""
+
+    def arrays(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+        return {**values, **{name: np.array(values[name], np.float64) for name in names}}
+
+    def inertia(values: Mapping[str, Any] | None) -> LinkInertia | None:
+        return None if values is None else LinkInertia(**arrays(values, "center", "tensor"))
+
+    def joint(values: Mapping[str, Any]) -> RobotJoint:
+        plain = arrays(values, "rotation", "position", "axis", "anchor")
+        mimic = None if values["mimic"] is None else Mimic(**values["mimic"])
+        ends = None if values["range"] is None else tuple(values["range"])
+        return RobotJoint(**{**plain, "mimic": mimic, "range": ends})
+
+    links = [RobotLink(x["name"], inertia(x["inertia"]), x["is_frame"]) for x in plain["links"]]
+    joints = [joint(values) for values in plain["joints"]]
+    x, y, z = plain["gravity"]
+    actuators = tuple(RobotActuator(**values) for values in plain["actuators"])
+    return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z))
+
+
+def require_few_joints(count: int, where: object) -> None:
+    """Raises where a file has more joints that move than equations are made for.
+
+    Raises:
+        InputError: more than 100.
+    """
+    if count > MOST_JOINTS:
+        raise InputError(
+            where,
+            f"{count} joints that move",
+            f"at most {MOST_JOINTS}",
+            "leave out what the logs do not show, or fix it in the file",
+        )
 
 
 def parse_xml(text: str, where: object, expected: str) -> ET.Element:

@@ -6,6 +6,7 @@ Nothing here loads JAX, so that a file that cannot be read is found at once.
 from pathlib import Path
 
 from tustinnet.data.declaration import read_source
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.systems.mjcf import include_files, read_mjcf
 from tustinnet.systems.robot import Robot
 from tustinnet.systems.urdf import read_urdf
@@ -14,17 +15,29 @@ ROBOT_ENDINGS = (".urdf", ".xml", ".mjcf")
 
 
 def read_robot_text(path: Path) -> str:
-    """The text of a robot's file, with what it includes.
+    """The text of a robot's file, with what it includes from its folder and those below.
 
     Raises:
-        InputError: a file that is not there, or no XML.
+        InputError: a file that is not there, no XML, or an included file elsewhere.
     """
     text = read_source(path, "a robot file")
     if path.suffix == ".urdf":
         return text
-    return include_files(
-        text, path, lambda name: read_source(path.parent / name, "an included robot file")
-    )
+
+    def read_included(name: str) -> str:
+        included = path.parent / name
+        with convert_errors(included, "cannot be followed", "a file"):
+            is_inside = included.resolve().is_relative_to(path.parent.resolve())
+        if not is_inside:
+            raise InputError(
+                path,
+                f"includes '{name}', outside of its folder",
+                f"files below {path.parent}",
+                "copy the file there",
+            )
+        return read_source(included, "an included robot file")
+
+    return include_files(text, path, read_included)
 
 
 def read_robot(text: str, path: Path) -> Robot:

@@ -20,6 +20,7 @@ from tustinnet.systems.robot import (
     RobotJoint,
     RobotLink,
     parse_xml,
+    require_few_joints,
     rotation_about,
     without_rounding,
 )
@@ -70,6 +71,7 @@ def read_urdf(text: str, where: object) -> Robot:
                     f"one of {', '.join(links) or 'some links'}",
                 )  # fmt: skip
         joints[joint.name] = joint
+    require_few_joints(sum(joint.kind != "fixed" for joint in joints.values()), where)
     ordered = _sort_tree(links, joints.values(), where)
     return Robot(
         root.get("name") or "robot",

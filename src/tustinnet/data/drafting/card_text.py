@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from tustinnet.data.columns import NUMBERED
 from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoice
@@ -39,6 +39,7 @@ def write_card(
         joined: other files of each record, by their labels.
         period_reason: why this is the period; empty where nothing in the files says it.
     """
+    key = _key_of(has_header)
     why = period_reason or "assumed; check: how far apart are the samples?"
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",
@@ -57,17 +58,17 @@ def write_card(
         doubt = "" if clock.sure else "; check the unit"
         lines += [
             "", f"# {quote(clock.column)}: {clock.because}{doubt}",
-            "[time]", f"column = {column_key(clock.column)}", f"unit = {quote(clock.unit)}",
+            "[time]", f"column = {key(clock.column)}", f"unit = {quote(clock.unit)}",
             *_assumed(() if clock.sure else ("unit",)),
         ]  # fmt: skip
         if clock.worst > _TOLERANCE * dt:
             share = f"{100 * clock.worst / dt:.0f} %"
             lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
     lines += [line for label, file in joined.items() for line in _joined(label, file)]
-    lines += [line for coordinate in choice.coordinates for line in _coordinate(coordinate)]
+    lines += [line for coordinate in choice.coordinates for line in _coordinate(coordinate, key)]
     if not choice.coordinates:
         lines += ["", "# [[coordinates]]: no column could be a position"]
-    lines += [line for channel in choice.inputs for line in _input(channel)]
+    lines += [line for channel in choice.inputs for line in _input(channel, key)]
     if not choice.inputs:
         lines += ["", "# no column looks like an input: the records are of free motion"]
     unused = {**choice.unused, **clock.others, **texts}
@@ -84,7 +85,8 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
         lines.append("# check that both files begin at one instant: their clocks say nothing of it")
     lines.append(f"[join.{_bare(label)}]")
     if file.column is not None:
-        lines += [f"column = {column_key(file.column)}", f"unit = {quote(file.unit)}"]
+        key = _key_of(file.has_header)
+        lines += [f"column = {key(file.column)}", f"unit = {quote(file.unit)}"]
     lines += ["starts_together = true"] if file.starts_together else []
     assumed = [] if file.is_sure else ["unit"]
     lines += _assumed([*assumed, *(["starts_together"] if file.starts_together else [])])
@@ -93,9 +95,9 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
     return [*lines, *([f"format = {{ {', '.join(form)} }}"] if form else [])]
 
 
-def column_key(column: str) -> str:
-    """A column as cards name it: by number where it has no name."""
-    return column.removeprefix(NUMBERED) if column.startswith(NUMBERED) else quote(column)
+def _key_of(has_header: bool | None) -> Callable[[str], str]:
+    """How a card names a column: by its number where no file has names, which is `has_header`."""
+    return quote if has_header is None else lambda column: column.removeprefix(NUMBERED)
 
 
 def quote(text: str) -> str:
@@ -108,15 +110,15 @@ def _bare(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else quote(key)
 
 
-def _coordinate(c: CoordinateChoice) -> list[str]:
+def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:
     lines = ["", f"# {quote(c.column)} as a coordinate: {'; '.join(c.because)}"]
     lines += [f"# check {doubt}" for doubt in c.doubts]
     lines += [
-        "[[coordinates]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
+        "[[coordinates]]", f"name = {quote(c.name)}", f"column = {key(c.column)}",
         f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
     ]  # fmt: skip
     if c.sine is not None:
-        lines.append(f"sine = {column_key(c.sine)}  # its cosine is in `column`")
+        lines.append(f"sine = {key(c.sine)}  # its cosine is in `column`")
     if c.scale != 1:
         lines.append(f"scale = {c.scale!r}  # {c.unit} in one unit of the column")
     if c.counts is not None:
@@ -126,7 +128,7 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
     if c.velocity is not None:
         entry = f", unit = {quote(c.velocity.unit)}" if c.velocity.unit else ""
         measured = str(c.velocity.measured).lower()
-        column = column_key(c.velocity.column)
+        column = key(c.velocity.column)
         lines += [
             f"# {quote(c.velocity.column)}: {c.velocity.because}",
             f"velocity = {{ column = {column}{entry}, measured = {measured} }}",
@@ -134,11 +136,11 @@ def _coordinate(c: CoordinateChoice) -> list[str]:
     return [*lines, *_assumed(c.assumed)]
 
 
-def _input(c: InputChoice) -> list[str]:
+def _input(c: InputChoice, key: Callable[[str], str]) -> list[str]:
     lines = ["", f"# {quote(c.column)} as an input: {'; '.join(c.because)}"]
     lines += [f"# check {doubt}" for doubt in c.doubts]
     return [
-        *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {column_key(c.column)}",
+        *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {key(c.column)}",
         f"unit = {quote(c.unit)}",
         *([] if c.scale == 1 else [f"scale = {c.scale!r}  # {c.unit} in one unit of the column"]),
         *_assumed(c.assumed),

@@ -172,7 +172,9 @@ def draft_card(
     numbers = {n: examine([p.column(n) for p in shown]) for n in readings}
     samples = {n: [unwrap(p.column(n), numbers[n].wrap) for p in shown] for n in motion}
     if not motion:
-        raise InputError(folder, "no column besides the times", "columns of positions and inputs")
+        others = [f", but '{name}': {text}" for log in logs for name, text in log.texts.items()]
+        problem = "no column besides the times" + "".join(others[:1])
+        raise InputError(folder, problem, "columns of positions and inputs")
     times = [p.t for p in shown]
     sines = find_sines(readings, samples, times)
     for cosine, sine in sines.items():

@@ -7,7 +7,7 @@ from pathlib import Path
 from tustinnet.data.card_files import in_natural_order, list_logs_in, require_inside
 from tustinnet.data.formats.parquet import LEROBOT_INFO
 from tustinnet.data.readers import is_readable
-from tustinnet.errors import InputError, convert_errors
+from tustinnet.errors import InputError, convert_errors, escape_unprinted
 
 _DEEPEST = 4  # folders below that of the card
 
@@ -23,9 +23,17 @@ def list_logs(paths: Sequence[Path], *, follow_links: bool = False) -> tuple[Pat
 
     Raises:
         InputError: no such file or folder, a file that cannot be read, several folders, no logs,
-            a link that leaves the folder.
+            a link that leaves the folder, a name that cannot be printed.
     """
     folder, files = _list_all(paths)
+    for file in files:
+        if escape_unprinted(file) != file:
+            raise InputError(
+                folder / file,
+                "characters in a file's name that are not printed",
+                "a name that can be printed",
+                "rename it",
+            )
     if not follow_links:
         for file in files:
             require_inside(folder, folder / file)

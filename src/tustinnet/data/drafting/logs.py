@@ -11,7 +11,7 @@ import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.alignment import find_covered
-from tustinnet.data.columns import NUMBERED, Columns
+from tustinnet.data.columns import NUMBERED, Columns, are_numbers
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.readers import is_text, read_columns
@@ -315,8 +315,7 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
     usual = max(lengths, key=lambda length: (lengths[length], length))
     for name in [name for name, column in values.items() if len(column) != usual]:
         texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
-    is_nameless = all(name.startswith(NUMBERED) for name in columns.names)
-    has_header = NO_HEADER not in columns.notes if is_nameless else None
+    has_header = NO_HEADER not in columns.notes if are_numbers(columns.names) else None
     return Log(
         file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units,
         labels=columns.labels,

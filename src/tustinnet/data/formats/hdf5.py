@@ -32,6 +32,25 @@ def members(group: Any) -> Iterator[tuple[str, Any]]:
             yield name, group[name]
 
 
+def require_all_inside(path: Path, group: Any) -> None:
+    """Raises unless all that a group leads to is in the file, for libraries that follow any link.
+
+    Raises:
+        InputError: a link to another file, or numbers that are in one.
+    """
+    import h5py
+
+    def find_outside(name: str, link: Any) -> str | None:
+        is_outside = isinstance(link, h5py.ExternalLink)
+        if isinstance(link, h5py.HardLink) and isinstance(item := group[name], h5py.Dataset):
+            is_outside = item.external or item.is_virtual
+        return name if is_outside else None
+
+    name = group.visititems_links(find_outside)
+    if name is not None:
+        raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
+
+
 def require_numbers_inside(path: Path, name: str, data: Any) -> None:
     """Raises unless the numbers of a data set are in the file itself.
 

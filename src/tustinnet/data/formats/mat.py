@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.hdf5 import members, require_numbers_inside
+from tustinnet.data.formats.hdf5 import members, require_all_inside
 from tustinnet.data.formats.mat_objects import can_read_objects, object_arrays, object_names
 from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
@@ -157,6 +157,7 @@ def _walk(path: Path, names: set[str] | None) -> Iterator[MatVariable]:
     import h5py
 
     with h5py.File(path, "r") as file:
+        require_all_inside(path, file)
         yield from _oriented(
             variable
             for name, item in members(file)
@@ -304,7 +305,6 @@ def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]
     elif item.attrs.get("MATLAB_empty"):
         yield MatVariable(name, None, other="empty")
     elif item.dtype.kind in REAL:
-        require_numbers_inside(path, name, item)
         # MATLAB stores matrices column-major: h5py sees the transpose
         yield _numbers(name, (item.shape or ())[::-1], lambda: item[()].T)
     else:

@@ -1,85 +1,152 @@
-"""MDF files of measurement systems, versions 3 and 4: groups of channels, as `CAN1/speed`."""
+"""MDF files of measurement systems, versions 3 and 4: groups of channels, as `CAN1/speed`.
+
+Conversions from raw numbers are applied by `mdf_conversions`: asammdf evaluates those that are
+formulas as Python code. It gets none, nor files beside this one that attachments name.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tustinnet.data.formats.mdf_conversions import convert, reason_to_refuse
 from tustinnet.data.formats.reader import REAL, Array, Contents, Reader
 from tustinnet.errors import InputError
 
-_NUMBERS = range(6)  # types of channels that are integers or floating point numbers
+# types of channels that are integers or floating point numbers, by the version of the format
+_NUMBERS = {3: {*range(4), *range(9, 17)}, 4: {*range(6)}}
+_HAS_INVALIDATION = 2  # a flag of channels
+
+
+class _Channel(NamedTuple):
+    """A channel: its name, its place in the file, and what asammdf does not get to see.
+
+    Attributes:
+        name: its name, with that of its group.
+        group: number of its group.
+        number: its number in the group.
+        block: what the file says of it.
+        conversion: how its numbers follow from raw ones, None for raw ones.
+        is_master: whether it is the times of its group.
+    """
+
+    name: str
+    group: int
+    number: int
+    block: Any
+    conversion: Any
+    is_master: bool
+
+
+class _File(NamedTuple):
+    """A file that is open, its version (3, also for 2, or 4) and its channels."""
+
+    mdf: Any
+    version: int
+    channels: list[_Channel]
 
 
 def _contents(path: Path) -> Contents:
     arrays, others, clocks, units = [], {}, {}, {}
     with _open(path) as file:
-        for number, name in enumerate(_group_names(file)):
-            group = file.groups[number]
+        masters = {c.group: c for c in file.channels if c.is_master}
+        names = _group_names(file.mdf)
+        for channel in file.channels:
+            group = file.mdf.groups[channel.group]
             length = int(group.channel_group.cycles_nr)
-            master = file.masters_db.get(number)
-            clock = "" if master is None else f"{name}/time"
             if length < 2:
-                others[name] = f"a group of {length} samples"
+                others[names[channel.group]] = f"a group of {length} samples"
                 continue
-            if clock:
-                arrays.append((clock, (length,)))
-                clocks[clock], units[clock] = clock, "s"
-            for index, channel in enumerate(group.channels):
-                place = _place(name, group, index)
-                if index == master:
-                    continue
-                if channel.data_type not in _NUMBERS:
-                    others[place] = "text or bytes"
-                    continue
-                arrays.append((place, (length,)))
-                units[place] = _unit(channel)
-                if clock:
-                    clocks[place] = clock
-    return Contents(arrays, others, clocks, units)
+            if channel.block.data_type not in _NUMBERS[file.version]:
+                reason = "text or bytes"
+            elif (group.channel_dependencies or [None])[channel.number] is not None:
+                reason = "an array or a structure"
+            else:
+                reason = reason_to_refuse(channel.conversion, file.version)
+            if reason:
+                others[channel.name] = reason
+                continue
+            arrays.append((channel.name, (length,)))
+            units[channel.name] = "s" if channel.is_master else _unit(channel)
+            if channel.group in masters:
+                clocks[channel.name] = masters[channel.group].name
+    listed = {name for name, _ in arrays}
+    return Contents(arrays, others, {c: t for c, t in clocks.items() if t in listed}, units)
 
 
 def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    arrays: dict[str, Array] = {}
     with _open(path) as file:
-        for number, name in enumerate(_group_names(file)):
-            group = file.groups[number]
-            if f"{name}/time" in names:
-                arrays[f"{name}/time"] = file.get_master(number)
-            for index in range(len(group.channels)):
-                place = _place(name, group, index)
-                if place in names and place not in arrays:
-                    arrays[place] = _samples(path, place, file, number, index)
-    return arrays
+        return {c.name: _samples(path, file, c) for c in file.channels if c.name in names}
 
 
-def _samples(path: Path, place: str, file: Any, group: int, index: int) -> Array:
+def _samples(path: Path, file: _File, channel: _Channel) -> Array:
     """The samples of a channel; those marked as invalid are NaN."""
-    signal = file.get(group=group, index=index, ignore_invalidation_bits=True)
-    if signal.samples.dtype.kind not in REAL:  # states that have names
-        signal = file.get(group=group, index=index, raw=True, ignore_invalidation_bits=True)
-    samples = signal.samples
-    if samples.ndim != 1:
-        raise InputError(f"{path}, {place}", f"arrays of shape {samples.shape[1:]}", "numbers")
-    if signal.invalidation_bits is not None and np.any(signal.invalidation_bits):
-        samples = np.where(np.asarray(signal.invalidation_bits), np.nan, samples.astype(float))
+    samples, invalid = file.mdf.get(
+        group=channel.group,
+        index=channel.number,
+        raw=True,
+        samples_only=True,
+        ignore_invalidation_bits=True,
+    )
+    if samples.ndim != 1 or samples.dtype.kind not in REAL:
+        raise InputError(
+            f"{path}, {channel.name}", f"arrays of shape {samples.shape[1:]}", "numbers"
+        )
+    samples = convert(channel.conversion, file.version, samples)
+    if invalid is not None and np.any(invalid):
+        samples = np.where(np.asarray(invalid), np.nan, samples.astype(float))
     return samples
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[Any]:
+def _open(path: Path) -> Iterator[_File]:
     from asammdf import MDF
 
     with path.open("rb") as stream:
         is_finished = stream.read(8).rstrip() == b"MDF"  # else "UnFinMF"
+        stream.seek(60)
+        is_finished &= stream.read(4) == bytes(4)  # what is to be repaired; reserved before 4.0
     if not is_finished:
         raise InputError(
             path, "no MDF file, or one whose recording was cut short", "a whole MDF file"
         )
-    with MDF(path) as file:
-        yield file
+    # buses are decoded by conversions, and by data bases that the file names
+    options: Any = {"process_bus_logging": False}
+    with MDF(path, **options) as mdf:
+        version = 4 if mdf.version >= "4" else 3
+        yield _File(mdf, version, list(_take_channels(path, mdf, version)))
+
+
+def _take_channels(path: Path, mdf: Any, version: int) -> Iterator[_Channel]:
+    """The channels of a file, their conversions and attachments taken from them.
+
+    Raises:
+        InputError: one that is not inside of its record, of which the library reads other memory.
+    """
+    for number, (name, group) in enumerate(zip(_group_names(mdf), mdf.groups, strict=True)):
+        master = mdf.masters_db.get(number)
+        for index, block in enumerate(group.channels):
+            is_master = index == master
+            place = _place(name, group, index, is_master=is_master)
+            _require_inside_record(path, place, group.channel_group, block, version)
+            conversion, block.conversion = block.conversion, None
+            if version == 4:
+                block.attachment = None
+            yield _Channel(place, number, index, block, conversion, is_master)
+
+
+def _require_inside_record(path: Path, place: str, group: Any, block: Any, version: int) -> None:
+    if version == 4:
+        first = 8 * block.byte_offset + block.bit_offset
+        has_bit = block.flags & _HAS_INVALIDATION
+        is_inside = not has_bit or block.pos_invalidation_bit < 8 * group.invalidation_bytes_nr
+    else:
+        first = block.start_offset + 8 * getattr(block, "additional_byte_offset", 0)
+        is_inside = True
+    if not is_inside or first + block.bit_count > 8 * group.samples_byte_nr:
+        raise InputError(f"{path}, {place}", "outside of its record", "a whole MDF file")
 
 
 def _group_names(file: Any) -> list[str]:
@@ -91,15 +158,15 @@ def _group_names(file: Any) -> list[str]:
     return names
 
 
-def _place(group_name: str, group: Any, index: int) -> str:
+def _place(group_name: str, group: Any, index: int, *, is_master: bool) -> str:
     """The name of a channel; further ones of a name in a group are numbered."""
-    name = group.channels[index].name
+    name = "time" if is_master else group.channels[index].name
     earlier = sum(channel.name == name for channel in group.channels[:index])
     return f"{group_name}/{name}" + (f"[{earlier + 1}]" if earlier else "")
 
 
-def _unit(channel: Any) -> str:
-    unit = getattr(channel, "unit", "") or getattr(channel.conversion, "unit", "")
+def _unit(channel: _Channel) -> str:
+    unit = getattr(channel.block, "unit", "") or getattr(channel.conversion, "unit", "")
     return unit.decode("latin1").strip("\0 ") if isinstance(unit, bytes) else str(unit or "")
 
 

@@ -15,7 +15,8 @@ def _contents(path: Path) -> Contents:
     from nptdms import TdmsFile
 
     arrays, others, clocks, units = [], {}, {}, {}
-    with TdmsFile.open(path) as file:
+    # of a path, what stands in a file `.tdms_index` beside it would be believed
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
         _require_whole(path, file)
         for channel in _channels(file):
             name, kind = _name(channel), np.dtype(channel.dtype).kind
@@ -40,7 +41,7 @@ def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
 
     arrays: dict[str, Array] = {}
     clocks: dict[str, str] = {}
-    with TdmsFile.open(path) as file:
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
         _require_whole(path, file)
         begin = _begin(file)
         for channel in _channels(file):
