@@ -2,6 +2,7 @@
 
 python benchmarks/controllers.py plan
 python benchmarks/controllers.py mpc
+python benchmarks/controllers.py estimator
 
 `plan`: a swing-up of 450 steps of 10 ms, planned in a process of its own for every model: the first
 time, machine code included, the median of five more times, and from a plan for another start. Of
@@ -9,12 +10,14 @@ networks, which are not trained here, only the time of an iteration. Times are o
 other programs take their turns. `mpc`: 200 periods of 40 steps
 ahead, from a disturbed start to the balance of the same model. IPOPT, by CasADi on the exported
 step, solves the problem of every period to its end, and starts from its last solution.
+`estimator`: an update of the extended Kalman filter.
 """
 
 import argparse
 import multiprocessing
 import time
 from collections.abc import Callable
+from functools import partial
 
 import jax
 
@@ -27,6 +30,7 @@ import tustinnet as tn
 from tustinnet.control import Mpc, ilqr
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import controlled, input_limits
+from tustinnet.control.estimator import ExtendedKalmanFilter, usual_noise
 from tustinnet.control.ilqr import Solver, make_cost
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.models.blocks import Scaling
@@ -181,7 +185,20 @@ def measure_mpc() -> None:
     print(Table(head, rows, f"{AHEAD} steps ahead, the grey box").markdown())
 
 
-PARTS = {"plan": measure_plans, "mpc": measure_mpc}
+def measure_estimators() -> None:
+    """Prints the table of estimators."""
+    rows = []
+    for name, make in MODELS.items():
+        model = make()
+        estimator = ExtendedKalmanFilter(model, usual_noise(model))
+        y, u = np.zeros(2), np.zeros(1)
+        estimator.reset(y)
+        each = seconds(partial(estimator.update, y, u), 300)
+        rows.append([name, f"{1e6 * each:.0f}"])
+    print(Table(("model", "update [us]"), rows, "Extended Kalman filters").markdown())
+
+
+PARTS = {"plan": measure_plans, "mpc": measure_mpc, "estimator": measure_estimators}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="How quick and how good controllers are.")

@@ -1,7 +1,8 @@
-"""Memory and time of reading one large record: `python benchmarks/large_records.py [ROWS]`.
+"""Memory and time of reading a large record: `python benchmarks/large_records.py [ROWS [OTHERS]]`.
 
-Writes a CSV file of so many rows (10,000,000) with a data card into a temporary folder, reads it
-in a process of its own, and prints the peak of its memory.
+Writes a CSV file of so many rows (10,000,000), with so many other columns (0), and a data card into
+a temporary folder, reads it in a process of its own, and prints the peak of its memory. For many
+columns: `python benchmarks/large_records.py 2 10000`.
 """
 
 import subprocess
@@ -39,11 +40,12 @@ print(samples, int(peak) // 1024)
 """
 
 
-def write_record(folder: Path, rows: int) -> int:
+def write_record(folder: Path, rows: int, others: int) -> int:
     """Writes a record of an angle and a torque; its size in bytes."""
     t = np.arange(rows) * _DT
     noise = 0.01 * np.random.default_rng(0).normal(size=rows)
     columns = {"time": t, "angle": np.rad2deg(np.sin(3 * t)) + noise, "torque": np.sin(0.7 * t)}
+    columns |= {f"other {k}": t for k in range(others)}
     file = folder / "log.csv"
     pl.DataFrame({name: np.round(x, 6) for name, x in columns.items()}).write_csv(file)
     (folder / "dataset.toml").write_text(_CARD)
@@ -53,8 +55,9 @@ def write_record(folder: Path, rows: int) -> int:
 def main() -> None:
     """Prints one line."""
     rows = int(float(sys.argv[1])) if sys.argv[1:] else 10_000_000
+    others = int(sys.argv[2]) if sys.argv[2:] else 0
     with tempfile.TemporaryDirectory() as place:
-        size = write_record(Path(place), rows)
+        size = write_record(Path(place), rows, others)
         begun = time.monotonic()
         done = subprocess.run(
             [sys.executable, "-c", _READ, place], check=True, capture_output=True, text=True

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 from lab_files import lerobot_data_set
-from laboratories import plc, wrapped_counter
+from simulated.laboratories import plc, wrapped_counter
 from test_verbs import tustinnet
 
 import tustinnet as tn

@@ -1,7 +1,5 @@
 """The filter of a controller: states from encoders, noise from records, tests of both."""
 
-import time
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -78,16 +76,6 @@ def test_at_an_unstable_equilibrium_it_lasts():
     covariance = estimator.covariance
     np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9, atol=1e-18)
     assert np.abs(estimator.normalised_innovations).max() < 1e-6
-
-
-def test_an_update_takes_less_than_a_millisecond():
-    estimator = ExtendedKalmanFilter(example("qube network"), noise(4, 2))
-    y, u = np.zeros(2), np.zeros(1)
-    estimator.reset(y)
-    begun = time.perf_counter()
-    for _ in range(300):
-        estimator.update(y, u)
-    assert (time.perf_counter() - begun) / 300 < 1e-3
 
 
 def test_a_delay_of_the_inputs_is_known():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from laboratories import EVERY, Truth, differences
+from simulated.laboratories import EVERY, Truth, differences
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card

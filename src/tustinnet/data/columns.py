@@ -117,7 +117,7 @@ class Columns:
         """Reads some columns at once, which is quicker than one after the other."""
         missing = [name for name in dict.fromkeys(names) if name not in self._columns]
         if missing:
-            columns = self._read([self._sources[name] for name in missing])
+            columns = self._read([self._sources.get(name, name) for name in missing])
             self._columns.update(zip(missing, columns, strict=True))
 
     def release(self) -> None:

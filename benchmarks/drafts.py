@@ -1,8 +1,8 @@
-"""Folders of logs in the styles of 48 more laboratories and machines, with what a card should say.
+"""How many drafts are right of folders of logs in the styles of 48 laboratories and machines.
 
 Four sets of twelve: each was written with its truths before any of its folders was drafted, and
-drafts were improved with it afterwards. `python tests/unseen_laboratories.py` prints how many are
-right; docs/log/2026-11-25-folders-of-logs.md has the counts.
+drafts were improved with it afterwards. `python benchmarks/drafts.py` prints how many are right;
+docs/log/2026-11-25-folders-of-logs.md has the counts.
 """
 
 import datetime
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import scipy.io
-from laboratories import (
+from simulated.laboratories import (
     Truth,
     arm,
     cart_and_pole,
