@@ -6,11 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-from . import faults, fuzz, kills, load, pairs, report, verbs
+from . import faults, fuzz, hostile, kills, load, pairs, report, verbs
 
 # of the time
 _SHARE = {
-    "fuzz": 0.2, "headers": 0.15, "verbs": 0.15, "kills": 0.25, "pairs": 0.1, "faults": 0.15
+    "fuzz": 0.2, "hostile": 0.1, "headers": 0.1, "verbs": 0.15, "kills": 0.2, "pairs": 0.1,
+    "faults": 0.15,
 }  # fmt: skip
 _WHOLE = 20.0  # minutes from which on the load is whole
 _VERBS = 8  # cases of files for each of a verb, which takes longer
@@ -22,7 +23,7 @@ def _arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--minutes", type=float, default=5.0)
     add("--seed", type=int, default=0, help="what is damaged and when is killed follows from it")
-    add("--parts", default="corpus,fuzz,headers,verbs,kills,pairs,faults,load")
+    add("--parts", default="corpus,fuzz,hostile,headers,verbs,kills,pairs,faults,load")
     add("--cases", type=int, default=10**9, help="at most so many of a part; of verbs an eighth")
     add("--case", type=int, help="only this case of fuzz")
     add("--kill", type=int, help="only this case of kills")
@@ -40,6 +41,7 @@ def _parts(asked: argparse.Namespace, place: Path) -> list[report.Part]:
         "fuzz": lambda: fuzz.Campaign(place, asked.seed, asked.jobs).run(
             seconds["fuzz"], asked.cases
         ),
+        "hostile": lambda: hostile.Hostile(place, asked.seed).run(seconds["hostile"], asked.cases),
         "headers": lambda: verbs.Headers(verbs.prepare(place, place / "verbs"), asked.seed).run(
             seconds["headers"], asked.cases // _VERBS
         ),
