@@ -84,10 +84,10 @@ def test_an_update_takes_less_than_a_millisecond():
     estimator = ExtendedKalmanFilter(example("qube network"), noise(4, 2))
     y, u = np.zeros(2), np.zeros(1)
     estimator.reset(y)
-    begun = time.perf_counter()
+    begun = time.process_time()
     for _ in range(300):
         estimator.update(y, u)
-    assert (time.perf_counter() - begun) / 300 < 1e-3
+    assert (time.process_time() - begun) / 300 < 1e-3
 
 
 def test_a_delay_of_the_inputs_is_known():
