@@ -59,7 +59,7 @@ int main(void)
             clock_gettime(CLOCK_MONOTONIC, &a);
             for (int k = 0; k < STEPS; k++) {
                 if (part != 1)
-                    controller_inputs(&c, e.filter.state.x, u);
+                    controller_inputs(&c, e.x, u);
                 if (part != 0)
                     estimator_update(&e, y, u);
             }
@@ -85,7 +85,7 @@ int main(void)
     estimator_reset(&e, y);
     controller_reset(&c);
     for (;;) {
-        controller_inputs(&c, e.filter.state.x, u);
+        controller_inputs(&c, e.x, u);
         estimator_update(&e, y, u);
     }
 }

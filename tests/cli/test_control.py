@@ -115,8 +115,12 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
 def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
     out = tmp_path / "held"
     assert tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 1, "--out", out
+        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 1, "--out", out,
+        "--safe", "torque=0.5",
     )[0] == 0  # fmt: skip
+    feedback = tn.control.read_controller(out)
+    assert isinstance(feedback, tn.control.Feedback)
+    np.testing.assert_array_equal(feedback.safe, [0.5])
     subprocess.run(["make", "-s"], cwd=out, check=True)
     rows = subprocess.run(["./main"], cwd=out, check=True, capture_output=True, text=True).stdout
     angle = float(rows.splitlines()[-1].split(",")[1])
@@ -138,6 +142,7 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", *LIMITS, "--weight", "elbow=1"), "elbow"),
         (("--at", "angle=0", *LIMITS, "--integral", "elbow"), "elbow"),
         (("--at", "angle=0", *LIMITS, "--group", "payload=1kg"), "group"),
+        (("--at", "angle=0", *LIMITS, "--safe", "torque=7"), "-6 to 6"),
         (("--at", "angle=0", *LIMITS, "--plant", "nothing.fmu"), "nothing.fmu"),
         (("--at", "angle=0", *LIMITS, "--swing-up", "--to", "angle=1"), "--swing-up"),
         (("--at", "angle=3.14159", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),

@@ -40,7 +40,7 @@ def test_sample_by_sample_it_is_the_filter_of_a_record(name):
     record = tn.from_arrays(
         q, u, dt=model.dt, coordinates=model.coordinates, inputs=model.inputs, name="run"
     )
-    given = noise(model.state_size, n_q)
+    given = noise(model.state_size, n_q, 0.1)
     estimator = ExtendedKalmanFilter(model, given)
     first = estimator.reset(q[0])
     x0 = np.asarray(model.initial_state(jnp.asarray(np.r_[q[0], np.zeros(n_q)]), jnp.zeros(n_u)))

@@ -114,10 +114,17 @@ def some_feedback(model: tn.Model, integral: tuple[int, ...] = ()) -> Feedback:
     n_z = n_x + len(integral) + n_u * controlled(model).previous
     gain = 0.1 * np.random.default_rng(0).normal(size=(n_u, n_z))
     return Feedback(
-        gain=gain, x0=np.linspace(-0.1, 0.1, n_x), u0=np.full(n_u, 0.05), lower=np.full(n_u, -0.2),
-        upper=np.full(n_u, 0.15), dt=model.dt,
-        speeds=np.full(model.channels.n_q, 0.3), integral=integral, periodic=(0,),
-    )  # fmt: skip
+        gain=gain,
+        x0=np.linspace(-0.1, 0.1, n_x),
+        u0=np.full(n_u, 0.05),
+        lower=np.full(n_u, -0.2),
+        upper=np.full(n_u, 0.15),
+        dt=model.dt,
+        speeds=np.full(model.channels.n_q, 0.3),
+        integral=integral,
+        periodic=(0,),
+        safe=np.full(n_u, 0.1),
+    )
 
 
 CASES = {
@@ -233,6 +240,117 @@ def test_it_holds_the_pendulum_in_single_precision_through_encoders(name, export
     assert np.abs(rows[:, -1]).max() <= 10
 
 
+GLITCHES = """
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+#include "controller.h"
+#include "estimator.h"
+enum { GLITCHES = 10000, SAMPLES = 200000, AFTER = 3000, HELD = 200 };
+static unsigned long long seed = 1;
+static double uniform(void)
+{
+    seed = seed * 6364136223846793005ULL + 1442695040888963407ULL;
+    return (double)(seed >> 33) / 2147483648.0;
+}
+static double wrong(double q)
+{
+    const double kinds[] = {NAN, INFINITY, -INFINITY, 1e300, -1e30, 1e9, q + 3, q - 3, 0, 1e-310};
+    const double u = uniform();
+    return u < 0.7 ? kinds[(int)(uniform() * 10)] : q + 12 * (u - 0.85);
+}
+int main(void)
+{
+    static model_state device;
+    static model_real acting[MODEL_INPUTS];
+    model_real y[MODEL_POSITIONS], u[CONTROLLER_INPUTS], kept[MODEL_POSITIONS] = {0};
+    const model_real begin[] = {0, (model_real)3.14, 0, 0};
+    estimator e;
+    controller c;
+    int wrongs = 0, burst = 0, stuck = 0, lost = 0, end = SAMPLES;
+    model_init(&device, begin);
+    for (int k = 0; k < end + AFTER; k++) {
+        for (int i = 0; i < MODEL_POSITIONS; i++)
+            y[i] = (model_real)(COUNT * floor((double)device.x[i] / COUNT + 0.5));
+        const int is_over = wrongs >= GLITCHES;
+        if (is_over && end == SAMPLES)
+            end = k;
+        if (!is_over && burst == 0 && uniform() < 0.003) {
+            burst = 1 + (int)(60 * uniform());
+            stuck = uniform() < 0.5;
+            for (int i = 0; i < MODEL_POSITIONS; i++)
+                kept[i] = y[i];
+        }
+        for (int i = 0; i < MODEL_POSITIONS && !is_over; i++)
+            if (burst > 0 || uniform() < 0.02 || k == 0) {
+                y[i] = stuck && burst > 0 ? kept[i] : (model_real)wrong((double)y[i]);
+                wrongs++;
+            }
+        burst -= burst > 0;
+        if (k == 0) {
+            estimator_reset(&e, y);
+            controller_reset(&c);
+        } else
+            estimator_update(&e, y, u);
+        controller_inputs(&c, e.x, u);
+        for (int i = 0; i < MODEL_STATES; i++)
+            assert(isfinite(e.filter.state.x[i]) && isnan(e.x[i]) == (e.filter.missed < 0));
+        for (int i = 0; i < MODEL_STATES * MODEL_STATES; i++)
+            assert(isfinite(e.filter.covariance[i]));
+        for (int i = 0; i < CONTROLLER_INPUTS; i++)
+            assert(u[i] >= -10 && u[i] <= 10);
+        for (int i = 0; i < CONTROLLER_INTEGRALS; i++)
+            assert(isfinite(c.integral[i]));
+        if (e.filter.missed < 0) {
+            lost++;
+            assert(u[0] == (model_real)0.5);
+        }
+        estimator_remember(acting, u);
+        model_step(&device, acting);
+        if (fabs((double)device.x[2]) > 40 || fabs((double)device.x[3]) > 40)
+            device.x[2] = device.x[3] = 0; /* a hand stops it; a step is not exact at such speeds */
+        if (k >= end + AFTER - HELD)
+            assert(fabs(remainder((double)device.x[1], 6.283185307179586)) < 0.05);
+    }
+    printf("%d %d %u %d\\n", end, wrongs, e.filter.unused, lost);
+    return 0;
+}
+"""
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", ["-DMODEL_DOUBLE", "-DMODEL_FLOAT"])
+def test_ten_thousand_wrong_readings_leave_it_finite_and_in_command(precision, tmp_path):
+    tracking = swing_up()
+    tracking = replace(tracking, final=replace(tracking.final, safe=np.array([0.5])))
+    export_controller(pendulum(), tracking, noise(pendulum()), tmp_path)
+    (tmp_path / "glitches.c").write_text(GLITCHES)
+    build = [
+        "gcc",
+        "-std=c99",
+        "-O1",
+        "-g",
+        precision,
+        f"-DCOUNT={COUNT}",
+        "glitches.c",
+        *SOURCES[1:],
+        "-lm",
+        "-o",
+        "glitches",
+    ]
+    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    if subprocess.run(
+        [*build, *sanitize], cwd=tmp_path, capture_output=True, check=False
+    ).returncode:
+        subprocess.run(build, cwd=tmp_path, check=True)  # a compiler without sanitizers
+    done = subprocess.run(["./glitches"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    samples, wrong, unused, lost = (int(word) for word in done.stdout.split())
+    assert wrong >= 10_000
+    assert 0.3 * wrong < unused < samples / 2
+    assert 0 < lost < samples / 2
+
+
 @needs_gcc
 def test_make_builds_what_the_readme_says(exported):
     folder, _ = exported("motion")
@@ -242,7 +360,7 @@ def test_make_builds_what_the_readme_says(exported):
     assert (folder / "main").is_file()
     readme = (folder / "README.md").read_text()
     assert "a plan of 60 periods" in readme
-    assert "| `u[0]` | voltage | V | -10 | 10 | 0 |" in readme
+    assert "| `u[0]` | voltage | V | -10 | 10 | 0 | 0 |" in readme
     subprocess.run(["make", "clean"], cwd=folder, capture_output=True, check=True)
 
 

@@ -16,12 +16,13 @@ from every_step import require_same_run
 from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
+from tustinnet.engine.runs import make_linearised_step
 from tustinnet.export.c import TARGET, compile_c, library_step
 from tustinnet.export.check import check_export
 from tustinnet.export.source import Source, make_source
 from tustinnet.export.target import NotRunnable
 from tustinnet.models.contract import Model
-from tustinnet.simulate.filtering import FilterNoise, kalman_filter
+from tustinnet.simulate.filtering import FilterNoise, KalmanFilter, kalman_filter
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
@@ -241,7 +242,7 @@ def test_the_filter_is_that_of_the_package(name, compiled):
     of, generator = source(name), np.random.default_rng(0)
     channels, n_x = of.channels, of.n_x
     u = np.cumsum(generator.normal(size=(60, channels.n_u)), axis=0) / 5
-    q = np.cumsum(generator.normal(size=(60, channels.n_q)), axis=0) / 50
+    q = np.cumsum(generator.normal(size=(60, channels.n_q)), axis=0) / 200
     record = tn.from_arrays(
         q, u, dt=channels.dt, coordinates=channels.coordinates, inputs=channels.inputs, name="run"
     )
@@ -250,7 +251,7 @@ def test_the_filter_is_that_of_the_package(name, compiled):
     expected = kalman_filter(of.model, record, x0, FilterNoise(*noise))
 
     library = compiled(name)
-    kept = np.zeros(2 * n_x + n_x**2 + channels.n_q)  # as `model_estimate` lies in memory
+    kept = np.zeros(3 * n_x + n_x**2 + channels.n_q + 1)  # as `model_estimate` lies in memory
     called(library, "model_estimate_init", kept, x0, *noise)
     rows = np.clip(np.arange(60)[:, None] + np.array(of.input_layout.offsets), 0, 59)
     for k, samples in enumerate(rows):
@@ -261,6 +262,37 @@ def test_the_filter_is_that_of_the_package(name, compiled):
         np.testing.assert_allclose(deviations, expected.deviations[k], rtol=1e-9, atol=1e-10)
         np.testing.assert_array_equal(covariance, covariance.T)
         called(library, "model_estimate_predict", kept, np.ascontiguousarray(u[samples].ravel()))
+
+
+@pytest.mark.parametrize("name", ["qube network", "hybrid"])
+def test_the_filter_survives_wrong_positions_as_in_python(name, compiled):
+    of, generator = source(name), np.random.default_rng(0)
+    n_q, n_x = of.channels.n_q, of.n_x
+    noise = FilterNoise(np.full(n_x, 0.5), np.full(n_x, 0.02), np.full(n_q, 1e-3))
+
+    def at_rest(q: np.ndarray) -> np.ndarray:
+        return np.asarray(of.model.initial_state(jnp.asarray(np.r_[q, 0 * q]), jnp.zeros(1)))
+
+    own = KalmanFilter(make_linearised_step(of.equations), noise, of.channels, None, at_rest)
+    library, kept = compiled(name), np.zeros(3 * n_x + n_x**2 + n_q + 1)
+    called(library, "model_estimate_init", kept, np.zeros(n_x), *vars(noise).values())
+    u, unused = np.zeros(of.n_w), []
+    for k in range(300):
+        wrong = generator.random() < 0.2 or 100 < k < 130
+        y = generator.choice([np.nan, np.inf, 1e300, 3.0, -3.0], n_q) if wrong else np.zeros(n_q)
+        called(library, "model_estimate_correct", kept, y)
+        own.correct(y)
+        missed, count = kept[-1:].view(np.int32)
+        assert (missed, count) == (own.missed, own.unused)
+        assert np.isfinite(kept[:-1]).all()
+        np.testing.assert_allclose(kept[:n_x], own.x, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(kept[n_x : n_x + n_x**2], own.p.ravel(), rtol=1e-9, atol=1e-12)
+        unused.append(count)
+        called(library, "model_estimate_predict", kept, u)
+        own.predict(u)
+        own.x, own.p = kept[:n_x].copy(), kept[n_x : n_x + n_x**2].reshape(n_x, n_x).copy()
+    assert 60 < unused[-1] < 150
+    assert np.abs(own.x[:n_q]).max() < 0.1
 
 
 @pytest.mark.skipif(

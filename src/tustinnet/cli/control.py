@@ -89,6 +89,13 @@ def control(
             help="Limits of a position or velocity that a motion keeps. May be repeated.",
         ),
     ] = None,
+    safe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,..",
+            help="Inputs while the sensors of positions cannot be used. Default: 0.",
+        ),
+    ] = None,
     trust_beyond: Annotated[
         bool,
         typer.Option(
@@ -180,9 +187,17 @@ def control(
     if data is not None:
         records = [*request.load_records(data, card, follow_links=follow_links)]
     task = ControlTask(
-        positions, start, seconds, request.parse_quantities("--weight", weight), integral or (),
-        delay, input_limits, request.parse_limits("--within", within), trust_beyond,
-    )  # fmt: skip
+        positions,
+        start,
+        seconds,
+        request.parse_quantities("--weight", weight),
+        integral or (),
+        delay,
+        input_limits,
+        request.parse_limits("--within", within),
+        trust_beyond,
+        request.parse_values("--safe", safe),
+    )
     with lock_folder(out):
         begin = time.perf_counter()
         design = design_controller(

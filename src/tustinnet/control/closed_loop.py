@@ -192,14 +192,12 @@ def closed_loop(
         y = plant.measure()
         inputs.append(np.array(u, np.float64))
         states.append(plant.state)
-        if not math.isfinite(plant.state.sum()):
-            measurements.append(y)
-            estimates.append(x)
-            break
-        x = estimator.update(y, u)
+        is_finite = math.isfinite(plant.state.sum())
+        if is_finite:
+            x = estimator.update(y, u)
         measurements.append(y)
         estimates.append(x)
-        if not math.isfinite(x.sum()):
+        if not is_finite:
             break
         if goal is not None and goal.limits and channels is not None:
             outside = goal.outside(channels, plant.state)

@@ -19,6 +19,7 @@ class Controller(Protocol):
 
         Args:
             k: the sample, from 0 on; called once for each, in their order.
-            x: the estimated state at the sample, (n_x,).
+            x: the estimated state at the sample, (n_x,); NaN where the estimator has lost it. What
+                is safe is commanded then.
         """
         ...

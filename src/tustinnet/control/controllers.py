@@ -1,5 +1,6 @@
 """Controllers by linear feedback: about an operating point, and along a plan."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ class LinearFeedback:
         error = wrap(x - feedback.x0, feedback.periodic)
         z = np.concatenate([error, self._integral, self._previous - self._rest])
         unlimited = feedback.u0 - feedback.gain @ z
-        command = np.clip(unlimited, feedback.lower, feedback.upper)
+        command = feedback.command(unlimited)
         if np.array_equal(command, unlimited):
             self._integral = self._integral + feedback.dt * error[list(feedback.integral)]
         self._previous = np.concatenate([command, self._previous])[: len(self._rest)]
@@ -46,7 +47,8 @@ class TrackingFeedback:
     """A controller that follows a plan by time-varying feedback, then holds its end.
 
     With a `Recovery` it begins again after a fall: plan, hold, and when the state has fallen,
-    settle about the plan's start, then plan again.
+    settle about the plan's start, then plan again. While the state is lost a plan waits, or begins
+    again if it can.
 
     Args:
         tracking: the plan, its gains, the feedback that holds the end, and the recovery.
@@ -61,7 +63,8 @@ class TrackingFeedback:
         self.tracking = tracking
         recovery = tracking.recovery
         self._hold = LinearFeedback(tracking.final)
-        self._settle = LinearFeedback(tracking.final if recovery is None else recovery.feedback)
+        settle = tracking.final if recovery is None else recovery.feedback
+        self._settle = LinearFeedback(replace(settle, safe=tracking.final.safe))
         # as long as z is; of steps without previous commands (N, 0)
         self._reference = tracking.plan.previous_inputs(tracking.final.previous)
         self.reset()
@@ -82,9 +85,8 @@ class TrackingFeedback:
         else:
             error = wrap(x - plan.x[step], final.periodic)
             z = np.concatenate([error, self._previous - self._reference[step]])
-            command = np.clip(
-                plan.u[step] - self.tracking.gains[step] @ z, final.lower, final.upper
-            )
+            command = final.command(plan.u[step] - self.tracking.gains[step] @ z)
+            self._begin += not np.isfinite(x).all()  # the plan waits
         self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
         return command
 
@@ -96,11 +98,14 @@ class TrackingFeedback:
             self._hold.reset(self._previous)
         if recovery is None:
             return
+        # after a while without a state the device is somewhere else
+        is_off = self.phase == "plan" and not np.isfinite(x).all()
         if self.phase == "hold":
             fallen, error = recovery.fallen_beyond, wrap(x - final.x0, final.periodic)
-            if ((fallen > 0) & (np.abs(error) > fallen)).any():
-                self.phase = "settle"
-                self._settle.reset(self._previous)
+            is_off = ((fallen > 0) & (np.abs(error) > fallen)).any()
+        if is_off:
+            self.phase = "settle"
+            self._settle.reset(self._previous)
         if self.phase == "settle":
             near, error = recovery.settled_within, wrap(x - plan.x[0], final.periodic)
             if ((near == 0) | (np.abs(error) <= near)).all():

@@ -54,6 +54,7 @@ class ControlTask:
         within: limits of states by name, which a motion keeps.
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
+        safe: inputs by name while the estimator has lost the state, see `lqr`.
     """
 
     at: Mapping[str, float]
@@ -65,6 +66,7 @@ class ControlTask:
     limits: Limits | None = None
     within: Limits | None = None
     trust_beyond: bool = False
+    safe: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -177,9 +179,16 @@ def design_controller(
     sums = {k: v for k, v in task.deviations.items() if k.startswith("integral_")}
     on_message("feedback")
     feedback = lqr(
-        model, point.x, point.u, deviations=own | sums, range=range, integral=task.integral,
-        delay=task.delay, limits=task.limits,
-    )  # fmt: skip
+        model,
+        point.x,
+        point.u,
+        deviations=own | sums,
+        range=range,
+        integral=task.integral,
+        delay=task.delay,
+        limits=task.limits,
+        safe=task.safe,
+    )
     loop_margins = margins(model, feedback)
     goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
     start, beyond, gains = None, None, feedback

@@ -240,6 +240,28 @@ def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
     return InputLimits(*np.array(pairs, float).reshape(-1, 2).T)
 
 
+def safe_inputs(
+    model: Model, limits: InputLimits, safe: Mapping[str, float] | None
+) -> Float[np.ndarray, " n_u"]:
+    """The inputs while the state is not known, (n_u,); by default 0, or the limit that is nearest.
+
+    Args:
+        model: the model.
+        limits: the limits of its inputs.
+        safe: safe inputs by name.
+
+    Raises:
+        InputError: a name that is no input, or a value beyond the limits.
+    """
+    given, names = dict(safe or {}), [i.name for i in model.channels.inputs]
+    require_known(given, names, "safe", "inputs")
+    inputs = limits.clip(np.array([given.get(name, 0.0) for name in names]))
+    for name, value, low, high in zip(names, inputs, *limits, strict=True):
+        if given.get(name, value) != value:
+            raise InputError("safe", f"{name}={given[name]:g}", f"{low:g} to {high:g}, its limits")
+    return inputs
+
+
 def require_known(given: Mapping[str, object], names: Sequence[str], where: str, what: str) -> None:
     """Raises unless all keys are among some names."""
     for name in given:

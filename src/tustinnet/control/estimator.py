@@ -16,7 +16,13 @@ from tustinnet.errors import InputError
 from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model
 from tustinnet.signals.encoder import encoder_count
-from tustinnet.simulate.filtering import FilterNoise, FilterResult, KalmanFilter, kalman_filter
+from tustinnet.simulate.filtering import (
+    LOST_AFTER,
+    FilterNoise,
+    FilterResult,
+    KalmanFilter,
+    kalman_filter,
+)
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import initial_states, step_equations
 from tustinnet.wording import counted
@@ -41,7 +47,7 @@ _CALLS = 50  # of the likelihood
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Estimates of the state from measured positions, sample by sample."""
+    """Estimates of the state from measured positions, sample by sample; NaN where it is lost."""
 
     def reset(self, y: Vector) -> Vector:
         """The estimate at the first sample, (n_x,), by the first measurement, (n_y,)."""
@@ -61,13 +67,15 @@ class ExtendedKalmanFilter:
     """An extended Kalman filter over the steps of a model, from encoders to states.
 
     It also estimates internal states, wraps the innovations of angles, and knows the delays of the
-    model's inputs. An update takes some tens of microseconds. `estimate.c` of an export to C
-    computes the same.
+    model's inputs. Wrong samples are not used, see `KalmanFilter`; an estimate that is lost is NaN.
+    An update takes some tens of microseconds. `estimate.c` of an export to C computes the same.
 
     Args:
         model: the model, discretised if it is a continuous one.
         noise: standard deviations of the start, of the steps, of the measurement; `find_noise`
             finds them by records.
+        lost_after: samples in a row that were not used, after which the estimate is lost, until as
+            many were used.
 
     Attributes:
         model: the model.
@@ -75,18 +83,37 @@ class ExtendedKalmanFilter:
 
     Raises:
         InputError: a continuous model, JAX in single precision, noise of other sizes than the
-            model's.
+            model's, an estimate that is lost after fewer than one sample.
     """
 
-    def __init__(self, model: Model, noise: FilterNoise) -> None:
+    def __init__(self, model: Model, noise: FilterNoise, lost_after: int = LOST_AFTER) -> None:
         require_stepping(model)
         channels = model.channels
         self.model = model
         self.noise = noise.checked(model.state_size, channels.n_q, "ExtendedKalmanFilter")
+        if lost_after < 1:
+            raise InputError("ExtendedKalmanFilter", f"lost_after {lost_after}", "1 or more")
         self._history = InputHistory(model)
         equations = step_equations(model.simplify(), self._history.shape)
         angular = channels.angular if channels.angular.any() else None
-        self._filter = KalmanFilter(make_linearised_step(equations), self.noise, angular)
+        self._filter = KalmanFilter(
+            make_linearised_step(equations),
+            self.noise,
+            channels,
+            angular,
+            self.at_rest,
+            lost_after,
+        )
+
+    @property
+    def unused(self) -> int:
+        """The number of samples since the start that were not used."""
+        return self._filter.unused
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether too many samples in a row were not used."""
+        return self._filter.missed < 0
 
     @property
     def covariance(self) -> Float[np.ndarray, "n_x n_x"]:
@@ -101,12 +128,9 @@ class ExtendedKalmanFilter:
     def reset(self, y: Vector) -> Vector:
         """The estimate at the first sample: the measured positions, at rest, (n_x,)."""
         y = np.asarray(y, np.float64)
-        measured = np.concatenate([y, np.zeros(len(y))])[None]
-        inputs = np.zeros((1, self.model.channels.n_u))
         self._history.reset()
-        self._filter.restart(initial_states(self.model, measured, inputs)[0])
-        self._filter.correct(y)
-        return self._filter.x
+        self._filter.restart(self.at_rest(y))
+        return self._corrected(y)
 
     def update(self, y: Vector, u: Vector) -> Vector:
         """The estimate at the next sample, (n_x,).
@@ -116,8 +140,16 @@ class ExtendedKalmanFilter:
             u: the inputs that were applied since the last one, (n_u,).
         """
         self._filter.predict(self._history.add(np.asarray(u, np.float64)))
-        self._filter.correct(np.asarray(y, np.float64))
-        return self._filter.x
+        return self._corrected(np.asarray(y, np.float64))
+
+    def at_rest(self, y: Vector) -> Vector:
+        """The state at rest at positions, internal states as the model expects."""
+        measured = np.concatenate([y, np.zeros(len(y))])[None]
+        return initial_states(self.model, measured, np.zeros((1, self.model.channels.n_u)))[0]
+
+    def _corrected(self, y: Vector) -> Vector:
+        self._filter.correct(y)
+        return np.full_like(self._filter.x, np.nan) if self.is_lost else self._filter.x
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Linear-quadratic feedback: about an operating point, and along a plan."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from tustinnet.control.dynamics import (
     input_limits,
     require_known,
     require_vector,
+    safe_inputs,
 )
 from tustinnet.control.equilibrium import require_stabilisable
 from tustinnet.control.plan import Plan
@@ -53,6 +54,7 @@ class Feedback:
         delay: samples from when an input is computed to when it acts.
         periodic: indices of the angles whose errors are wrapped into -pi..pi: those that the model
             does not change by whole turns.
+        safe: inputs while the state is not known, (n_u,) or one for all, within the limits.
     """
 
     gain: Float[np.ndarray, "n_u n_z"]
@@ -65,12 +67,18 @@ class Feedback:
     integral: tuple[int, ...] = ()
     delay: int = 0
     periodic: tuple[int, ...] = ()
+    safe: Float[np.ndarray, " n_u"] | float = 0.0
 
     @property
     def previous(self) -> int:
         """Number of samples of previous commands that `z` has."""
         n_u, n_z = self.gain.shape
         return (n_z - len(self.x0) - len(self.integral)) // n_u
+
+    def command(self, unlimited: Float[np.ndarray, " n_u"]) -> Float[np.ndarray, " n_u"]:
+        """Inputs within the limits; the safe ones where an input is not finite, (n_u,)."""
+        known = unlimited if np.isfinite(unlimited).all() else np.full_like(unlimited, self.safe)
+        return np.clip(known, self.lower, self.upper)
 
 
 @dataclass(frozen=True)
@@ -132,6 +140,7 @@ def lqr(
     integral: Sequence[str] = (),
     delay: int = 0,
     limits: Limits | None = None,
+    safe: Mapping[str, float] | None = None,
 ) -> Feedback:
     """Discrete linear-quadratic feedback about an operating point, mostly an equilibrium.
 
@@ -151,11 +160,12 @@ def lqr(
         delay: samples from when an input is computed to when it acts, beside the delays that the
             inputs of the model have.
         limits: limits of inputs by name, instead of those that the model declares.
+        safe: inputs by name while the estimator has lost the state; 0 of those without.
 
     Raises:
-        InputError: an input without limits; a mode that does not decay and that the inputs do not
-            move (its coordinates and eigenvalue); an integral that cannot be held at 0; names that
-            the model does not have.
+        InputError: an input without limits, safe inputs beyond them; a mode that does not decay and
+            that the inputs do not move (its coordinates and eigenvalue); an integral that cannot be
+            held at 0; names that the model does not have.
 
     References:
         Anderson and Moore (1990), Optimal control: linear quadratic methods; Gelb and Vander Velde
@@ -188,9 +198,18 @@ def lqr(
     value = riccati_solution(system, matrices, weights, sums)
     gain = feedback_gain(matrices, value, weights)
     return Feedback(
-        gain=gain, x0=x0, u0=u0, lower=bounds.lower, upper=bounds.upper, dt=system.dt,
-        integral=indices, delay=delay, periodic=system.periodic, speeds=speeds,
-    )  # fmt: skip
+        gain=gain,
+        x0=x0,
+        u0=u0,
+        lower=bounds.lower,
+        upper=bounds.upper,
+        dt=system.dt,
+        integral=indices,
+        delay=delay,
+        periodic=system.periodic,
+        speeds=speeds,
+        safe=safe_inputs(model, bounds, safe),
+    )
 
 
 def loop_matrices(

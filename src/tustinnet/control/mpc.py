@@ -1,13 +1,20 @@
 """Model predictive control by iterative LQR, warm-started from sample to sample."""
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from tustinnet.control.dynamics import Limits, controlled, input_limits, require_vector
+from tustinnet.control.dynamics import (
+    Limits,
+    controlled,
+    input_limits,
+    require_vector,
+    safe_inputs,
+)
 from tustinnet.control.ilqr import Motion, Solver, make_cost, next_damping, shift, turns_to
 from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices
 from tustinnet.control.plan import Plan
@@ -39,6 +46,7 @@ class Mpc:
         within: limits of states by name, as in `ilqr`.
         limits: limits of inputs by name, instead of those that the model declares.
         delay: samples from when an input is computed to when it acts.
+        safe: inputs by name while the estimator has lost the state, as in `lqr`.
 
     Attributes:
         motion: the motion that was planned at the last sample, None before the first.
@@ -62,6 +70,7 @@ class Mpc:
         within: Limits | None = None,
         limits: Limits | None = None,
         delay: int = 0,
+        safe: Mapping[str, float] | None = None,
     ) -> None:
         if steps < 1 or iterations < 1:
             raise InputError("Mpc", f"{steps} steps, {iterations} iterations", "at least 1 of each")
@@ -72,6 +81,7 @@ class Mpc:
             plan.require_for(system.n_x, system.n_u, system.dt, delay, "Mpc")
             x_end = x_end + turns_to(system, x_end, plan.goal)
         self._system, self._limits = system, bounds
+        self._safe = safe_inputs(model, bounds, safe)
         self._steps, self._iterations = steps, iterations
         self._cost = make_cost(
             system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
@@ -110,6 +120,15 @@ class Mpc:
             k: the sample, from 0 on.
             x: the estimated state, (n_x,).
         """
+        if np.isfinite(x).all():
+            command = self._plan(k, x)
+        else:
+            command, self.motion = self._safe, None
+        self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
+        return command
+
+    def _plan(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
+        """The first inputs of a new plan, (n_u,)."""
         solver, steps, n_x = self._solver, self._steps, self._system.n_x
         first = min(k, len(self._followed.u) - steps)
         z = self._followed.z[first : first + steps + 1]
@@ -140,6 +159,4 @@ class Mpc:
             self._damping = next_damping(self._damping, is_better=better is not None)
             motion, self._gain = better or motion, policy.gain
         self.motion = motion
-        command = motion.u[0].copy()
-        self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
-        return command
+        return motion.u[0].copy()

@@ -55,6 +55,7 @@ class PlantOptions:
             declare.
         disturbance: standard deviation of what is added to each velocity in a period [rad/s or
             m/s], (n_q,) or one for all; of models only.
+        glitches: share of the readings of each encoder that are no number, or wrong by 3 rad or m.
     """
 
     counts: Sequence[float] | Vector | None = None
@@ -62,6 +63,7 @@ class PlantOptions:
     delay: int = 0
     limits: Sequence[Sequence[float]] | Float[np.ndarray, "n_u 2"] | None = None
     disturbance: float | Sequence[float] | Vector = 0.0
+    glitches: float = 0.0
 
 
 USUAL = PlantOptions()
@@ -134,7 +136,12 @@ class SampledPlant(ABC):
             steps = np.where(self._counts > 0, self._counts, 1.0)
             rounded = np.round((q - self._offset) / steps) * steps + self._offset
             q = np.where(self._counts > 0, rounded, q)
-        return np.array(q)
+        q = np.array(q)
+        if self.options.glitches:
+            is_wrong = self.generator.random(len(q)) < self.options.glitches
+            errors = self.generator.choice([np.nan, np.inf, -3.0, 3.0], len(q))
+            q[is_wrong] += errors[is_wrong]
+        return q
 
     def apply(self, u: Vector) -> None:
         """Goes on by one period under inputs, (n_u,), within their limits."""

@@ -15,6 +15,7 @@ from tustinnet.export.c_text import Code
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable, Stepper, Target, Vector
 from tustinnet.export.words import fill_template
+from tustinnet.simulate.filtering import GATE, LOST_AFTER
 
 _SHARED = ("-std=c99", "-O1", "-fPIC", "-shared")
 
@@ -41,22 +42,29 @@ class C(Target):
             return library_step(library, source.n_x)
 
 
-def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, str]:
+def make_model_files(
+    source: Source, *, linearised: bool = True, lost_after: int = LOST_AFTER
+) -> dict[str, str]:
     """`model.h` and `model.c`.
 
     Args:
         source: the model.
         linearised: whether they have `model_linearise` and the declarations for a filter.
+        lost_after: samples in a row without use after which an estimate of the filter is lost.
     """
     code = Code()
     code.add("step", source.step)
     if linearised:
         code.add("linearised", source.linearised)
+        code.add("rest", source.rest)
     header = fill_template(
-        "model.h", states=source.n_x, positions=source.channels.n_q, inputs=source.n_w,
+        "model.h",
+        states=source.n_x,
+        positions=source.channels.n_q,
+        inputs=source.n_w,
         period=float(source.channels.dt),
-        more=fill_template("estimate.h") if linearised else "",
-    )  # fmt: skip
+        more=fill_template("estimate.h", lost_after=lost_after) if linearised else "",
+    )
     body = fill_template("model.c", code=code.text(), precision=fill_template("precision.c"))
     return {
         "model.h": header,
@@ -64,24 +72,28 @@ def make_model_files(source: Source, *, linearised: bool = True) -> dict[str, st
     }
 
 
-def make_filter_code(header: str, angular: Sequence[bool] = (), helpers: str = "") -> str:
+def make_filter_code(header: str, angular: Sequence[bool] = ()) -> str:
     """The C code of the extended Kalman filter that `model.h` declares.
 
     Args:
         header: the header that it includes.
         angular: for each position whether its innovation is wrapped to within half a turn; () for
             none of them.
-        helpers: code that is needed before it: for angles that of `math_helpers`.
     """
-    missed, mask = "q[m] - e->state.x[m]", ""
+    innovation, helpers = "q[m] - e->state.x[m]", math_helpers(wrap=any(angular))
     angles = "Positions are not wrapped: an encoder that starts again from 0 has to be counted on."
     if any(angular):
         flags = ", ".join(str(int(is_angle)) for is_angle in angular)
-        mask = f"static const int angular[MODEL_POSITIONS] = {{{flags}}};\n"
-        missed = f"angular[m] ? wrapped({missed}) : {missed}"
+        helpers += f"static const int angular[MODEL_POSITIONS] = {{{flags}}};\n"
+        innovation = f"angular[m] ? wrapped({innovation}) : {innovation}"
         angles = "Angles are wrapped: whole turns between model and encoder do not count."
     return fill_template(
-        "estimate.c", header=header, angles=angles, helpers=helpers + mask, missed=missed
+        "estimate.c",
+        header=header,
+        angles=angles,
+        helpers=helpers,
+        innovation=innovation,
+        gate=GATE,
     )
 
 

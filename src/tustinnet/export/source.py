@@ -161,6 +161,16 @@ class Source:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
         return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
 
+    @cached_property
+    def rest(self) -> Program:
+        """The state at rest, with the internal states that the model expects: `q` to `x`."""
+
+        def state(q: Array) -> Array:
+            measured = jnp.concatenate([q, jnp.zeros_like(q)])
+            return self.model.initial_state(measured, jnp.zeros(self.channels.n_u))
+
+        return read(lambda q: {"x": state(q)}, {"q": self.channels.n_q}, "the state at rest")
+
     def samples(
         self, count: int, seed: int = 0
     ) -> tuple[Float[np.ndarray, "count n_x"], Float[np.ndarray, "count n_w"]]:

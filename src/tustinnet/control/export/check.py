@@ -16,12 +16,13 @@ from tustinnet.errors import InputError
 from tustinnet.export.c import compile_c
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable
-from tustinnet.simulate.filtering import FilterNoise, KalmanFilter
+from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise, KalmanFilter
 from tustinnet.store.files import write_into
 from tustinnet.wording import counted
 
 BOUND = 1e-9  # of the difference, relative to 1 + the value
 _LIBRARY = ("-std=c99", "-O1", "-fPIC", "-shared")
+_SPOILED, _WRONG = 20, 3.0  # every so many samples are wrong, by so much [rad or m], or NaN
 _CONTROLLER = 1000  # numbers: more than the memory of a controller
 
 Vector = Float[np.ndarray, " _"]
@@ -51,12 +52,14 @@ def check_loop(
     start: Vector,
     steps: int,
     fall: Vector | None = None,
+    lost_after: int = LOST_AFTER,
 ) -> LoopCheck:
     """Compares a closed loop in C with Python, period by period.
 
-    The loop is that of `main.c`. In every period controller, filter and model of Python are given
-    what those in C were given: two loops that are closed each by itself would part, as rounding
-    errors grow between the counts of an encoder where the device is unstable.
+    The loop is that of `main.c`, with some wrong samples. In every period controller, filter and
+    model of Python are given what those in C were given: two loops that are closed each by itself
+    would part, as rounding errors grow between the counts of an encoder where the device is
+    unstable.
 
     Args:
         files: the files in C.
@@ -67,6 +70,7 @@ def check_loop(
         steps: the periods that are compared.
         fall: the state to which the device falls after these periods, for as many more; None for no
             fall.
+        lost_after: samples in a row without use after which the estimate is lost.
 
     Raises:
         InputError: the loop diverges, or a result differs by more than 1e-9, relative to
@@ -79,7 +83,9 @@ def check_loop(
                 write_into(folder, name, content)
             library = folder / "controller.so"
             compile_c([folder / name for name in SOURCES], library, _LIBRARY)
-            difference = _compare(library, controller, source, noise, start, steps, fall)
+            difference = _compare(
+                library, controller, source, noise, start, steps, fall, lost_after
+            )
     except NotRunnable as reason:
         return LoopCheck(0, None, f"not run here: {reason}")
     if not difference <= BOUND:
@@ -98,14 +104,15 @@ def _compare(
     start: Vector,
     steps: int,
     fall: Vector | None,
+    lost_after: int,
 ) -> float:
     """The largest difference along the loop, relative to 1 + the value."""
     functions = ctypes.CDLL(str(library))
     channels, n_x, n_w = source.channels, source.n_x, source.n_w
     counts, read = channels.resolution, channels.resolution > 0
-    # as they are in memory; of the estimator state, covariance, variances, inputs
-    estimator = np.zeros(n_x + n_x**2 + n_x + channels.n_q + n_w)
-    covariance = slice(n_x, n_x + n_x**2)
+    # as they are in memory: published state, state, covariance, variances, two counters, inputs
+    estimator = np.zeros(4 * n_x + n_x**2 + channels.n_q + 1 + n_w)
+    state, covariance = slice(n_x, 2 * n_x), slice(2 * n_x, 2 * n_x + n_x**2)
     memory = np.zeros(_CONTROLLER)
     x, inputs, u = np.array(start, np.float64), np.zeros(n_w), np.zeros(channels.n_u)
     largest = 0.0
@@ -120,35 +127,62 @@ def _compare(
 
     def compare(computed: np.ndarray, expected: np.ndarray) -> None:
         nonlocal largest
-        largest = max(largest, float(np.max(np.abs(computed - expected) / (1 + np.abs(expected)))))
+        lost = np.isnan(computed) & np.isnan(expected)
+        difference = np.abs(computed - expected) / (1 + np.abs(expected))
+        largest = float(np.max(np.where(lost, 0.0, difference), initial=largest))
 
     angular = channels.angular if channels.angular.any() else None
     step = make_step(source.equations)
-    own = KalmanFilter(make_linearised_step(source.equations), noise, angular)
+    first = ExtendedKalmanFilter(source.model, noise, lost_after)
+    own = KalmanFilter(
+        make_linearised_step(source.equations),
+        noise,
+        channels,
+        angular,
+        first.at_rest,
+        lost_after,
+    )
     y = measure()
     call("estimator_reset", estimator, y)
     call("controller_reset", memory)
     controller.reset()
-    compare(estimator[:n_x], ExtendedKalmanFilter(source.model, noise).reset(y))
-    for k in range(steps if fall is None else 2 * steps):
+    compare(estimator[:n_x], first.reset(y))
+    own.missed = 0
+    total = steps if fall is None else 2 * steps
+    for k in range(total):
         if k == steps and fall is not None:
             x[:] = fall
-        own.x, own.p = estimator[:n_x].copy(), estimator[covariance].reshape(n_x, n_x).copy()
+        own.x, own.p = estimator[state].copy(), estimator[covariance].reshape(n_x, n_x).copy()
         call("controller_inputs", memory, estimator, u)  # the state comes first
-        compare(u, controller.inputs(k, own.x))
+        compare(u, controller.inputs(k, estimator[:n_x].copy()))
         call("estimator_remember", inputs, u)
         expected = step(x, inputs)
         call("model_step", x, inputs)
-        if not (np.isfinite(x).all() and np.isfinite(estimator).all()):
+        if not (np.isfinite(x).all() and np.isfinite(estimator[state]).all()):
             raise InputError(
                 "the controller", f"its closed loop diverges after {counted(k, 'sample')}",
                 "one that holds the model itself", "change its weights, its plan or its start",
             )  # fmt: skip
         compare(x, expected)
         y = measure()
+        _spoil(y, k, 2 * lost_after <= total - k < 3 * lost_after)
         call("estimator_update", estimator, y, u)
         own.predict(inputs)
         own.correct(y)
-        compare(estimator[:n_x], own.x)
+        compare(estimator[:n_x], np.where(own.missed < 0, np.nan, own.x))
+        compare(estimator[state], own.x)
         compare(estimator[covariance], own.p.ravel())
     return largest
+
+
+def _spoil(y: Vector, k: int, is_last: bool) -> None:
+    """Makes wrong what encoders read: now and then, and where the filter has to be lost.
+
+    Args:
+        y: the positions, (n_q,), which are changed.
+        k: the period.
+        is_last: whether it is one of the last wrong samples in a row.
+    """
+    if is_last or k % _SPOILED == 0:
+        i, turn = divmod(k // (1 if is_last else _SPOILED), 2)
+        y[i % len(y)] += np.nan if turn else _WRONG

@@ -5,19 +5,16 @@ from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
-from tustinnet.export.c_text import Code, constant_array
+from tustinnet.export.c_text import constant_array
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files
 from tustinnet.export.words import fill_template
-from tustinnet.models.contract import Model
-from tustinnet.program.reading import read
-from tustinnet.simulate.filtering import FilterNoise
+from tustinnet.simulate.filtering import GATE, LOST_AFTER, FilterNoise
 
 TEMPLATES = Path(__file__).parent / "templates"
 SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
@@ -33,7 +30,12 @@ Vector = Float[np.ndarray, " _"]
 
 
 def make_code(
-    controller: Feedback | Tracking, source: Source, noise: FilterNoise, start: Vector, steps: int
+    controller: Feedback | Tracking,
+    source: Source,
+    noise: FilterNoise,
+    start: Vector,
+    steps: int,
+    lost_after: int = LOST_AFTER,
 ) -> Files:
     """The files in C, and a Makefile.
 
@@ -43,9 +45,10 @@ def make_code(
         noise: the noise of the estimator.
         start: the state from which the loop in software begins, (n_x,).
         steps: the periods that it lasts.
+        lost_after: samples in a row without use after which the estimate is lost.
     """
     return {
-        **make_model_files(source),
+        **make_model_files(source, lost_after=lost_after),
         **_estimator_files(source, noise),
         **_controller_files(controller, source),
         "main.c": _main(source, start, steps),
@@ -55,30 +58,18 @@ def make_code(
 
 def _estimator_files(source: Source, noise: FilterNoise) -> Files:
     """`estimator.h` and `estimator.c`."""
-    channels, code = source.channels, Code()
-    code.add("start_state", read(
-        lambda y: {"x": _state_at_rest(source.model, y)}, {"y": channels.n_q}, "the start"
-    ))  # fmt: skip
+    channels = source.channels
     deviations = [
         constant_array("start_noise", np.asarray(noise.start)),
         constant_array("process_noise", np.asarray(noise.process)),
         constant_array("measurement_noise", np.asarray(noise.measured)),
     ]
-    filter_code = make_filter_code(
-        "estimator.h", channels.angular.tolist(), math_helpers(wrap=bool(channels.angular.any()))
-    )
+    filter_code = make_filter_code("estimator.h", channels.angular.tolist())
     return {
         "estimator.h": fill_template("estimator.h", TEMPLATES, inputs=channels.n_u),
-        "estimator.c": filter_code + fill_template(
-            "estimator.c", TEMPLATES, noise="".join(deviations), start=code.text()
-        ),
-    }  # fmt: skip
-
-
-def _state_at_rest(model: Model, y: Array) -> Array:
-    """The state at some positions, at rest, with the internal states that the model expects."""
-    measured = jnp.concatenate([y, jnp.zeros_like(y)])
-    return model.initial_state(measured, jnp.zeros(model.channels.n_u))
+        "estimator.c": filter_code
+        + fill_template("estimator.c", TEMPLATES, noise="".join(deviations)),
+    }
 
 
 def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
@@ -96,6 +87,7 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
         "u0": final.u0,
         "lower": final.lower,
         "upper": final.upper,
+        "safe": _safe(final),
         "before": tracking.plan.before if tracking else final.u0,
         "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
         "plan_u": tracking.plan.u if tracking else np.zeros(0),
@@ -121,6 +113,11 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
             "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
         ),
     }  # fmt: skip
+
+
+def _safe(feedback: Feedback) -> Vector:
+    """The inputs while the state is not known, (n_u,)."""
+    return feedback.command(np.full(len(feedback.u0), np.nan))
 
 
 def _index_table(name: str, values: Sequence[int]) -> str:
@@ -179,18 +176,23 @@ def make_readme(
             zip(source.states, source.units, final.x0.tolist(), strict=True)
         )
     ]
-    limits = zip(final.lower.tolist(), final.upper.tolist(), final.u0.tolist(), strict=True)
+    columns = (final.lower, final.upper, final.u0, _safe(final))
+    rows = np.stack(columns, axis=1).tolist()
     inputs = [
         f"| `u[{i}]` | {markdown_cell(channel.name)} | {markdown_cell(channel.unit)} "
-        f"| {lower:.6g} | {upper:.6g} | {u0:.6g} |"
-        for i, (channel, (lower, upper, u0)) in enumerate(
-            zip(source.channels.inputs, limits, strict=True)
-        )
+        f"| {' | '.join(f'{value:.6g}' for value in row)} |"
+        for i, (channel, row) in enumerate(zip(source.channels.inputs, rows, strict=True))
     ]
     return fill_template(
-        "readme.md", TEMPLATES, title="A controller in C99", period=float(source.channels.dt),
-        kind=kind, positions=source.channels.n_q, states="\n".join(states),
+        "readme.md",
+        TEMPLATES,
+        title="A controller in C99",
+        period=float(source.channels.dt),
+        kind=kind,
+        positions=source.channels.n_q,
+        states="\n".join(states),
         inputs="\n".join(inputs),
+        gate=f"{GATE:g}",
         scripts="\n".join(f"| `{name}` | {_SCRIPTS[name]} |" for name in scripts),
         notes="\n".join(f"- {note}" for note in notes) or "None.",
-    )  # fmt: skip
+    )

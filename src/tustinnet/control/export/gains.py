@@ -18,7 +18,7 @@ from tustinnet.store.files import to_json
 JSON, MAT = "controller.json", "controller.mat"
 _FORM = "tustinnet-controller"  # what a file says first
 
-Reader = Callable[..., np.ndarray]  # of the name and the shape of an array
+Reader = Callable[..., np.ndarray]  # of name and shape of an array, and of its default
 
 
 def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
@@ -142,11 +142,17 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
 def _feedback_content(f: Feedback) -> dict[str, Any]:
     """The numbers of a feedback by name, as arrays."""
     return {
-        "gain": f.gain, "x0": f.x0, "u0": f.u0, "lower": f.lower, "upper": f.upper,
-        "integral": np.array(f.integral, int), "periodic": np.array(f.periodic, int),
+        "gain": f.gain,
+        "x0": f.x0,
+        "u0": f.u0,
+        "lower": f.lower,
+        "upper": f.upper,
+        "integral": np.array(f.integral, int),
+        "periodic": np.array(f.periodic, int),
         "speeds": f.speeds,
         "delay": f.delay,
-    }  # fmt: skip
+        "safe": np.broadcast_to(f.safe, f.u0.shape),
+    }
 
 
 def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,13 +183,14 @@ def _read_mat(raw: bytes) -> dict[str, Any]:
 def _array_reader(file: Path, content: Mapping[str, Any], place: str) -> Reader:
     """A function that reads an array of a shape from a part of a file's content."""
 
-    def read(name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    def read(name: str, shape: tuple[int | None, ...], default: Any = None) -> np.ndarray:
         where = f"{place}{name}"
-        if name not in content:
+        value = content.get(name, default)
+        if name not in content and default is None:
             raise InputError(file, f"no entry '{where}'", "an exported controller")
         expected = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
         with convert_errors(file, f"entry '{where}'", f"numbers, {expected}"):
-            array = np.array(content[name], np.float64)
+            array = np.array(value, np.float64)
         free = sum(n is None for n in shape)
         size = int(np.prod([n for n in shape if n is not None]))
         # a MAT file keeps no axes of length 1, and has vectors as columns
@@ -203,8 +210,15 @@ def _read_feedback(read: Reader, period: float) -> Feedback:
     x0, u0 = read("x0", (None,)), read("u0", (None,))
     integral = tuple(int(i) for i in read("integral", (None,)))
     return Feedback(
-        gain=read("gain", (len(u0), None)), x0=x0, u0=u0,
-        lower=read("lower", (len(u0),)), upper=read("upper", (len(u0),)),
-        integral=integral, periodic=tuple(int(i) for i in read("periodic", (None,))),
-        delay=int(read("delay", ())), dt=period, speeds=read("speeds", (None,)),
-    )  # fmt: skip
+        gain=read("gain", (len(u0), None)),
+        x0=x0,
+        u0=u0,
+        lower=read("lower", (len(u0),)),
+        upper=read("upper", (len(u0),)),
+        integral=integral,
+        periodic=tuple(int(i) for i in read("periodic", (None,))),
+        delay=int(read("delay", ())),
+        dt=period,
+        speeds=read("speeds", (None,)),
+        safe=read("safe", (len(u0),), np.zeros(len(u0))),  # files of before have none
+    )

@@ -21,7 +21,7 @@ from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source, make_source
 from tustinnet.models.contract import Model
-from tustinnet.simulate.filtering import FilterNoise
+from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
 from tustinnet.simulate.range import Range
 from tustinnet.store.exported import CARD, make_card, require_export_folder, write_export
 from tustinnet.store.header import read_header
@@ -62,6 +62,7 @@ def export_controller(
     start: Vector | None = None,
     file: str | Path | None = None,
     groups: Mapping[str, str] | None = None,
+    lost_after: int = LOST_AFTER,
     overwrite: bool = False,
 ) -> ControllerExport:
     """Writes a controller with its estimator and model as C, as gains, and as scripts of solvers.
@@ -82,6 +83,8 @@ def export_controller(
         file: the model's file. From it the card takes data and scores, and the weights take the
             range of the training records.
         groups: for models with values by group: which to take, as `{"payload": "1kg"}`.
+        lost_after: samples in a row that the estimator cannot use, after which the inputs are the
+            safe ones of the controller (`Feedback.safe`) until as many were used.
         overwrite: whether an export that is there may be replaced.
 
     Returns:
@@ -105,12 +108,12 @@ def export_controller(
     elif np.shape(start) != (source.n_x,) or not np.isfinite(start).all():
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
     steps = _AFTER + (len(controller.plan.u) if isinstance(controller, Tracking) else 0)
-    code = make_code(controller, source, noise, start, steps)
+    code = make_code(controller, source, noise, start, steps, lost_after)
     own = (
         TrackingFeedback(controller) if isinstance(controller, Tracking)
         else LinearFeedback(controller)
     )  # fmt: skip
-    check = check_loop(code, own, source, noise, start, steps, _fall(controller))
+    check = check_loop(code, own, source, noise, start, steps, _fall(controller), lost_after)
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)

@@ -4,3 +4,8 @@ void model_linearise(const model_state *s, const model_real u[], model_state *ne
 {
     linearised(s->x, u, a, b, next->x);
 }
+
+void model_rest(model_state *s, const model_real q[])
+{
+    rest(q, s->x);
+}

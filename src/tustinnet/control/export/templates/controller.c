@@ -62,8 +62,13 @@ static void choose_phase(controller *c, const model_real x[])
 
 void controller_inputs(controller *c, const model_real x[], model_real u[])
 {
-    if (CONTROLLER_RECOVERS)
+    int known = 1, limited = 0;
+    for (int i = 0; i < X; i++)
+        known = known && isfinite(x[i]);
+    if (CONTROLLER_RECOVERS && known)
         choose_phase(c, x);
+    else if (CONTROLLER_RECOVERS && c->step < CONTROLLER_STEPS)
+        c->step = SETTLING;
     const int k = c->step, settling = k == SETTLING;
     const int planned = !settling && k < CONTROLLER_STEPS, held = k == CONTROLLER_STEPS;
     const int size = held ? X + P * U + I : X + P * U;
@@ -71,7 +76,7 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
     const model_real *feed = settling ? settle_u0 : planned ? plan_u + k * U : u0;
     const model_real *row = settling ? settle_gain : planned ? plan_gain + k * U * size : gain;
     model_real z[X + P * U + I];
-    int limited = 0;
+    int finite = known;
     errors(x, goal, z);
     for (int j = 0; j < P; j++) {
         const int then = k - 1 - j; /* the step of the plan at which it was commanded */
@@ -85,15 +90,18 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
         u[i] = feed[i];
         for (int j = 0; j < size; j++)
             u[i] -= row[j] * z[j];
+        finite = finite && isfinite(u[i]);
         limited = limited || u[i] < lower[i] || u[i] > upper[i];
         u[i] = u[i] < lower[i] ? lower[i] : u[i] > upper[i] ? upper[i] : u[i];
     }
-    if (held && !limited)
+    for (int i = 0; i < U && !finite; i++)
+        u[i] = safe[i];
+    if (held && finite && !limited)
         for (int i = 0; i < I; i++)
             c->integral[i] += MODEL_PERIOD * z[integrated[i]];
     for (int i = P * U - 1; i >= U; i--)
         c->previous[i] = c->previous[i - U];
     for (int i = 0; i < U && P > 0; i++)
         c->previous[i] = u[i];
-    c->step = planned ? k + 1 : k;
+    c->step = planned && known ? k + 1 : k;
 }

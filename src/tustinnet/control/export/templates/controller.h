@@ -24,7 +24,9 @@ typedef struct controller {
 /* Begins anew: with the plan, where there is one. */
 void controller_reset(controller *c);
 
-/* The inputs u that are commanded at this sample, from the estimated state x. */
+/* The inputs u that are commanded at this sample, from the estimated state x; the safe ones where x
+   is not finite. Then integrals stay as they are and a plan waits; one that begins again after a
+   fall does so. */
 void controller_inputs(controller *c, const model_real x[], model_real u[]);
 
 #ifdef __cplusplus

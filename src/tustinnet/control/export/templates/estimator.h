@@ -10,8 +10,8 @@
 extern "C" {
 #endif
 
-/* The estimated state is `filter.state.x`. */
 typedef struct estimator {
+    model_real x[MODEL_STATES]; /* the estimated state; NaN while it is lost */
     model_estimate filter;
     model_real inputs[MODEL_INPUTS]; /* commanded now, a sample before, and so on */
 } estimator;
@@ -19,7 +19,7 @@ typedef struct estimator {
 /* Begins at the first measurement y, at rest. */
 void estimator_reset(estimator *e, const model_real y[]);
 
-/* Takes a new measurement y, and the inputs u that were commanded at the last one. The model knows
+/* Takes a new measurement y, whatever it is, and the inputs u that were commanded at the last one. The model knows
    when they act. */
 void estimator_update(estimator *e, const model_real y[], const model_real u[]);
 

@@ -51,11 +51,10 @@ int main(void)
     controller_reset(&c);
     puts(@header@);
     for (int k = 0; k < STEPS; k++) {
-        const model_real *x = e.filter.state.x;
-        controller_inputs(&c, x, u);
+        controller_inputs(&c, e.x, u);
         printf("%.17g", (double)MODEL_PERIOD * k);
         print(device.state.x, MODEL_STATES);
-        print(x, MODEL_STATES);
+        print(e.x, MODEL_STATES);
         print(u, CONTROLLER_INPUTS);
         printf("\n");
         apply(u);
