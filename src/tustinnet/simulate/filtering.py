@@ -16,6 +16,8 @@ Deviations = Float[Array | np.ndarray, " _"]
 Rows = Float[Array | np.ndarray, "..."]
 Vector = Float[np.ndarray, " _"]
 
+# an estimate may diverge, as of a plant that has fallen over: whoever uses it sees that
+_DIVERGES = np.errstate(over="ignore", invalid="ignore")
 _RECENT = 4  # models whose steps are at hand
 
 
@@ -103,6 +105,7 @@ class KalmanFilter:
         self.x, self.p = x, self._start
         self.innovations = self.spreads = np.zeros(len(self._variances))
 
+    @_DIVERGES
     def correct(self, q: Vector) -> None:
         """Takes measured positions into account, (n_q,).
 
@@ -123,6 +126,7 @@ class KalmanFilter:
             innovations[i], spreads[i] = innovation, spread
         self.x, self.p, self.innovations, self.spreads = x, p, innovations, spreads
 
+    @_DIVERGES
     def predict(self, inputs: Vector) -> None:
         """Steps to the next sample, with the inputs of a step, flattened.
 
