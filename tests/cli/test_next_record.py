@@ -91,7 +91,8 @@ def test_a_committee_wants_what_its_members_differ_on(run_folder, proposals, tmp
         (("a fall", "driven", 1), "two proposals 'driven'"),
         (("seconds = 2", "secnods = 2", 1), "did you mean 'seconds'?"),
         (("seconds = 2", "seconds = 99999", 1), "at most 1000000; fewer seconds"),
-        (("start = { angle = 2.0", "start = { angle = 1e300", 1), "less than or equal to 1000000"),
+        (("start = { angle = 115", "start = { angle = 1e300", 1), "at most 1e+06 rad or m"),
+        (("start = { angle = 115", 'start = { angle = "115 mm"', 1), "'mm' is not a unit of"),
     ],
 )
 def test_proposals_that_are_none_are_one_line(change, told, place, capsys):
@@ -256,5 +257,7 @@ def test_a_ranking_needs_a_model_and_proposals(place, capsys):
 
 def refuse(capsys, told: str, *arguments: object) -> None:
     code, out, err = tustinnet(capsys, "next-record", *arguments)
-    assert (code, out, err.count("\n")) == (1, "", 1), err
+    *understood, error = err.splitlines()
+    assert (code, out, error.startswith("error: ")) == (1, "", True), err
+    assert all("start: " in line or line.startswith("--") for line in understood), err
     assert told in err
