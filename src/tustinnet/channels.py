@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,6 +18,18 @@ _DEFAULT_HOLD = "zero-order"
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
 
 
+class ColumnUnit(NamedTuple):
+    """The unit of a column of positions.
+
+    Attributes:
+        name: as a data card has it: `deg`, `mm`, `counts`.
+        factor: how much one of it is in the unit of the coordinate.
+    """
+
+    name: str
+    factor: float
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """A generalised coordinate of the system.
@@ -28,12 +40,14 @@ class Coordinate:
         resolution: encoder count [rad or m], if known.
         unit: `rad` of an angle; `m` of a linear coordinate, where it is not another SI unit, as V
             of a measured voltage. Where documentation says m, that unit is meant then.
+        column: unit of the column in the logs, in which the command takes numbers; None for `unit`.
     """
 
     name: str
     kind: Kind
     resolution: float | None = None
     unit: str = ""
+    column: ColumnUnit | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "coordinate")
@@ -206,7 +220,7 @@ class Channels:
 
     A state is `x = [q, v, z]`: positions [rad or m], velocities [rad/s or m/s] and, of models
     that have any, internal states. `position`, `velocity` and `internal` say where they stand on
-    the last axis of an array of states.
+    the last axis of an array of states. All coordinates and inputs have names of their own.
 
     Attributes:
         coordinates: the columns of `q`.
@@ -228,6 +242,9 @@ class Channels:
             raise InputError(
                 "channels", f"sampling period {self.dt}", "a time above 0, or 0 in continuous time"
             )
+        names = [channel.name for channel in (*self.coordinates, *self.inputs)]
+        if duplicates := sorted({name for name in names if names.count(name) > 1}):
+            raise InputError("names", f"two channels are called '{duplicates[0]}'", "others")
 
     @property
     def plant(self) -> "Channels":
@@ -367,6 +384,7 @@ class Channels:
         """The channels as plain values, as model files contain them."""
         coordinates = [asdict(c) for c in self.coordinates]
         for c in coordinates:
+            del c["column"]  # of the records, not of a model
             if c["unit"] == _default_unit(c["kind"]):
                 del c["unit"]  # files of earlier versions have none
         inputs = [asdict(i) for i in self.inputs]

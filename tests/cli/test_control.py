@@ -21,7 +21,7 @@ def model(identified) -> Path:
 def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     out = tmp_path / "held"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 5, "--out", out
+        capsys, "control", model, "--at", "angle=180deg", *LIMITS, "--starts", 5, "--out", out
     )
     assert code == 0, messages
     assert "unstable" in text
@@ -41,9 +41,9 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
 def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, tmp_path, capsys):
     out = tmp_path / "swung"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", "--swing-up", "--seconds", 4, *LIMITS,
+        capsys, "control", model, "--at", "angle=180deg", "--swing-up", "--seconds", 4, *LIMITS,
         "--data", folder, "--card", folder / "dataset.toml", "--follow-links", "--weight",
-        "angle=20deg", "--weight", "torque=3", "--within", "der_angle=-20:20", "--delay", 1,
+        "angle=20deg", "--weight", "torque=3", "--within", "der_angle=-20:20rad/s", "--delay", 1,
         "--trust-beyond", "--system", system, "--plant", system, "--json", "--quiet", "--starts", 3,
         "--out", out,
     )  # fmt: skip
@@ -99,7 +99,7 @@ def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_p
 def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     out = tmp_path / "moved"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", "angle=0", "--to", "angle=0.4", *LIMITS, "--out", out,
+        capsys, "control", model, "--at", "angle=0", "--to", "angle=0.4rad", *LIMITS, "--out", out,
         "--trust-beyond", "--starts", 1,
     )  # fmt: skip
     assert code == 0, messages
@@ -115,7 +115,7 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
 def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
     out = tmp_path / "held"
     assert tustinnet(
-        capsys, "control", model, "--at", f"angle={np.pi}", *LIMITS, "--starts", 1, "--out", out,
+        capsys, "control", model, "--at", "angle=180deg", *LIMITS, "--starts", 1, "--out", out,
         "--safe", "torque=0.5",
     )[0] == 0  # fmt: skip
     feedback = tn.control.read_controller(out)
@@ -132,7 +132,10 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
     [
         (("--at", "elbow=0", *LIMITS), "elbow"),
         (("--at", "angle"), "--at"),
-        (("--at", "angle=1.5", "--limits", "torque=-1:1"), "nearest"),
+        (("--at", "angle=30mm", *LIMITS), "'mm' is not a unit of a quantity in rad"),
+        (("--at", "angle=180rad", *LIMITS), "far outside of the recorded motion; expected about -"),
+        (("--at", "angle=0", "--to", "angle=-40", *LIMITS, "--within", "angle=9:3"), "--within"),
+        (("--at", "angle=1.5rad", "--limits", "torque=-1:1"), "nearest"),
         (("--at", "angle=0", "--limits", "torque=6:-6"), "--limits"),
         (("--at", "angle=0", "--limits", "force=-6:6"), "force"),
         (("--at", "angle=0", *LIMITS, "--seconds", 1), "--seconds"),
@@ -145,7 +148,7 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", *LIMITS, "--safe", "torque=7"), "-6 to 6"),
         (("--at", "angle=0", *LIMITS, "--plant", "nothing.fmu"), "nothing.fmu"),
         (("--at", "angle=0", *LIMITS, "--swing-up", "--to", "angle=1"), "--swing-up"),
-        (("--at", "angle=3.14159", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),
+        (("--at", "angle=3.14159rad", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),
          "reached"),
     ],
 )  # fmt: skip
@@ -173,8 +176,29 @@ def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
 
 def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_path, capsys):
     code, _, messages = tustinnet(
-        capsys, "control", run_folder / "model.safetensors", "--at", f"angle={np.pi}", *LIMITS,
+        capsys, "control", run_folder / "model.safetensors", "--at", "angle=180deg", *LIMITS,
         "--out", tmp_path / "none",
     )  # fmt: skip
     assert code == 1
     assert "equilibrium" in messages
+
+
+@pytest.mark.parametrize("text", ["180", "180deg", "180 deg"])
+def test_a_number_alone_is_in_the_unit_of_the_column_and_said_back(text, model, tmp_path, capsys):
+    code, _, messages = tustinnet(
+        capsys, "control", model, "--at", f"angle={text}", "--limits", "torque=-6000:6000mN*m",
+        "--starts", 1, "--out", tmp_path / "held", "--quiet",
+    )  # fmt: skip
+    assert code == 0
+    assert "--at: angle = 180 deg (3.142 rad)" in messages
+    assert "--limits: torque = -6000:6000 mN*m (-6:6 N m)" in messages
+    at = json.loads((tmp_path / "held" / "design.json").read_text())["at"]
+    assert at == {"angle": pytest.approx(np.pi)}
+
+
+def test_a_swing_up_without_a_place_to_hang_names_options_of_the_verb(model, tmp_path, capsys):
+    code, _, messages = tustinnet(
+        capsys, "control", model, "--at", "angle=0", "--swing-up", *LIMITS, "--out", tmp_path / "x"
+    )
+    assert code == 1
+    assert "name the start and the goal: --at and --to" in messages

@@ -115,7 +115,7 @@ def test_matrices_are_about_the_operating_point_that_is_named(
     model, out, capsys, refused, monkeypatch
 ):
     monkeypatch.setitem(TARGETS.places, "mat", Matrices())
-    given = ("export", model, "--to", "mat", "--at", "angle=0.5, torque=-1", "--out", out)
+    given = ("export", model, "--to", "mat", "--at", "angle=0.5rad, torque=-1", "--out", out)
     code, _, err = tustinnet(capsys, *given)
     assert code == 0, err
     read = loadmat(out / "linear.mat")

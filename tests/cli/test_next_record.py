@@ -16,7 +16,7 @@ seconds = 2
 [[proposals]]
 name = "a fall"
 seconds = 2
-start = { angle = 2.0, angle_dot = -0.5 }
+start = { angle = 115, angle_dot = "-0.5 rad/s" }
 [[proposals]]
 name = "driven"
 inputs = "driven.csv"
@@ -54,6 +54,8 @@ def test_an_identified_system_wants_what_shrinks_its_errors(place, capsys):
     assert list(values.values()) == sorted(values.values(), reverse=True)
     assert values["at rest"] == pytest.approx(0, abs=1e-6)
     assert values["a fall"] > 0.01
+    said = "proposal 'a fall', start: angle = 115 deg (2.007 rad), angle_dot = -0.5 rad/s"
+    assert said in err.replace("\n", " ")
     # only a torque says something of the gain
     words = {of["name"]: of["words"] for of in found["proposals"]}
     assert words["driven"].startswith("error of gain to ")
@@ -89,7 +91,8 @@ def test_a_committee_wants_what_its_members_differ_on(run_folder, proposals, tmp
         (("a fall", "driven", 1), "two proposals 'driven'"),
         (("seconds = 2", "secnods = 2", 1), "did you mean 'seconds'?"),
         (("seconds = 2", "seconds = 99999", 1), "at most 1000000; fewer seconds"),
-        (("start = { angle = 2.0", "start = { angle = 1e300", 1), "less than or equal to 1000000"),
+        (("start = { angle = 115", "start = { angle = 1e300", 1), "at most 1e+06 rad or m"),
+        (("start = { angle = 115", 'start = { angle = "115 mm"', 1), "'mm' is not a unit of"),
     ],
 )
 def test_proposals_that_are_none_are_one_line(change, told, place, capsys):
@@ -102,10 +105,10 @@ def test_what_cannot_be_asked_is_one_line(place, run_folder, tmp_path, capsys):
     given = (place.model, place.proposals)
     table = place.proposals.parent / "driven.csv"
     table.write_text(table.read_text().replace("torque", "voltage"))
-    refuse(capsys, "no column 'torque', only voltage; expected the model's inputs: torque", *given,
+    refuse(capsys, "columns voltage; expected the model's inputs: torque", *given,
            "--system", place.system)  # fmt: skip
     table.write_text("torque,brake\n1,2\n1,2\n")
-    refuse(capsys, "'brake', which is no input", *given, "--system", place.system)
+    refuse(capsys, "columns torque, brake; expected", *given, "--system", place.system)
     table.write_text("torque\n1\n2\n")
     refuse(capsys, "--horizon: not applicable", *given, "--system", place.system, "--horizon", 1)
     network = run_folder / "model.safetensors"
@@ -254,5 +257,7 @@ def test_a_ranking_needs_a_model_and_proposals(place, capsys):
 
 def refuse(capsys, told: str, *arguments: object) -> None:
     code, out, err = tustinnet(capsys, "next-record", *arguments)
-    assert (code, out, err.count("\n")) == (1, "", 1), err
+    *understood, error = err.splitlines()
+    assert (code, out, error.startswith("error: ")) == (1, "", True), err
+    assert all("start: " in line or line.startswith("--") for line in understood), err
     assert told in err

@@ -81,7 +81,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
         ({"coordinates": [{**CART, "unit": "9**9**9**9"}]}, r"unit '9\*\*9\*\*9\*\*9' is none"),
         (
             {"coordinates": [{**CART, "unit": "mV", "velocity": {"column": "v", "unit": "mm/s"}}]},
-            "velocity unit 'mm/s' of a position in V",
+            "'mm/s' is not a unit of a quantity in V/s",
         ),
         ({"coordinates": [{**ANGLE, "unit": "counts"}]}, "'counts' needs `resolution`"),
         (
@@ -90,7 +90,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
         ),
         (
             {"coordinates": [{**ANGLE, "velocity": {"column": "v", "unit": "mm/s"}}]},
-            "coordinates.0 'angle': velocity unit 'mm/s' of a position in rad",
+            "coordinates.0 'angle': 'mm/s' is not a unit of a quantity in rad/s",
         ),
         (
             {"coordinates": [{**ANGLE, "unit": "counts", "resolution": 1e-3, "scale": 2.0}]},

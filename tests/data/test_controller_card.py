@@ -144,7 +144,10 @@ def test_a_written_folder_reads_the_same(tmp_path):
         ({"position": None}, r"loops\.0\.position: missing"),
         ({"stiffness": 1.0}, r"loops\.0\.stiffness: unknown key"),
         ({"velocity": {"column": "wanted_rate", "unit": "mm/s"}}, "mm/s"),
-        ({"position": {"column": "wanted", "unit": "mm"}}, "unit 'mm' of a set point of 'angle'"),
+        (
+            {"position": {"column": "wanted", "unit": "mm"}},
+            "'mm' is not a unit of a quantity in rad",
+        ),
     ],
 )
 def test_a_loop_that_is_wrong_is_refused_by_key(loop, words):

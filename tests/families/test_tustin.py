@@ -83,7 +83,7 @@ def test_linear_coordinates_enter_as_they_are_and_angles_by_sine_and_cosine():
         (MIXED, FORCE, 6),
         ((tn.Coordinate("a", "angular"), tn.Coordinate("b", "angular")), FORCE, 7),
         ((tn.Coordinate("a", "angular"),), (), 3),
-        ((tn.Coordinate("x", "linear"),), FORCE * 2, 4),
+        ((tn.Coordinate("x", "linear"),), (*FORCE, tn.Input("brake", "N")), 4),
     ],
 )
 def test_any_number_of_coordinates_and_inputs(coordinates, inputs, count):

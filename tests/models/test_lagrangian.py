@@ -198,7 +198,7 @@ def test_a_function_that_is_not_written_with_jax_is_refused_with_what_to_do():
 @pytest.mark.parametrize("what", ["parameters", "coordinates", "inputs"])
 def test_a_name_that_is_given_twice_is_refused(what):
     listed = getattr(FURUTA, what)
-    with pytest.raises(tn.InputError, match=f"furuta': two {what} '{listed[0].name}'"):
+    with pytest.raises(tn.InputError, match=f"two .* '{listed[0].name}'"):
         replace(FURUTA, **{what: (*listed, listed[0])})
 
 

@@ -30,6 +30,7 @@ from tustinnet.export.javascript import MODULE, TARGET
 from tustinnet.export.source import make_source
 from tustinnet.models.kinematics import parent_indices
 from tustinnet.report.page import content, write
+from tustinnet.report.page import controller as controller_page
 from tustinnet.report.page.signals import bounded, pack, thin
 from tustinnet.simulate.range import Range, training_support
 from tustinnet.store.header import read_header
@@ -469,3 +470,8 @@ def test_models_that_would_fill_the_page_stay_out_of_the_playground(
     text = file.read_text(encoding="utf-8")
     assert numbers_in(text)["exported"] == [0]
     assert "second: not in the playground: its size: " in text
+
+
+def test_a_closed_loop_without_any_estimate_near_it_has_no_error_and_no_warning():
+    assert np.isnan(controller_page._rms(np.full((5, 2), np.nan)))
+    assert controller_page._rms(np.array([[np.nan, 3.0], [-3.0, np.nan]])) == 3.0

@@ -10,7 +10,7 @@ from every_family import example
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.simulate.filtering import FilterNoise, FilterResult, kalman_filter
+from tustinnet.simulate.filtering import FilterNoise, FilterResult, KalmanFilter, kalman_filter
 
 COUNT = 1e-3  # standard deviation of the measured angle [rad]
 LINEAR = "linear"
@@ -85,3 +85,17 @@ def test_what_it_cannot_compute_with_is_refused(change, message):
 def test_a_record_of_another_system_is_refused():
     with pytest.raises(InputError, match="coordinates"):
         kalman_filter(example("qube"), run()[1], np.zeros(4), noise(4))
+
+
+def test_an_estimate_that_diverges_is_not_warned_of_at_every_step():
+    """Of a plant that has fallen over; who uses the estimate sees that it is not finite."""
+    steep = 1e200 * np.eye(2)
+    kalman = KalmanFilter(
+        lambda x, u: (steep @ x, steep, np.zeros((2, 1))),
+        FilterNoise(np.ones(2), np.ones(2), np.ones(1)),
+    )  # fmt: skip
+    kalman.restart(np.ones(2))
+    for _ in range(3):
+        kalman.correct(np.ones(1))
+        kalman.predict(np.zeros(1))
+    assert not np.isfinite(kalman.x).all()

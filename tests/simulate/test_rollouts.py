@@ -147,3 +147,29 @@ def test_a_layer_that_acts_twice_has_the_gradient_of_both():
     )
     for ours, expected in pairs:
         np.testing.assert_allclose(ours, expected, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("hold", ["zero-order", "first-order", "band-limited"])
+def test_constants_of_numpy_in_a_system_work_with_every_hold(hold):
+    """Their double precision is that of the state, not of the model without parameters in it."""
+    gravity = np.array([1.2])
+    inputs = [tn.Input("torque", "N m", hold)]
+    system = tn.LagrangianSystem(
+        "swing", (tn.Coordinate("angle", "angular"),), (tn.Input("torque", "N m"),),
+        (tn.Parameter("inertia", "kg m^2", 0.1, 0.01, 1.0),),
+        kinetic=lambda q, v, p: 0.5 * p["inertia"] * v[0] ** 2,
+        potential=lambda q, p: -gravity[0] * jnp.cos(q[0]),
+        dissipation=lambda q, v, p: 0.01 * gravity * v,
+        input_map=lambda q, v, u, p: u,
+    )  # fmt: skip
+    model = tn.discretise(system.model({"inertia": jnp.asarray(0.1)}), 0.02, inputs=inputs)
+    record = tn.from_arrays(
+        np.linspace(0, 1e-3, 61)[:, None], np.sin(np.arange(61.0))[:, None], dt=0.02,
+        coordinates={"angle": "angular"}, inputs=inputs,
+    )  # fmt: skip
+    signal = tn.input_signal(model, record)
+    states = np.asarray(tn.rollout(model, np.array([0.1, 0.0]), signal))
+    x = jnp.array([0.1, 0.0])
+    for k, u in enumerate(signal.u):
+        x = model.step(x, jnp.asarray(u))
+        np.testing.assert_allclose(states[k + 1], x, atol=1e-9)

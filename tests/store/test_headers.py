@@ -16,7 +16,7 @@ from tustinnet.cli.main import run
 from tustinnet.errors import InputError
 from tustinnet.fitting.report import data_header
 from tustinnet.models.sizes import MOST_LAYERS
-from tustinnet.store.header import check_header, find_fitted, read_header
+from tustinnet.store.header import check_header, columns_in_header, find_fitted, read_header
 
 
 @pytest.fixture
@@ -166,3 +166,22 @@ def test_other_rows_of_a_file_that_a_model_was_fitted_to_are_another_record(
         del data["records"][0]["rows"]
     judged = replace(whole[first:stop], name="fresh")
     assert find_fitted({"data": data}, [judged]) == (["fresh"] if is_fitted else [])
+
+
+def test_a_name_that_is_given_twice_is_refused_where_channels_are_made():
+    """By the rule that headers have, so that whatever is saved can be loaded."""
+    angle, torque = tn.Coordinate("angle", "angular"), tn.Input("angle", "N m")
+    with pytest.raises(tn.InputError, match="two channels are called 'angle'"):
+        tn.Channels((angle,), (torque,))
+    with pytest.raises(tn.InputError, match="two channels are called 'angle'"):
+        tn.from_arrays(
+            np.zeros((9, 1)), np.zeros((9, 1)), dt=0.1, coordinates=[angle], inputs=[torque]
+        )
+
+
+def test_units_of_columns_are_those_of_the_records_also_of_a_committees_parts():
+    column = {"angle": ["deg", 0.0175]}
+    header = {"data": {"columns": column}}
+    assert columns_in_header(header)["angle"] == ("deg", 0.0175)
+    assert columns_in_header({"files": [header, {}]})["angle"].name == "deg"
+    assert columns_in_header({"data": {"name": "older"}}) == {}

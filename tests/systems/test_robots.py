@@ -726,6 +726,56 @@ def test_limits_of_joints_are_those_of_a_file_of_mujoco(tmp_path):
     assert pole == MotionLimits(force=2.0)
 
 
+@pytest.mark.usefixtures("unchecked")
+def test_values_by_name_are_needed_where_names_alone_are_given():
+    """Of every option that is a mapping."""
+    for option in ("locked", "motor_constants", "per", "elastic", "backlash", "encoders", "ranges"):
+        with pytest.raises(InputError, match=r"\['elbow'\]; expected a value by name, as"):
+            tn.load_robot(ROBOTS / "scara.urdf", **{option: ["elbow"]})
+
+
+CHAIN = """<robot name="arm"><link name="base"/><link name="a"><inertial><origin xyz="{}"/>
+<mass value="1"/><inertia/></inertial></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+<limit lower="{}" upper="{}" effort="1" velocity="1"/></joint>
+{}</robot>"""
+CARRIED = """<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+</link><joint name="ab" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+MUJOCO = """<mujoco><compiler angle="radian"/><worldbody><body name="a">
+<joint name="turn" range="{} {}"/><inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/>
+<body name="b"><joint name="ab"/><inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/></body></body>
+</worldbody></mujoco>"""
+
+
+def test_exchanged_limits_and_joints_locked_outside_of_theirs_are_refused(tmp_path):
+    urdf, mujoco = tmp_path / "arm.urdf", tmp_path / "arm.xml"
+    for path, text in ((urdf, CHAIN.format("1 0 0", "{}", "{}", CARRIED)), (mujoco, MUJOCO)):
+        path.write_text(text.format(1, -1))
+        with pytest.raises(InputError, match="joint 'turn': position 1, limits 1 to -1; expected"):
+            tn.load_robot(path)
+        path.write_text(text.format(-1, 1))
+        with pytest.raises(InputError, match=r"joint 'turn': position 1\.5, limits -1 to 1"):
+            tn.load_robot(path, locked={"turn": 1.5})
+        assert len(tn.load_robot(path, locked={"turn": 1.0}).coordinates) == 1
+        path.write_text(text.format(0, 0))  # as files have it that know no limits
+        assert len(tn.load_robot(path, locked={"turn": 1.5}).coordinates) == 1
+
+
+def test_only_what_carries_no_inertia_about_its_axis_is_refused(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(CHAIN.format("0 0 0.3", -1, 1, ""))
+    with pytest.raises(InputError, match="link 'a': moves, and neither it nor what it carries"):
+        tn.load_robot(path)
+    for center, carried in (("0.1 0 0", ""), ("0 0 0.3", CARRIED)):
+        path.write_text(CHAIN.format(center, -1, 1, carried))
+        system = tn.load_robot(path)
+        model = system.model({k: jnp.asarray(x) for k, x in system.nominal().items()})
+        n = len(system.coordinates)
+        slope = model.derivative(jnp.full(2 * n, 0.1), jnp.ones(len(system.inputs)))
+        assert float(jnp.abs(slope).max()) < 1e3
+
+
 # --- files that were made to do harm ---
 
 BOMBS = {

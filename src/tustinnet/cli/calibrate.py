@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 
@@ -30,23 +31,21 @@ def calibrate(
     """
     terminal.prepare_jax()
     from tustinnet.cli.completion import ALL
-    from tustinnet.cli.request import choose_free_runs, list_input_files, load_model, load_records
-    from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
     from tustinnet.store.files import require_outputs
     from tustinnet.store.header import read_header
     from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
     from tustinnet.store.model_file import ENDINGS, copy_with_header
 
-    inputs = list_input_files(data, card, model, system)
+    inputs = request.list_input_files(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     system_copy = find_system_copy(model)
     require_copy_fits(system_copy, out.parent, [out])
-    simulator = load_model(model, system)
+    simulator = request.load_model(model, system)
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
-    runs = choose_free_runs(
-        load_records(data, card, follow_links=follow_links),
+    runs = request.choose_free_runs(
+        request.load_records(data, card, follow_links=follow_links),
         {model: simulator},
         split or ALL,
         start,

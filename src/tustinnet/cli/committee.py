@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,8 +32,6 @@ def committee(
 ) -> None:
     """Combine models into one that averages their accelerations."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import list_input_files
-    from tustinnet.errors import InputError
     from tustinnet.families.committee import committee as make_committee
     from tustinnet.simulate.range import KEY, Range, join_ranges
     from tustinnet.store.files import require_outputs
@@ -45,7 +44,7 @@ def committee(
         shares = None if weights is None else [float(part) for part in weights.split(",")]
     except ValueError:
         raise InputError("--weights", f"'{weights}'", "numbers, separated by commas") from None
-    inputs = list_input_files(None, None, *models, system)
+    inputs = request.list_input_files(None, None, *models, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     shared_system = _find_shared_system(models) if system is None else find_system(system)
     members = load_models(
@@ -74,7 +73,6 @@ def committee(
 
 def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
     """Raises an error if two files have one model: it would only count twice."""
-    from tustinnet.errors import InputError
     from tustinnet.store.checkpoint import model_digest
 
     earlier: dict[str, Path] = {}
@@ -89,10 +87,7 @@ def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
 
 def _find_shared_system(models: list[Path]) -> "SystemFile | None":
     """The system file that is stored with some of the models; different ones are refused."""
-    from tustinnet.cli.request import kept_system
-    from tustinnet.errors import InputError
-
-    copies = [copy for path in models if (copy := kept_system(path)) is not None]
+    copies = [copy for path in models if (copy := request.kept_system(path)) is not None]
     if len({copy.sha256 for copy in copies}) > 1:
         names = ", ".join(dict.fromkeys(str(copy.path) for copy in copies))
         raise InputError(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, request, terminal
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.bands import Band
@@ -44,7 +45,6 @@ def compare(
 ) -> None:
     """Compare the free runs of several models in a table and figures."""
     terminal.prepare_jax()
-    from tustinnet.errors import InputError
     from tustinnet.evaluate.scores import (
         evaluate,
         mean_rmse,

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from tustinnet.data.experiment import Experiment
 
@@ -22,7 +24,8 @@ def control(
         str,
         typer.Option(
             metavar="NAME=VALUE,..",
-            help="Positions to hold, e.g. alpha=0; with --to, positions where the motion begins.",
+            help="Positions to hold, e.g. alpha=0, alpha=90deg; a number alone is in the unit of "
+            "the data card's column. With --to, positions where the motion begins.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the controller.")],
@@ -136,12 +139,10 @@ def control(
     import sys
     import time
 
-    from tustinnet.cli import request
     from tustinnet.control.design import ControlTask, design_controller, find_rest
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import load_plant
     from tustinnet.control.trial import try_design
-    from tustinnet.errors import InputError
     from tustinnet.models.groups import model_for_groups
     from tustinnet.report.control import (
         closed_loop_figure,
@@ -159,30 +160,31 @@ def control(
     from tustinnet.store.files import lock_folder, to_json, write_into
     from tustinnet.store.header import read_header
 
-    if swing_up and to is not None:
-        raise InputError("--swing-up", "not applicable beside --to", "one of them")
+    if to is not None:
+        refuse_options({"--swing-up": swing_up}, "beside --to", "one of them")
+    elif not swing_up:
+        needed = {"--seconds": seconds, "--within": within}
+        refuse_options(needed, "without a motion", "--swing-up or --to")
+    if data is None:
+        needed = {"--card": card, "--follow-links": follow_links}
+        refuse_options(needed, "without records", "--data")
     if seconds is not None and not 0 < seconds < _LONGEST:
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
-    _refuse_without("a motion", "--swing-up or --to", swing_up or to is not None, {
-        "--seconds": seconds, "--within": within,
-    })  # fmt: skip
-    _refuse_without(
-        "records", "--data", data is not None,
-        {"--card": card, "--follow-links": follow_links or None},
-    )  # fmt: skip
     require_export_folder(out, overwrite=overwrite)
     printer = terminal.make_printer(quiet=quiet)
     loaded, header = request.load_model(model, system), read_header(model)
-    groups = request.parse_groups(group)
+    groups = request.parse_pairs("--group", group)
     simulator = model_for_groups(loaded, groups, "control")
+    values = request.OptionReader(simulator.channels, header)
     training_range = Range.from_header(header, simulator)
-    positions = request.parse_values("--at", at)
-    input_limits = request.parse_limits("--limits", limits)
+    known = None if trust_beyond else training_range
+    positions = values.read_point("--at", at, known)
+    input_limits = values.read_limits("--limits", limits)
     start = None
     if swing_up:
         start = find_rest(simulator, positions, input_limits)
     elif to is not None:
-        start, positions = positions, {**positions, **request.parse_values("--to", to)}
+        start, positions = positions, positions | values.read_point("--to", to, known)
     records: Sequence[Experiment] = ()
     if data is not None:
         records = [*request.load_records(data, card, follow_links=follow_links)]
@@ -190,13 +192,13 @@ def control(
         positions,
         start,
         seconds,
-        request.parse_quantities("--weight", weight),
+        values.read("--weight", weight),
         integral or (),
         delay,
         input_limits,
-        request.parse_limits("--within", within),
+        values.read_limits("--within", within),
         trust_beyond,
-        request.parse_values("--safe", safe),
+        values.read("--safe", safe),
     )
     with lock_folder(out):
         begin = time.perf_counter()
@@ -237,14 +239,3 @@ def control(
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
         )
-
-
-def _refuse_without(
-    what: str, needed: str, is_there: bool, given: "Mapping[str, object]"
-) -> None:  # fmt: skip
-    """Raises an error for the first option that needs something which is not there."""
-    from tustinnet.errors import InputError
-
-    for option, value in given.items():
-        if value is not None and not is_there:
-            raise InputError(option, f"not applicable without {what}", needed)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import completion, options, request, terminal
 
 _FILE, _TABLE = "folds.json", "folds.md"
 
@@ -58,8 +58,6 @@ def cross_validate(
     Every record is scored by models that were fitted without it. Records of the split test are
     left out.
     """
-    from tustinnet.cli import request
-
     request.require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.report.fits import folds_table

@@ -3,9 +3,8 @@
 import gc
 import os
 import sys
-from contextlib import suppress
 
-from tustinnet.cli.terminal import shorten_warnings, stoppable
+from tustinnet.cli.terminal import guard_streams, shorten_warnings, stoppable
 
 # of libraries of linear algebra: threads take longer to wait for one another than small matrices
 # take, thirty times as long where other programs use the cores
@@ -16,6 +15,7 @@ _COLLECTED = 20_000  # new objects; by default 700, and a tenth of the time goes
 def run() -> None:
     """Runs the command."""
     with stoppable(is_whole_process=True):
+        guard_streams()
         shorten_warnings()
         for name in _THREADS:  # before NumPy is loaded
             os.environ.setdefault(name, "1")
@@ -26,5 +26,7 @@ def run() -> None:
             command()
         finally:
             gc.freeze()  # the process ends: what it leaves need not be searched for garbage
-            with suppress(OSError, ValueError):  # nothing that was printed is lost to a late signal
+            try:  # nothing that was printed is lost to a late signal
                 sys.stdout.flush()
+            except (OSError, ValueError):  # Python would try once more, and print a traceback
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

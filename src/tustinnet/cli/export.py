@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import completion, options, request, terminal
+from tustinnet.errors import InputError
 from tustinnet.registry import TARGETS
 
 
@@ -42,18 +43,19 @@ def export(
 ) -> None:
     """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO, matrices, URDF or MJCF."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import load_model, parse_groups, parse_values
-    from tustinnet.errors import InputError
     from tustinnet.report.tables import Table
     from tustinnet.store.exported import export_model, find_targets
+    from tustinnet.store.header import read_header
 
-    groups = parse_groups(group)
+    groups = request.parse_pairs("--group", group)
     if system is not None and out.resolve() in Path(system).resolve().parents:
         raise InputError(out, f"the folder of {system}, which the command reads",
                          "another folder")  # fmt: skip
+    loaded = request.load_model(model, system)
+    values = request.OptionReader(loaded.channels, read_header(model))
+    point = values.read_point("--at", at)
     exports = export_model(
-        load_model(model, system), find_targets(to, parse_values("--at", at)), out,
-        file=model, groups=groups, overwrite=overwrite,
+        loaded, find_targets(to, point), out, file=model, groups=groups, overwrite=overwrite
     )  # fmt: skip
     if json:
         terminal.print_json([

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import completion, options, request, terminal
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -74,45 +76,40 @@ def fit(
 
     For a folder without a data card, one is drafted into --out, as by `tustinnet init --yes`.
     """
-    from tustinnet.cli.request import (
-        FitOptions,
-        find_system_to_fit,
-        load_records_to_fit,
-        require_cores,
-        require_readable_robot,
-        require_system_of_card,
-    )
-
     start_time = time.perf_counter()
-    require_cores(cluster, device)
-    require_readable_robot(system)
+    request.require_cores(cluster, device)
+    request.require_readable_robot(system)
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.init import draft_into_run
     from tustinnet.cli.select import read_options, select
     from tustinnet.data.catalog import lacks_card
-    from tustinnet.errors import InputError
 
     selects = recipe is None and physics is None and origin is None
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
             raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
-    found_system = find_system_to_fit(system, default_density)
+    found_system = request.find_system_to_fit(system, default_density)
     selection = None
     if selects:
-        for option, value in {"--set": changes, "--seeds": seeds}.items():
-            if value is not None:
-                raise InputError(option, "not applicable without a recipe", "a recipe",
-                                 "add --recipe NAME, or write a plan (--plan FILE)")  # fmt: skip
+        refuse_options(
+            {"--set": changes, "--seeds": seeds},
+            "without a recipe",
+            "a recipe",
+            "add --recipe NAME, or write a plan (--plan FILE)",
+        )
         selection = read_options(
             plan, budget, found_system, on_cluster=cluster is not None,
             leave_out_spoiled=leave_out_spoiled,
         )  # fmt: skip
     else:
-        for option, value in {"--plan": plan, "--budget": budget, "--cluster": cluster}.items():
-            if value is not None:
-                raise InputError(option, "not applicable to a single recipe", "no recipe, no model",
-                                 "omit --recipe, --physics and --from to try several")  # fmt: skip
+        of_selection = {"--plan": plan, "--budget": budget, "--cluster": cluster}
+        refuse_options(
+            of_selection,
+            "to a single recipe",
+            "no recipe, no model",
+            "omit --recipe, --physics and --from to try several",
+        )
         if resume and leave_out_spoiled:
             raise InputError(
                 "--resume, --leave-out-spoiled", "both, with a single recipe", "one of them",
@@ -120,15 +117,15 @@ def fit(
             )  # fmt: skip
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
-    require_system_of_card(found_system, data, card)
+    request.require_system_of_card(found_system, data, card)
     if card is None and lacks_card(data):
         card = draft_into_run(
             Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links
         )
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
-    fit_options = FitOptions(
+    fit_options = request.FitOptions(
         load=partial(
-            load_records_to_fit,
+            request.load_records_to_fit,
             data,
             card,
             out,
@@ -164,7 +161,6 @@ def _fit_recipe(
     start_time: float,
 ) -> None:
     """Fits one recipe, writes and prints the results, and the time since the start time."""
-    from tustinnet.cli import request
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.fitting.task import make_task
     from tustinnet.report.progress import FitProgress
@@ -244,12 +240,10 @@ def _fit_recipe(
 
 def _load_records(fit_options: "FitOptions") -> "tuple[DataSet, tuple[str, ...]]":
     """Records of a fit, and sentences on the parts left out that spoil it without a doubt."""
-    from tustinnet.cli.request import leave_out_visible
-
     records = fit_options.load()
     if not fit_options.leave_out_spoiled:
         return records, ()
-    return leave_out_visible(records, terminal.messages())
+    return request.leave_out_visible(records, terminal.messages())
 
 
 def _run_members(

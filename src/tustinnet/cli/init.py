@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 if TYPE_CHECKING:
@@ -105,7 +106,6 @@ def _load_system(which: str | None, default_density: float | None) -> "Lagrangia
 def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:
     """Prints what of a system has no column, a line each, and what a fit would then refuse."""
     from tustinnet.channels import Coordinate, Input
-    from tustinnet.errors import InputError
 
     console = terminal.messages()
     for sentence in draft.choice.missing:
@@ -213,7 +213,6 @@ def draft_into_run(
     from tustinnet.data.catalog import CARD_NAME
     from tustinnet.data.drafting.files import list_logs
     from tustinnet.data.readers import is_readable
-    from tustinnet.errors import InputError
     from tustinnet.store.files import lock_folder, require_outputs
 
     require_apart(out, folder)

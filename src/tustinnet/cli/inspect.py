@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, request, terminal
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 if TYPE_CHECKING:
@@ -56,17 +58,16 @@ def inspect(
     from tustinnet.data.loading import load_folder
     from tustinnet.data.readers import is_readable
     from tustinnet.data.spoiled import find_without_model
-    from tustinnet.errors import InputError
 
     if is_readable(Path(data)) and not Path(data).is_dir():
         others = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
                   "--overwrite": overwrite, "--follow-links": follow_links}  # fmt: skip
-        for option, value in others.items():
-            if value:
-                raise InputError(
-                    option, f"not applicable to the single file {data}", "a folder or a card",
-                    "omit it, or write a card first",
-                )  # fmt: skip
+        refuse_options(
+            others,
+            f"to the single file {data}",
+            "a folder or a card",
+            "omit it, or write a card first",
+        )
         _inspect_file(Path(data), json=json)
         return
     inputs = request.list_input_files(data, card)
@@ -242,8 +243,6 @@ def spoiled_lines(
 
 def require_sound(findings: "Iterable[Finding]") -> None:
     """Raises an error with the first severe finding or warning, if there are any."""
-    from tustinnet.errors import InputError
-
     for finding in findings:
         if finding.is_serious:
             where = f"record '{finding.records[0]}'" if finding.records else "records"

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from tustinnet.selection.cross_validation import CrossValidationOptions
@@ -66,12 +68,6 @@ def learning_curve(
     Models are fitted to more and more records and scored on records that were left out.
     """
     terminal.prepare_jax(device)
-    from tustinnet.cli.request import (
-        list_input_files,
-        load_records_to_fit,
-        print_still_coordinates,
-    )
-    from tustinnet.errors import InputError
     from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.folds import records_without_test
@@ -94,12 +90,12 @@ def learning_curve(
     )  # fmt: skip
     console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
-    inputs = list_input_files(data, card, system)
+    inputs = request.list_input_files(data, card, system)
     require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = load_records_to_fit(
+    data_set = request.load_records_to_fit(
         data, card, out, console, strict=strict, follow_links=follow_links
     )
-    print_still_coordinates(records_without_test(data_set), console)
+    request.print_still_coordinates(records_without_test(data_set), console)
     draw_records(data_set, curve_options)  # raises at once where there are too few records
     with lock_folder(out):
         with FitProgress(console, quiet=quiet) as progress:
@@ -124,7 +120,6 @@ def _make_system_options(
     system: str | None, physics: str | None, hybrid: str | None, twin: Values | None
 ) -> "CrossValidationOptions | None":
     """Options of the approaches that use a system; None without a system."""
-    from tustinnet.errors import InputError
     from tustinnet.fitting.recipe_reading import read_recipe
     from tustinnet.selection.cross_validation import make_cross_validation_options
     from tustinnet.systems.files import find_system
@@ -135,8 +130,6 @@ def _make_system_options(
             raise InputError("--hybrid", f"a recipe of kind '{recipe.family.kind}'",
                              "a recipe that corrects physics")  # fmt: skip
         return make_cross_validation_options(recipe, system=find_system(system), physics=physics)
-    for option, value in (("--physics", physics), ("--hybrid", hybrid), ("--twin", twin)):
-        if value is not None:
-            raise InputError(option, "not applicable without a system", "a system",
-                             "add --system NAME|FILE.py")  # fmt: skip
+    needed = {"--physics": physics, "--hybrid": hybrid, "--twin": twin}
+    refuse_options(needed, "without a system", "a system", "add --system NAME|FILE.py")
     return None

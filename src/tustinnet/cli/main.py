@@ -69,7 +69,10 @@ def tustinnet(
 def run(arguments: list[str] | None = None) -> None:
     """Runs the command; bad input ends as one line on standard error and exit code 1."""
     try:
-        app(arguments, prog_name=app.info.name)  # also as python -m tustinnet
+        try:
+            app(arguments, prog_name=app.info.name)  # also as python -m tustinnet
+        finally:
+            sys.stdout.flush()  # an error of which is said
     except InputError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(terminal.exit_code(1))

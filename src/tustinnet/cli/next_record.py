@@ -2,11 +2,13 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -132,86 +134,30 @@ def next_record(
     With --design: a periodic motion of a robot, within limits, that makes the errors of its
     parameters smallest, for a model or for a robot's file alone (--system arm.urdf).
     """
-    from tustinnet.errors import InputError
-
+    given = {
+        "seconds": seconds, "harmonics": harmonics, "frequency": frequency, "margin": margin,
+        "noise": noise, "starts": starts, "seed": seed,
+    }  # fmt: skip
     if not design:
         if model is None or proposals is None:
             raise typer.BadParameter(
                 "missing; a model and a file of proposals, or --design",
                 param_hint="MODEL" if model is None else "PROPOSALS",
             )
-        for option, value in {
-            "--out": out, "--seconds": seconds, "--harmonics": harmonics, "--frequency": frequency,
-            "--rate": rate, "--within": within, "--limits": limits, "--margin": margin,
-            "--noise": noise, "--group": group, "--starts": starts, "--seed": seed,
-            "--budget": budget, "--overwrite": overwrite or None, "--quiet": quiet or None,
-        }.items():  # fmt: skip
-            if value is not None:
-                raise InputError(option, "not applicable to a ranking of proposals", "--design")
+        others = {f"--{key}": value for key, value in given.items()}
+        others |= {
+            "--out": out, "--rate": rate, "--within": within, "--limits": limits,
+            "--group": group, "--budget": budget, "--overwrite": overwrite, "--quiet": quiet,
+        }  # fmt: skip
+        refuse_options(others, "to a ranking of proposals", "--design")
         _rank(model, proposals, horizon, system, json=json)
         return
-    if proposals is not None or horizon is not None:
-        name = "PROPOSALS" if proposals is not None else "--horizon"
-        raise InputError(name, "not applicable to a design", "MODEL, --system, or both",
-                         "omit it, or omit --design")  # fmt: skip
+    needless = {"PROPOSALS": proposals, "--horizon": horizon}
+    refuse_options(needless, "to a design", "MODEL, --system, or both", "or omit --design")
     if out is None:
         raise InputError("--design", "no folder for the motion", "--out DIR")
-    given = {
-        "seconds": seconds, "harmonics": harmonics, "frequency": frequency, "margin": margin,
-        "noise": noise, "starts": starts, "seed": seed,
-    }  # fmt: skip
-    _design(
-        model, out, system, {key: value for key, value in given.items() if value is not None},
-        rate, within, limits, group, budget, overwrite=overwrite, json=json, quiet=quiet,
-    )  # fmt: skip
-
-
-def _rank(
-    model: Path, proposals: Path, horizon: float | None, system: str | None, *, json: bool
-) -> None:
-    """Ranks proposed records."""
     terminal.prepare_jax()
-    from tustinnet.cli.request import load_model
-    from tustinnet.data.proposals import read_proposals
-    from tustinnet.evaluate.bands import find_alternatives
-    from tustinnet.evaluate.next_record import rank_proposals
-    from tustinnet.report.tables import Table, number
-    from tustinnet.store.header import read_header
-
-    simulator, header = load_model(model, system), read_header(model)
-    # raises at once where the errors of the model are unknown
-    find_alternatives(simulator, header, model)
-    candidates = read_proposals(proposals, simulator.channels)
-    ranking = rank_proposals(simulator, header, candidates, horizon=horizon)
-    if json:
-        terminal.print_json(ranking.as_plain())
-        return
-    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.gains]
-    columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
-    terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
-    typer.echo(f"record next: {ranking.gains[0].name}")
-
-
-def _design(
-    model: Path | None,
-    out: Path,
-    system: str | None,
-    given: dict[str, Any],
-    rate: float | None,
-    within: list[str] | None,
-    limits: list[str] | None,
-    group: list[str] | None,
-    budget: str | None,
-    *,
-    overwrite: bool,
-    json: bool,
-    quiet: bool,
-) -> None:
-    """Designs a record, prints what it is worth, and writes it with a figure."""
-    terminal.prepare_jax()
-    from tustinnet.cli import request
     from tustinnet.cli.select import parse_seconds
-    from tustinnet.errors import InputError
     from tustinnet.evaluate.next_record import equations_of_motion
     from tustinnet.evaluate.record_design import (
         DesignOptions,
@@ -225,11 +171,11 @@ def _design(
     from tustinnet.store.header import read_header
     from tustinnet.systems.files import find_system, load_system
 
-    groups = request.parse_groups(group)
-    seconds = parse_seconds(budget) if budget is not None else DesignOptions.budget
-    inputs = request.list_input_files(None, None, model, system)
+    groups = request.parse_pairs("--group", group)
+    limit = parse_seconds(budget) if budget is not None else DesignOptions.budget
+    files = request.list_input_files(None, None, model, system)
     require_outputs(
-        [out / name for name in (MOTION, FIGURE, SUMMARY)], overwrite=overwrite, read=inputs
+        [out / name for name in (MOTION, FIGURE, SUMMARY)], overwrite=overwrite, read=files
     )
     if model is None:
         if system is None:
@@ -238,6 +184,7 @@ def _design(
         equations = load_system(find_system(system))
         require_inputs(equations)
         knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
+        header = None
     else:
         fitted, header = request.load_model(model, system), read_header(model)
         mechanics = equations_of_motion(fitted)
@@ -251,10 +198,15 @@ def _design(
         knowledge = fitted_knowledge(mechanics, header.get("identification"), groups)
     if rate is not None and not 0 < rate <= _HIGHEST_RATE:
         raise InputError("--rate", f"{rate:g}", f"a rate above 0 and at most {_HIGHEST_RATE:g} Hz")
-    design_options = DesignOptions(dt=dt if rate is None else 1 / rate, budget=seconds, **given)
+    design_options = DesignOptions(
+        dt=dt if rate is None else 1 / rate,
+        budget=limit,
+        **{key: value for key, value in given.items() if value is not None},
+    )
+    values = request.OptionReader(channels, header)
     box = gather_limits(
-        equations, request.parse_limits("--within", within),
-        request.parse_limits("--limits", limits), channels,
+        equations, values.read_limits("--within", within), values.read_limits("--limits", limits),
+        channels,
     )  # fmt: skip
     with lock_folder(out):
         result = design_record(
@@ -262,6 +214,32 @@ def _design(
             on_progress=_make_listener(terminal.make_printer(quiet=quiet)),
         )  # fmt: skip
         _write(result, out, json=json)
+
+
+def _rank(
+    model: Path, proposals: Path, horizon: float | None, system: str | None, *, json: bool
+) -> None:
+    """Ranks proposed records."""
+    terminal.prepare_jax()
+    from tustinnet.data.proposals import read_proposals
+    from tustinnet.evaluate.bands import find_alternatives
+    from tustinnet.evaluate.next_record import rank_proposals
+    from tustinnet.report.tables import Table, number
+    from tustinnet.store.header import read_header
+
+    simulator, header = request.load_model(model, system), read_header(model)
+    values = request.OptionReader(simulator.channels, header).values
+    # raises at once where the errors of the model are unknown
+    find_alternatives(simulator, header, model)
+    candidates = read_proposals(proposals, simulator.channels, values)
+    ranking = rank_proposals(simulator, header, candidates, horizon=horizon)
+    if json:
+        terminal.print_json(ranking.as_plain())
+        return
+    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.gains]
+    columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
+    terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
+    typer.echo(f"record next: {ranking.gains[0].name}")
 
 
 def _make_listener(printer: "Callable[[str], None]") -> "Callable[[DesignProgress], None]":

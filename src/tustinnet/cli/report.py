@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import completion, options, request, terminal
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,7 +46,6 @@ def report(
     """Write an HTML page about a model: animation, scores, errors."""
     terminal.prepare_jax()
     from tustinnet.cli.automatic_report import report_command
-    from tustinnet.cli.request import choose_free_runs, kept_system, list_input_files, load_records
     from tustinnet.report.page.reported_model import model_file, read_reported_models
     from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
@@ -53,7 +53,7 @@ def report(
     from tustinnet.systems.files import find_system, load_system
 
     files = [model_file(path) for path in models]
-    inputs = list_input_files(data, card, *files, *(system or []))
+    inputs = request.list_input_files(data, card, *files, *(system or []))
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     systems = [find_system(name) for name in system or []]
     model_systems = {read_system_name(file) for file in files}
@@ -62,11 +62,11 @@ def report(
     drawing: list[SystemFile | str] = []
     for file in systems:
         (restoring if load_system(file).name in model_systems else drawing).append(file)
-    loaded_models = load_models(files, restoring, kept_system)
+    loaded_models = load_models(files, restoring, request.kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
     by_file = dict(zip(files, loaded_models, strict=True))
-    runs = choose_free_runs(
-        load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
+    runs = request.choose_free_runs(
+        request.load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
     )
     command = report_command(models, data, out, {
         "--split": split, "--start": start, "--horizon": horizon, "--card": card,
@@ -84,7 +84,6 @@ def _choose_links(
     coordinates: "Sequence[Coordinate]",
 ) -> "tuple[Link, ...]":  # fmt: skip
     """The links of a system that is named only to draw the mechanism of models without links."""
-    from tustinnet.errors import InputError
     from tustinnet.families.family import family_of
     from tustinnet.systems.files import load_system
 

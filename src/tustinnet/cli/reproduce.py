@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
+from tustinnet.errors import InputError
 from tustinnet.reproduce.entries import ALL_MODELS, EXTRA_MODELS
 
 _TABLES = ("table1.json", "table1.md", "table1.tex")
@@ -77,10 +78,8 @@ def reproduce(
     """
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport, require_report
-    from tustinnet.cli.request import require_apart
     from tustinnet.data.catalog import QUBE_SERVO2, locate
     from tustinnet.data.loading import load_folder
-    from tustinnet.errors import InputError
     from tustinnet.report.progress import FitProgress
     from tustinnet.reproduce import figures, table1
     from tustinnet.reproduce.page import choose_reported_rows, write_rows_report
@@ -99,7 +98,7 @@ def reproduce(
     model_names, remark = table1.choose_models(models or (), folder)
     figure_record = figures.choose_experiment(records, scored_split, experiment)
     runs = out / "runs"
-    require_apart(out, folder)
+    request.require_apart(out, folder)
     if not runs.is_dir() and not table1.is_table(out / _TABLES[0]):
         require_outputs([out / name for name in (*_TABLES, REPORT)], overwrite=overwrite)
     console.print(f"data: {folder}; scoring the {scored_split} split, start '{table1.START}'")

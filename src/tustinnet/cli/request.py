@@ -1,7 +1,6 @@
 """The values that verbs make of their arguments: records, recipes, models, bands."""
 
 import math
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -10,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
+from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tustinnet.channels import Channels
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
@@ -25,14 +26,12 @@ if TYPE_CHECKING:
     from tustinnet.fitting.task import Member, Origin
     from tustinnet.models.contract import Model
     from tustinnet.selection.runner import MakeExecutor
+    from tustinnet.simulate.range import Range
     from tustinnet.store.run import Earlier
     from tustinnet.systems.files import AnySystem, SystemFile
 
 _MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
 _MAX_NAMED = 6  # records that a note names
-_QUANTITY = re.compile(
-    r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf) *(?P<unit>.*)", re.IGNORECASE
-)
 
 
 @dataclass(frozen=True)
@@ -62,10 +61,8 @@ class FitOptions:
 
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
     """Raises an error if jobs of a cluster are to compute on another device than processors."""
-    from tustinnet.errors import InputError
-
-    if cluster is not None and device is not None and device.value != "cpu":
-        raise InputError(f"--device {device.value}", "not applicable to jobs on a cluster",
+    if cluster is not None and device not in (None, "cpu"):
+        raise InputError(f"--device {device}", "not applicable to jobs on a cluster",
                          "cpu", "omit the option")  # fmt: skip
 
 
@@ -97,7 +94,6 @@ def choose_recipe(
 
 def read_recipe_in(model: Path) -> "Mapping[str, Any]":
     """Reads the recipe that is stored in a model file; raises an error if it has none."""
-    from tustinnet.errors import InputError
     from tustinnet.store.header import read_header
 
     header = read_header(model)
@@ -118,7 +114,6 @@ def read_origin(
     Raises:
         InputError: `--set` changes the same initial values; see also `load_model`.
     """
-    from tustinnet.errors import InputError
     from tustinnet.store.model_file import load_origin
 
     for change in changes or ():
@@ -134,7 +129,6 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
     Raises:
         InputError: seeds of an identification; see also `parse_seeds`.
     """
-    from tustinnet.errors import InputError
     from tustinnet.fitting.task import Member
 
     if seeds is not None and not recipe.family.has_seeds:
@@ -142,25 +136,19 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
             "--seeds", f"an option of a training; '{recipe.name}' identifies",
             "a recipe of a kind with weights", "an identification has no seeds",
         )  # fmt: skip
-    return [Member(seed) for seed in parse_seeds(seeds)]
+    return [Member(seed) for seed in parse_seeds("1" if seeds is None else seeds)]
 
 
-def parse_seeds(text: str | None) -> tuple[int, ...]:
+def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds from the value of `--seeds`: `K` for the seeds 0 to K - 1, or a list."""
-    from tustinnet.errors import InputError
-
     try:
-        numbers = [int(x) for x in ("1" if text is None else text).split(",") if x.strip()]
+        seeds = tuple(int(x) for x in text.split(",") if x.strip())
     except ValueError:
-        numbers = []
-    is_list = text is not None and "," in text
-    count = min(*numbers, _MAX_SEEDS + 1) if numbers else 0
-    seeds = tuple(numbers if is_list else range(count))
-    if (
-        not 0 < len(seeds) <= _MAX_SEEDS
-        or not 0 <= min(seeds) <= max(seeds) <= _LARGEST_SEED
-        or len(set(seeds)) < len(seeds)
-    ):
+        seeds = ()
+    if seeds and "," not in text:
+        seeds = tuple(range(min(*seeds, _MAX_SEEDS + 1)))
+    different = {seed for seed in seeds if 0 <= seed <= _LARGEST_SEED}
+    if not 0 < len(different) == len(seeds) <= _MAX_SEEDS:
         raise InputError(
             "--seeds", f"'{text}'",
             f"a number from 1 to {_MAX_SEEDS}, or different seeds, separated by commas",
@@ -238,8 +226,6 @@ def load_records(
 
 def require_apart(out: Path, folder: Path) -> None:
     """Raises an error if the folder for results is the folder of the data."""
-    from tustinnet.errors import InputError
-
     if out.resolve() == folder.resolve():
         raise InputError(out, "the folder of the data", "another folder for the run")
 
@@ -248,7 +234,6 @@ def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) 
     """Raises an error if files that are written would be read as records of the data."""
     from tustinnet.data.card_files import would_be_record
     from tustinnet.data.catalog import locate
-    from tustinnet.errors import InputError
 
     folder, located_card = locate(data, card)
     for path in paths:
@@ -283,7 +268,6 @@ def require_figures(
         inputs: files that the verb reads, which are never replaced.
         overwrite: whether existing files may be replaced.
     """
-    from tustinnet.errors import InputError
     from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, require_writable_folder
 
     if paths is not None:
@@ -347,7 +331,6 @@ def find_system_to_fit(
     Raises:
         InputError: no such system, or a density for what is no robot.
     """
-    from tustinnet.errors import InputError
     from tustinnet.systems.files import find_system
 
     file = None if system is None else find_system(system)
@@ -374,7 +357,6 @@ def load_model(path: Path, system: str | None) -> "Model":
 
 def kept_system(model: Path) -> "SystemFile | None":
     """The system file that is stored with a model; raises an error unless the user trusts it."""
-    from tustinnet.errors import InputError
     from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
 
     copy = find_system_copy(model)
@@ -524,7 +506,6 @@ def compute_bands(
 
 def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | None":
     """Makes the options of bands from `--band` and `--whole-records`; None without bands."""
-    from tustinnet.errors import InputError
     from tustinnet.evaluate.bands import BandOptions, require_share
 
     if level is None:
@@ -535,71 +516,63 @@ def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | Non
     return BandOptions(level, "record" if whole else "time")
 
 
-def parse_groups(pairs: Sequence[str] | None) -> dict[str, str]:
-    """The groups of a model that `--group NAME=VALUE` names."""
-    from tustinnet.errors import InputError
-
-    groups = dict(pair.split("=", 1) for pair in pairs or [] if "=" in pair)
-    if len(groups) < len(pairs or []):
-        raise InputError("--group", f"'{', '.join(pairs or [])}'", "NAME=VALUE, each name once")
-    return groups
-
-
-def parse_values(option: str, text: str | None) -> dict[str, float]:
-    """Values by name, written as `NAME=VALUE,..`; empty without the option."""
-    from tustinnet.errors import InputError
-
-    pairs = [] if text is None else [pair.partition("=") for pair in text.split(",")]
-    try:
-        values = {name.strip(): float(value) for name, _, value in pairs}
-    except ValueError:
-        values = {}
-    if len(values) < len(pairs):
-        raise InputError(
-            option, f"'{text}'", "NAME=VALUE, separated by commas, each name once",
-            f"for instance {option} theta=0.1,der_theta=0",
-        )  # fmt: skip
-    return values
+def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, str]:
+    """Texts by name, each written as `NAME=VALUE`; empty without the option."""
+    parts = [pair.partition("=") for pair in pairs or ()]
+    texts = {name.strip(): value.strip() for name, _, value in parts}
+    if len(texts) < len(parts) or not all(name and value for name, value in texts.items()):
+        raise InputError(option, f"'{', '.join(pairs or ())}'", "NAME=VALUE, each name once")
+    return texts
 
 
-def parse_quantities(option: str, pairs: Sequence[str] | None) -> dict[str, float]:
-    """Values by name in SI units, each written as `NAME=VALUE` with or without a unit."""
-    from tustinnet.data.units import convert_to_si
-    from tustinnet.errors import InputError
+class OptionReader:
+    """Reads options with values of coordinates and inputs, and prints what was understood.
 
-    values: dict[str, float] = {}
-    for pair in pairs or ():
-        name, _, text = pair.partition("=")
-        parts = _QUANTITY.fullmatch(text.strip())
-        try:
-            factor = convert_to_si(parts["unit"])[0] if parts and parts["unit"] else 1.0
-        except ValueError:
-            parts, factor = None, 1.0
-        if parts is None or name.strip() in values:
-            raise InputError(
-                f"{option} {pair}", "it is not understood", "NAME=VALUE, each name once",
-                f"for instance {option} theta=0.1, {option} theta=5deg",
-            )  # fmt: skip
-        values[name.strip()] = factor * float(parts["number"])
-    return values
+    Args:
+        channels: the channels of the model or system.
+        header: the header of the model's file, which knows the columns; None without a file.
+    """
 
+    def __init__(self, channels: "Channels", header: "Mapping[str, Any] | None") -> None:
+        from tustinnet.data.quantities import ValueReader
+        from tustinnet.store.header import columns_in_header
 
-def parse_limits(option: str, pairs: Sequence[str] | None) -> dict[str, tuple[float, float]]:
-    """Lower and upper limits by name, each written as `NAME=LOW:HIGH`."""
-    from tustinnet.errors import InputError
+        self._coordinates = channels.coordinates
+        columns = columns_in_header(header or {})
+        self.values = ValueReader(channels, columns, terminal.messages().print)
 
-    limits: dict[str, tuple[float, float]] = {}
-    for pair in pairs or ():
-        name, _, text = pair.partition("=")
-        try:
-            low, high = (float(end) for end in text.split(":"))
-        except ValueError:
-            low, high = 0.0, 0.0
-        if not low < high or name.strip() in limits:
-            raise InputError(
-                f"{option} {pair}", "it is not understood",
-                "NAME=LOW:HIGH, the smaller number first, each name once",
-                f"for instance {option} voltage=-10:10",
-            )  # fmt: skip
-        limits[name.strip()] = (low, high)
-    return limits
+    def read(self, option: str, pairs: Sequence[str] | None) -> dict[str, float]:
+        """Values by name, each written as `NAME=VALUE` with or without a unit."""
+        read = self.values.read(option, parse_pairs(option, pairs))
+        return {name: value for name, (value,) in read.items()}
+
+    def read_limits(self, option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
+        """Lower and upper limits by name, each written as `NAME=LOW:HIGH`."""
+        return self.values.read(option, parse_pairs(option, pairs), 2)
+
+    def read_point(
+        self, option: str, text: str | None, training_range: "Range | None" = None
+    ) -> dict[str, float]:
+        """Values by name, written as `NAME=VALUE,..`; raises an error far from the records.
+
+        That is by more than the recorded span or, of an angle, half a turn: all its directions are
+        within that of a recorded one.
+
+        Args:
+            option: the option.
+            text: its value, None without the option.
+            training_range: range of the training records; None to take any positions.
+        """
+        point = self.read(option, text and text.split(","))
+        ends = () if training_range is None else training_range.states
+        for c, (low, high) in zip(self._coordinates, ends, strict=False):
+            reach = max(high - low, math.pi if c.kind == "angular" else 0.0)
+            if not low - reach <= point.get(c.name, low) <= high + reach:
+                unit, factor = self.values.units[c.name][1]
+                raise InputError(
+                    f"{option} {c.name} = {point[c.name] / factor:.6g} {unit}",
+                    "far outside of the recorded motion",
+                    f"about {low / factor:.4g} to {high / factor:.4g} {unit}, as recorded",
+                    "check the unit, or add --trust-beyond",
+                )
+        return point

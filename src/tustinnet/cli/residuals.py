@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
@@ -39,7 +39,6 @@ def residuals(
     99 % bounds.
     """
     terminal.prepare_jax()
-    from tustinnet.cli import request
     from tustinnet.evaluate.residuals import residual_reports
     from tustinnet.report.residuals import downweighted_table, residual_figure
     from tustinnet.simulate.horizon import horizon_words

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from tustinnet.cli import terminal
+from tustinnet.cli import request, terminal
 from tustinnet.cli.completion import ALL
+from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
     from tustinnet.cli.request import FitOptions
@@ -25,8 +26,6 @@ _NO_BUDGET = "none"
 
 def parse_seconds(budget: str) -> float | None:
     """Seconds of a time such as `90`, `90s`, `10min`, `1.5h`; None for `none`."""
-    from tustinnet.errors import InputError
-
     if budget.strip() == _NO_BUDGET:
         return None
     match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", budget.strip())
@@ -72,7 +71,6 @@ def select(
     Without a cluster this process is used. A budget that nobody named is said.
     """
     from tustinnet.cli.automatic_report import after_model, require_report
-    from tustinnet.cli.request import open_cluster
     from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import next_steps
@@ -90,7 +88,7 @@ def select(
         reporter = make_reporter(progress, quiet=quiet)
         with (
             terminal.interruptible("--resume continues with what is done"),
-            open_cluster(cluster_address, reporter.on_message) as executor,
+            request.open_cluster(cluster_address, reporter.on_message) as executor,
         ):
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor

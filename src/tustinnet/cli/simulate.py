@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import options, request, terminal
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.bands import Band
@@ -37,7 +37,6 @@ def simulate(
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
     terminal.prepare_jax()
-    from tustinnet.cli import request
     from tustinnet.evaluate.scores import evaluate
     from tustinnet.report.extrapolation import describe_extrapolation, extrapolation_content
     from tustinnet.report.tables import Table, number

@@ -11,6 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from tustinnet.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -79,7 +81,6 @@ def confirm(question: str) -> bool:
 
 def remember_trust(system: "SystemFile") -> None:
     """Remembers that the user ran this file, so that a kept copy is run without a question."""
-    from tustinnet.errors import InputError
     from tustinnet.store.kept_system import trust
 
     try:
@@ -194,6 +195,49 @@ def shorten_warnings() -> None:
     warnings.showwarning = show
 
 
+class _Output:
+    """Standard output; where it cannot be written, the command ends with one line.
+
+    Args:
+        stream: the standard output of the process.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Writes a text."""
+        return self._attempt(self._stream.write, text)
+
+    def flush(self) -> None:
+        """Writes what is buffered."""
+        self._attempt(self._stream.flush)
+
+    def _attempt(self, act: Callable[..., Any], *arguments: str) -> Any:
+        try:
+            return act(*arguments)
+        except OSError as error:
+            raise InputError(
+                "standard output", f"cannot be written ({error.strerror})", "one that takes all"
+            ) from None
+
+
+def guard_streams() -> None:
+    """Ends the command with one line where standard output is closed, full, or no longer read.
+
+    Characters that the terminal's encoding does not have are written as escapes.
+    """
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (for good)
+    if sys.stdout is None:
+        sys.exit("error: standard output: closed; expected an open one, or > /dev/null")
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]
+    sys.stdout = _Output(sys.stdout)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def prepare_jax(device: str | None = None) -> None:
     """Sets JAX up: double precision, a device for each core, a cache of compiled programs.
 
@@ -241,8 +285,6 @@ def _cache_programs() -> None:
 def _first_device(kind: str | None, source: str, remedy: str) -> Any:
     """The first device of a kind, or of any kind; an error names the source of the choice."""
     import jax
-
-    from tustinnet.errors import InputError
 
     try:
         return jax.devices(kind)[0]

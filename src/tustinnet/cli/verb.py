@@ -1,5 +1,6 @@
 """Verbs as commands: paths that name nothing, or that no file system takes, are refused by name."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from typer.core import TyperCommand
@@ -30,6 +31,20 @@ class Verb(TyperCommand):
                         if isinstance(path, str):
                             _require_path(str(name), path)
         return super().parse_args(ctx, args)
+
+
+def refuse_options(given: Mapping[str, object], case: str, expected: str, remedy: str = "") -> None:
+    """Raises an error for the first option that was given where it does not apply.
+
+    Args:
+        given: values by option; those that are None or False were not given.
+        case: the case in which they do not apply, as `without records`.
+        expected: what they need.
+        remedy: what to do.
+    """
+    for option, value in given.items():
+        if value is not None and value is not False:
+            raise InputError(option, f"not applicable {case}", expected, remedy)
 
 
 def _require_path(name: str, path: str) -> None:

@@ -381,5 +381,5 @@ def find_rest(
             return positions
     raise InputError(
         "--swing-up", f"no stable equilibrium half a turn from {', '.join(at)}",
-        "an angle that hangs at rest there", "name the start and the goal: --from and --at",
+        "an angle that hangs at rest there", "name the start and the goal: --at and --to",
     )  # fmt: skip

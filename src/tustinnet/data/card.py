@@ -19,6 +19,7 @@ from tustinnet.channels import (
     MOST_DELAY,
     SHORTEST_DT,
     Channels,
+    ColumnUnit,
     Coordinate,
     Hold,
     Input,
@@ -27,7 +28,7 @@ from tustinnet.channels import (
     PDLoop,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
-from tustinnet.data.units import TIME, convert_to_si, velocity_factor
+from tustinnet.data.units import TIME, convert, convert_to_si, velocity_factor
 
 _MOST_COLUMNS = 10**6
 _SMALLEST_FACTOR = 1e-15  # of inputs: their squares are numbers
@@ -187,10 +188,7 @@ class CoordinateCard(Declaration):
             return float(self.count or np.nan)
         if unit is None:
             return scale
-        factor, si_unit = convert_to_si(unit)
-        if si_unit != self.si_unit:
-            raise ValueError(f"unit '{unit}' of a set point of '{self.name}'; {self.si_unit}")
-        return scale * factor
+        return scale * convert(unit, self.si_unit)
 
     def velocity_factor(self, unit: str | None = None) -> float:
         """SI units in one unit of a column of velocities, by default that of its own column."""
@@ -204,7 +202,8 @@ class CoordinateCard(Declaration):
 
     def coordinate(self) -> Coordinate:
         """The coordinate as records have it."""
-        return Coordinate(self.name, self.kind, self.count, self.si_unit)
+        unit = self.unit and ColumnUnit(self.unit, self.factor() / self.scale)
+        return Coordinate(self.name, self.kind, self.count, self.si_unit, unit or None)
 
 
 class InputColumn(NamedTuple):
@@ -615,12 +614,7 @@ class Card(Declaration):
     @model_validator(mode="after")
     def _check_names(self) -> "Card":
         _require_assumed(self, self.assumed)
-        recorded = {i.name for i in self.inputs} | {c.input.name for c in self.input_columns()}
-        names = [c.name for c in self.coordinates] + [i.name for i in self.inputs]
-        names += sorted(recorded.difference(names))
-        duplicates = sorted({name for name in names if names.count(name) > 1})
-        if duplicates:
-            raise ValueError(f"two channels are called '{duplicates[0]}'")
+        _ = self.channels(1.0).plant  # all names differ, those of the logs and of the system
         return self
 
     @model_validator(mode="after")

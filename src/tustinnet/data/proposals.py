@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +10,7 @@ from pydantic import Field, model_validator
 
 from tustinnet.channels import Channels
 from tustinnet.data.declaration import Declaration, Name, Text, read_declaration
+from tustinnet.data.quantities import ValueReader
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 
@@ -44,15 +44,15 @@ class _ProposalTable(Declaration):
 
     Attributes:
         name: name of the record.
-        start: positions by the names of coordinates [rad or m], velocities by `NAME_dot`; 0 for
-            the others.
+        start: positions by the names of coordinates, velocities by `NAME_dot`; numbers in the unit
+            of the data card's column, or texts with a unit, as `"60deg"`; 0 for the others.
         seconds: duration of a record without inputs.
         inputs: or a file of inputs, a column each with its name, a row a sample.
         groups: conditions of the record, as `{ payload = "1kg" }`.
     """
 
     name: Name
-    start: dict[str, Annotated[float, Field(ge=-_FAR, le=_FAR)]] = Field(default_factory=dict)
+    start: dict[str, float | Text] = Field(default_factory=dict)
     seconds: float | None = Field(default=None, gt=0, le=_LONGEST)
     inputs: Text | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
@@ -70,12 +70,13 @@ class _ProposalFile(Declaration):
     proposals: list[_ProposalTable] = Field(min_length=1, max_length=1000)
 
 
-def read_proposals(path: Path, channels: Channels) -> list[Proposal]:
+def read_proposals(path: Path, channels: Channels, values: ValueReader) -> list[Proposal]:
     """The proposals of a TOML file.
 
     Args:
         path: the file; files of inputs lie beside it or below.
         channels: channels of the model that simulates them.
+        values: reads the values of starts.
 
     Raises:
         InputError: an unknown key, coordinate or input, a missing input, two of one name.
@@ -88,8 +89,13 @@ def read_proposals(path: Path, channels: Channels) -> list[Proposal]:
         if unknown := sorted(table.start.keys() - set(keys)):
             raise InputError(f"{where}, start", f"no coordinate '{unknown[0]}'",
                              f"some of {', '.join(keys)}, as in the model")  # fmt: skip
-        q = np.array([table.start.get(name, 0.0) for name in coordinates])
-        v = np.array([table.start.get(name + _RATE, 0.0) for name in coordinates])
+        start = values.read(f"{where}, start", table.start)
+        if not all(abs(value) <= _FAR for (value,) in start.values()):
+            raise InputError(f"{where}, start", "out of range", f"at most {_FAR:g} rad or m")
+        q, v = (
+            np.array([start.get(name + end, (0.0,))[0] for name in coordinates])
+            for end in ("", _RATE)
+        )
         u = _inputs(table, where, path.parent, channels)
         proposals.append(Proposal(table.name, q, v, u, table.groups))
     names = [p.name for p in proposals]
@@ -110,19 +116,12 @@ def _inputs(table: _ProposalTable, where: str, folder: Path, channels: Channels)
     if PurePath(table.inputs).is_absolute() or ".." in PurePath(table.inputs).parts:
         raise InputError(f"{where}, inputs", f"'{table.inputs}'", "a file beside this one or below")
     columns = read_columns(folder / table.inputs, header=True)
-    if missing := [name for name in names if name not in columns.names]:
+    named = [n for n in columns.names if n in names or n.lower() not in ("time", "t")]
+    if sorted(named) != sorted(names):
         raise InputError(
             f"{where}, {table.inputs}",
-            f"no column '{missing[0]}', only {', '.join(columns.names)}",
-            f"the model's inputs: {', '.join(names) or 'none'}",
-        )
-    others = [n for n in columns.names if n not in names and n.lower() not in ("time", "t")]
-    if others:
-        raise InputError(
-            f"{where}, {table.inputs}",
-            f"a column '{others[0]}', which is no input of the model",
-            f"{', '.join(names) or 'none'}, and perhaps time",
-            "leave it out",
+            f"columns {', '.join(columns.names)}",
+            f"the model's inputs: {', '.join(names) or 'none'}, and perhaps time",
         )
     columns.fetch(names)
     u = np.stack([np.asarray(columns[name], float) for name in names], axis=1)

@@ -47,6 +47,18 @@ def convert_to_si(unit: str) -> tuple[float, str]:
     return float(quantity.to(name).magnitude), "1" if name == "dimensionless" else name
 
 
+def convert(unit: str, to: str) -> float:
+    """Factor from a unit to another of the same quantity.
+
+    Raises:
+        ValueError: an unknown unit, or one of another quantity.
+    """
+    (factor, si), (own_factor, own_si) = convert_to_si(unit), convert_to_si(to)
+    if si != own_si:
+        raise ValueError(f"'{unit}' is not a unit of a quantity in {to}")
+    return factor / own_factor
+
+
 def velocity_factor(unit: str, position_unit: str) -> float:
     """SI units per second in one unit of a velocity.
 
@@ -64,10 +76,7 @@ def velocity_factor(unit: str, position_unit: str) -> float:
         factor, name = convert_to_si(length)
         if name == position_unit:
             return factor / TIME[per]
-    quantity, expected = _quantity(unit), _quantity(f"{position_unit}/s")
-    if quantity.to_base_units().units != expected.to_base_units().units:
-        raise ValueError(f"velocity unit '{unit}' of a position in {position_unit}")
-    return float(quantity.to(expected.units).magnitude)
+    return convert(unit, f"{position_unit}/s")
 
 
 @functools.cache

@@ -119,10 +119,9 @@ class Description(Entries):
     controller: ControllerEntry | None = None
 
     @model_validator(mode="after")
-    def _check_controller(self) -> "Description":
-        if self.controller is not None:
-            channels = Channels.from_header(self.model_dump())
-            assert channels.controller is not None
+    def _check_channels(self) -> "Description":
+        channels = Channels.from_header(self.model_dump())
+        if channels.controller is not None:
             channels.controller.require_loops(channels.coordinates, "controller")
             names = [i.name for i in channels.inputs]
             computed = {loop.input for loop in channels.controller.loops}
@@ -131,13 +130,6 @@ class Description(Entries):
             for name in (*points, *others):
                 if name not in names:
                     raise ValueError(f"no input '{name}', which the controller requires")
-        return self
-
-    @model_validator(mode="after")
-    def _check_names(self) -> "Description":
-        names = [c.name for c in (*self.coordinates, *self.inputs)]
-        if duplicates := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"two channels are called '{duplicates[0]}'")
         return self
 
     def parts(self) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -368,6 +368,7 @@ def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
     return {
         "name": name,
         "quanta": quanta,
+        "columns": {c.name: [*c.column] for c in records[0].coordinates if c.column},
         "records": [
             {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256,
              "rows": [*e.logged_rows], "fingerprint": make_fingerprint(e, quanta)}

@@ -333,14 +333,9 @@ class LagrangianSystem:
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
-        for what, listed in (
-            ("parameters", names),
-            ("coordinates", [c.name for c in self.coordinates]),
-            ("inputs", [i.name for i in self.inputs]),
-        ):
-            twice = sorted({name for name in listed if listed.count(name) > 1})
-            if twice:
-                raise InputError(f"system '{self.name}'", f"two {what} '{twice[0]}'", "one")
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise InputError(f"system '{self.name}'", f"two parameters '{twice[0]}'", "one")
+        _ = self.channels  # whose names differ
         for p in self.grouped:
             if by_group := p.by_group(dict.fromkeys(names)):
                 reserved = p.for_group(next(iter(by_group))).name

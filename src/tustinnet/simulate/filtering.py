@@ -23,6 +23,8 @@ Vector = Float[np.ndarray, " _"]
 # that are off by 20 %, or by a sample of delay, reach 6.6 (docs/explanation/control.md)
 GATE = 8.0
 LOST_AFTER = 10  # samples in a row without use after which an estimate is lost: 0.1 s at 100 Hz
+# an estimate may diverge, as of a plant that has fallen over: whoever uses it sees that
+_DIVERGES = np.errstate(over="ignore", invalid="ignore")
 _RECENT = 4  # models whose steps are at hand
 
 
@@ -132,7 +134,7 @@ class KalmanFilter:
         self.innovations = self.spreads = np.zeros(len(self._variances))
         self.missed, self.unused = -1, 0
 
-    @np.errstate(over="ignore", invalid="ignore")  # what is not finite is begun anew
+    @_DIVERGES
     def correct(self, q: Vector) -> None:
         """Takes measured positions into account, (n_q,).
 
@@ -172,7 +174,7 @@ class KalmanFilter:
             self.missed = -self._lost_after
             self.x, self.p = at_rest(np.where(readable, q, 0.0)), self._start
 
-    @np.errstate(over="ignore", invalid="ignore")
+    @_DIVERGES
     def predict(self, inputs: Vector) -> None:
         """Steps to the next sample, with the inputs of a step, flattened.
 

@@ -48,15 +48,16 @@ def rollout(
         model predicted there.
     """
     start, n_x, n_u = jnp.asarray(x0), model.state_size, model.channels.n_u
-    shape = np.shape(u.u if isinstance(u, InputSignal) else u)
+    inputs = jnp.asarray(u.u if isinstance(u, InputSignal) else u)
+    shape, kind = inputs.shape, precision(model, start, inputs)
     fits = start.shape == (n_x,) and len(shape) in (2, 3) and shape[-1] == n_u
-    if not fits or (len(shape) == 3 and not _steps_with(model, shape[1:])):
+    if not fits or (len(shape) == 3 and not _steps_with(model, shape[1:], kind)):
         raise InputError(
             "rollout", f"x0 of shape {start.shape} and u of shape {shape}",
             f"({n_x},) and (steps, {n_u}), or what `input_signal` makes of a record",
         )  # fmt: skip
     trajectory = _trajectory(u, measured)
-    start = start.astype(precision(model, start, trajectory.u))
+    start = start.astype(kind)
 
     def advance(x: State, now: _Trajectory) -> tuple[State, State]:
         x_next = _advance(model, x, now)
@@ -65,9 +66,9 @@ def rollout(
     return jnp.concatenate([start[None], _scan(advance, start, trajectory)])
 
 
-def _steps_with(model: Model, shape: tuple[int, ...]) -> bool:
-    """Whether a model's step takes inputs of a shape that is no vector."""
-    x, u = (jax.ShapeDtypeStruct(s, precision(model)) for s in ((model.state_size,), shape))
+def _steps_with(model: Model, shape: tuple[int, ...], kind: np.dtype) -> bool:
+    """Whether a model's step takes inputs of a shape that is no vector, in a precision."""
+    x, u = (jax.ShapeDtypeStruct(s, kind) for s in ((model.state_size,), shape))
     try:
         return jax.eval_shape(model.step, x, u).shape == x.shape
     except (TypeError, ValueError):

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
+from tustinnet.channels import ColumnUnit
 from tustinnet.data.declaration import declare
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.fingerprint import FINGERPRINT, is_among
@@ -26,6 +27,7 @@ _LARGEST = 1e150  # of a number: its square is finite
 
 Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 Size = Annotated[float, Field(ge=0, le=_LARGEST)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST)]
 Duration = Annotated[float, Field(gt=0, le=1e12)]
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=-1 - 1e-6, le=1 + 1e-6)]
@@ -131,7 +133,8 @@ class _Data(Entries):
 
     name: str
     records: list[_Record]
-    quanta: list[Annotated[float, Field(gt=0, le=_LARGEST)]] = Field(default_factory=list)
+    quanta: list[Positive] = Field(default_factory=list)
+    columns: dict[str, tuple[str, Positive]] = Field(default_factory=dict)
 
 
 class _Origin(Entries):
@@ -176,8 +179,8 @@ class _Support(Entries):
     """The points that came together in records, see `simulate.range.TrainingSupport`."""
 
     points: list[list[Number]] = Field(min_length=1)
-    spread: list[Annotated[float, Field(gt=0, le=_LARGEST)]]
-    reach: float = Field(gt=0, le=_LARGEST)
+    spread: list[Positive]
+    reach: Positive
 
 
 class _Range(Entries):
@@ -202,10 +205,10 @@ class _Range(Entries):
 class _Band(Entries):
     """The band of a coordinate, see `evaluate.bands.Part`."""
 
-    floor: float = Field(gt=0, le=_LARGEST)
+    floor: Positive
     factors: list[Size] = Field(min_length=1)
     records: list[Size] = Field(min_length=1)
-    unit: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
+    unit: Positive | None = None
 
 
 class _Bands(Entries):
@@ -344,6 +347,15 @@ def read_description(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, 
     header, arrays = read_header_and_arrays(Path(path))
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return header, summarise(header, arrays)
+
+
+def columns_in_header(header: Mapping[str, Any]) -> dict[str, ColumnUnit]:
+    """The units of the columns of the records that a model was made from, by coordinate."""
+    columns: dict[str, ColumnUnit] = {}
+    for part in (*header.get("files", ()), header):
+        entries = part.get("data", {}).get("columns", {})
+        columns |= {name: ColumnUnit(*entry) for name, entry in entries.items()}
+    return columns
 
 
 def records_in_header(header: Mapping[str, Any]) -> dict[str, str]:

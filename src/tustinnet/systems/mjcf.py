@@ -345,8 +345,9 @@ def _largest_force(model: Any, i: int, gear: float, gain: float) -> float | None
 
 
 def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:
-    """The ends of a range, None where it does not hold."""
-    return (float(ends[0]), float(ends[1])) if is_limited and ends[0] < ends[1] else None
+    """The ends of a range, None where it does not hold; MuJoCo ignores ends that are exchanged."""
+    low, high = float(ends[0]), float(ends[1])
+    return (low, high) if low > high or (is_limited and low < high) else None
 
 
 def _inertia_of(mujoco: Any, model: Any, i: int) -> LinkInertia | None:

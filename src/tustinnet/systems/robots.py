@@ -133,6 +133,11 @@ def load_robot(
         raise InputError(path, "no file of a robot", f"a file with {', '.join(ROBOT_ENDINGS)}")
     if default_density is not None:
         file = with_inertias(file, default_density)
+    if isinstance(encoders, str):
+        encoders = dict.fromkeys(elastic or {"": 0.0}, encoders)
+    for named in (locked, motor_constants, per, elastic, backlash, encoders, ranges):
+        if not isinstance(named, Mapping | None):
+            raise InputError(path, f"an option {named!r}", "a value by name, as {'joint2': 0.0}")
     positions = _require_numbers(path, "locked", locked, is_positive=False)
     constants = _require_numbers(path, "motor_constants", motor_constants)
     springs = _require_numbers(path, "elastic", elastic)
@@ -146,8 +151,6 @@ def load_robot(
             "viscous and Coulomb friction are always there",
         )  # fmt: skip
     chosen = tuple(name for name in FRICTIONS if name in friction)
-    if isinstance(encoders, str):
-        encoders = dict.fromkeys(elastic or {"": 0.0}, encoders)
     for joint, side in encoders.items():
         of_joint = f" of '{joint}'" if joint else ""
         if side not in ("motor", "link"):
@@ -400,6 +403,7 @@ class _Assembly:
                 self.locked[name] = root.ratio * locked[root.joint] + root.offset
             else:
                 self.moved_by[name] = root
+        self._require_within_limits()
         self.free = [name for name in self.moved_by if self.moved_by[name].joint == name]
         if not self.free:
             raise InputError(path, "no joint that moves", "a joint that turns or slides")
@@ -637,6 +641,13 @@ class _Assembly:
                 self.bodies[i] = replace(body, has_mass=False)
                 continue
             whole = join_inertias(parts)
+            arm = np.cross(body.axis, whole.center)
+            inertia = body.axis @ whole.tensor @ body.axis + whole.mass * (arm @ arm)
+            inertia += self.body_joints[i].armature
+            if body.kind == "angular" and inertia <= np.finfo(float).eps * whole.mass * np.sum(
+                whole.center**2
+            ):
+                self._require_carried_mass(i, inertias)
             try:
                 values = inertial_parameters(
                     whole.mass, whole.center + np.array(body.anchor), whole.tensor
@@ -708,17 +719,31 @@ class _Assembly:
         self.body_joints.append(joint)
         return len(self.bodies) - 1
 
+    def _require_within_limits(self) -> None:
+        """Raises unless the limits of joints are in order, and locked joints within theirs."""
+        for name, joint in self.joints.items():
+            low, high = joint.range or (-np.inf, np.inf)
+            position = self.locked.get(name, low)
+            if not low <= position <= high:
+                raise InputError(
+                    f"{self.path}, joint '{name}'",
+                    f"position {position:g}, limits {low:g} to {high:g}",
+                    "the smaller limit first, and a position between them where it is locked",
+                )
+
     def _require_carried_mass(self, i: int, inertias: list[list[LinkInertia]]) -> None:
-        """Raises unless some body that a body without mass carries has one."""
+        """Raises unless some body that a body without inertia carries has one."""
         carried = {i}
         for j, body in enumerate(self.bodies):
             if body.parent in carried:
                 carried.add(j)
-        if not any(inertias[j] for j in carried):
+        if not any(inertias[j] for j in carried - {i}):
             raise InputError(
-                f"{self.path}, link '{self.bodies[i].name}'", "moves, and neither it nor what it "
-                "carries has an inertia", "mass, centre and inertia", "give it an <inertial>",
-            )  # fmt: skip
+                f"{self.path}, link '{self.bodies[i].name}'",
+                "moves, and neither it nor what it carries has an inertia about its axis",
+                "mass, centre and inertia",
+                "give it an <inertial>",
+            )
 
     def system(self, source: RobotFile) -> LagrangianSystem:
         """The system with all that the file says.

@@ -186,7 +186,7 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
         ),
         viscous=viscous, coulomb=coulomb,
         effort=effort if effort > 0 else None, speed=speed if speed > 0 else None,
-        range=(lower, upper) if lower < upper and kind != "continuous" else None,
+        range=(lower, upper) if lower != upper and kind != "continuous" else None,
     )  # fmt: skip
 
 

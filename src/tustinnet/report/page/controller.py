@@ -135,10 +135,16 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
         "u": packed(u),
         "runs": [
             {"error": packed(error),
-             "rmse": [float(np.sqrt(np.nanmean(error[:, places] ** 2))) for places in by_unit]}
+             "rmse": [_rms(error[:, places]) for places in by_unit]}
             for error in errors
         ],
     }  # fmt: skip
+
+
+def _rms(errors: np.ndarray) -> float:
+    """Root mean square of the numbers that are not NaN, NaN where there are none."""
+    numbers = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(numbers**2))) if len(numbers) else np.nan
 
 
 def _controller_content(design: ControlDesign) -> dict[str, Any]:

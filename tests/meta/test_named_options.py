@@ -1,0 +1,63 @@
+"""Messages name only options that the command has."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from tustinnet.cli.main import app
+
+SOURCE = Path(__file__).parents[2] / "src" / "tustinnet"
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
+OF_OTHERS = {"--eval", "--input-type", "--address", "--head", "--port"}  # of Node.js and Ray
+
+
+def texts(tree: ast.AST) -> set[str]:
+    """All texts of a module but its docstrings, which speak to programmers."""
+    documentation = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    return {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in documentation
+    }
+
+
+def named_options(path: Path) -> set[str]:
+    """The options in the texts of a module; of texts that name a verb, its options are others."""
+    said = [text for text in texts(ast.parse(path.read_text())) if "tustinnet " not in text]
+    return {option for text in said for option in OPTION.findall(text)} - OF_OTHERS
+
+
+def of_command(command) -> set[str]:
+    return {"--help"} | {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
+
+
+COMMAND = typer.main.get_command(app)
+VERBS = {name: of_command(command) for name, command in COMMAND.commands.items()}
+OF_ONE_VERB = [  # modules whose errors people see from one verb
+    *(("control", path) for path in sorted((SOURCE / "control").rglob("*.py"))),
+    ("next-record", SOURCE / "evaluate" / "record_design.py"),
+    ("next-record", SOURCE / "cli" / "next_record.py"),
+    ("control", SOURCE / "cli" / "control.py"),
+    ("export", SOURCE / "cli" / "export.py"),
+]
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.name)
+def test_every_option_that_a_message_names_is_one_of_a_verb(path):
+    assert named_options(path) <= of_command(COMMAND).union(*VERBS.values())
+
+
+@pytest.mark.parametrize(("verb", "path"), OF_ONE_VERB, ids=lambda x: getattr(x, "name", x))
+def test_messages_of_a_verb_name_its_own_options(verb, path):
+    assert named_options(path) <= VERBS[verb]
