@@ -1,9 +1,10 @@
 """The check of records on planted faults, and on clean folders, where every finding is an alarm.
 
-python benchmarks/check.py [faults|late|clean|few|time] [DATA]
+python benchmarks/check.py [faults|measured|late|clean|few|time] [DATA]
 
 Without a word all of it. DATA is a folder with the measured data sets (`qube_servo2`,
 `double_pendulum_dfki`, `emps`), which are clean, too; without it there are fewer clean folders.
+Under `measured` it is any folder with folders of logs: what is said of each as a user meets it.
 """
 
 import sys
@@ -19,8 +20,17 @@ from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
 import tustinnet as tn
 from tustinnet.check.check import check_records
 from tustinnet.check.finding import Finding
+from tustinnet.check.draft_scales import find_scales
+from tustinnet.data.card import Card
 from tustinnet.data.catalog import locate
+from tustinnet.data.declaration import declare, parse_toml
+from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.files import list_logs
+from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.loading import load_folder
+from tustinnet.data.readers import is_log
+from tustinnet.data.spoiled import find_without_model
+from tustinnet.errors import InputError
 from tustinnet.report.tables import Table
 
 _SEEDS = (1, 2, 3)  # of the clean machines; faults are planted into those of seed 0
@@ -58,6 +68,59 @@ def run_faults(faults: Sequence[Fault]) -> Table:
             )  # fmt: skip
     title = f"{found} of {len(faults)} planted faults named; {others} other findings beside them"
     return Table(["fault", "machine", "named", "finding", "others", "s"], rows, title=title)
+
+
+def run_measured(data: Path | None) -> Table:
+    """A row for each folder of logs: numbers of findings, and each severe or spoiled part.
+
+    A folder without a card has the one that `tustinnet init --yes` drafts.
+    """
+    rows, severe, warnings = [], 0, 0
+    for folder in () if data is None else log_folders(data):
+        name = str(folder.relative_to(data)) if data else ""
+        try:
+            card = card_of(folder)
+            records = load_folder(folder, card)
+        except InputError as error:
+            rows.append([name, "–", "–", f"not read: {error}"[:120]])
+            continue
+        findings, _ = _timed(records, card)
+        spoiled = [p for e in records for p in find_without_model(e, held_equilibrium(e))]
+        said = [f"{f.what} ({f.size}) in {', '.join(f.records) or 'all'}" for f in findings
+                if f.severity == "severe"]  # fmt: skip
+        counts = len(said), sum(f.severity == "warning" for f in findings)
+        severe, warnings = severe + counts[0], warnings + counts[1]
+        said += [f"spoiled: {p.place}: {p.reason}" for p in spoiled]
+        rows.append([name, *map(str, counts), ""])
+        rows += [["", "", "", text[:200]] for text in said]
+    title = f"{severe} severe findings and {warnings} warnings on logs as they are"
+    return Table(["folder", "severe", "warnings", "severe findings, spoiled parts"], rows,
+                 title=title)  # fmt: skip
+
+
+def log_folders(place: Path) -> Iterator[Path]:
+    """Folders with a card or logs at or below a place; not those below such a folder."""
+    files = sorted(place.iterdir())
+    try:
+        locate(place)
+    except InputError:
+        if not any(is_log(file) for file in files if file.is_file()):
+            for file in files:
+                yield from log_folders(file) if file.is_dir() else ()
+            return
+    yield place
+
+
+def card_of(folder: Path) -> Card:
+    """The card of a folder: its own, that of an example, or a draft."""
+    example = _EXAMPLES / f"{folder.name}.toml"
+    try:
+        return locate(folder, example if example.is_file() else None)[1]
+    except InputError:
+        place, files = list_logs([folder])
+        draft = draft_card(place, files)
+        draft = draft_card(place, files, by_motion=find_scales(draft, place))
+        return declare(parse_toml(draft.text), Card, folder)
 
 
 def clean_folders(data: Path | None, place: Path) -> Iterator[tuple[str, Path, Path | None]]:
@@ -169,11 +232,12 @@ def _swing(drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def main(arguments: Sequence[str]) -> None:
     """Prints the tables that are asked for."""
-    words = ("faults", "late", "clean", "few", "time")
+    words = ("faults", "measured", "late", "clean", "few", "time")
     chosen = [a for a in arguments if a in words] or [*words]
     folder = next((Path(a) for a in arguments if a not in words), None)
     tables = {
-        "faults": lambda: run_faults(FAULTS), "late": lambda: run_faults(LATE_FAULTS),
+        "faults": lambda: run_faults(FAULTS),
+        "measured": lambda: run_measured(folder), "late": lambda: run_faults(LATE_FAULTS),
         "clean": lambda: run_clean(folder), "few": run_few, "time": run_times,
     }  # fmt: skip
     for word in chosen:

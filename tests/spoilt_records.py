@@ -23,23 +23,33 @@ def simulate(
     inertia: float = 1.0,
     hand: bool = False,
     friction: float = 0.0,
+    weak: bool = False,
     split: str | None = None,
 ) -> tn.Experiment:
     """A record of the pendulum under steps of torque, with a hand's force or another inertia.
 
-    With dry friction, one record has another motion for a while: it turns around slowly.
+    With dry friction, one record has another motion for a while: it turns around slowly. A weak
+    actuator gives no more than a torque of 3, and is asked for more in every other record.
     """
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-3, 3, SAMPLES // 10), 10)
     if friction and seed == SLOW:
         u[100:300] = 4.0 * np.sin(np.linspace(0, 5 * np.pi, 200))
+    if weak and seed % 2:
+        first = 60 if seed == 1 else 200
+        u[first : first + (160 if seed == 1 else 20)] *= 5.0
     force = np.zeros(SAMPLES)
     if hand:
         force[HAND] = 12 * np.sin(np.linspace(0, 3 * np.pi, HAND.stop - HAND.start))
     x, angles, h = np.array([rng.uniform(-0.5, 0.5), 0.0]), np.empty(SAMPLES), DT / 10
 
     def rate(x: np.ndarray, k: int) -> np.ndarray:
-        torque = -20 * np.sin(x[0]) - 0.8 * x[1] + 4 * u[k] + force[k]
+        torque = (
+            -20 * np.sin(x[0])
+            - 0.8 * x[1]
+            + 4 * (np.clip(u[k], -3, 3) if weak else u[k])
+            + force[k]
+        )
         torque -= friction * (1 + np.exp(-((x[1] / 0.3) ** 2))) * np.tanh(x[1] / 0.02)
         return np.array([x[1], torque / inertia])
 
@@ -69,6 +79,7 @@ def records(spoilt: str = "") -> tuple[tn.Experiment, ...]:
             f"run{i}",
             i,
             hand=spoilt in ("hand", "both") and i == 2,
+            weak=spoilt == "weak",
             friction=FRICTION if spoilt in ("friction", "both") else 0.0,
             inertia=1.4 if spoilt == "payload" and i in (1, 2) else 1.0,
             split="train",

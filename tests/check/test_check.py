@@ -1,11 +1,16 @@
 """The check of records: planted faults are named, clean logs are not."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from simulated.faults import FAULTS, Fault, logs_of
 
 import tustinnet as tn
@@ -101,6 +106,138 @@ def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
     assert "more than one count" in finding.what
 
 
+@cache
+def wheel(seed: int) -> list[np.ndarray]:
+    """Times, turns [rev] and volts of a wheel: kS sign(v) + kV v + kA a = u, no gravity.
+
+    Ramps that begin with creeping, and steps, in both directions, every 20 ms.
+    """
+    rng, dt = np.random.default_rng(seed), 0.02
+    friction, back_emf, inertia = np.array([0.25, 2.3, 0.35]) * rng.uniform(0.8, 1.25, 3)
+    t = np.arange(1000) * dt
+    tables = []
+    for volts in (0.25 * t, -0.25 * t, np.full(200, 7.0), np.full(200, -7.0)):
+        x, v, turns = 0.0, 0.0, []
+        for u in volts.tolist():
+            turns.append(x)
+            for _ in range(100):
+                v += dt / 100 * (u - friction * math.tanh(v / 0.005) - back_emf * v) / inertia
+                x += dt / 100 * v
+        noisy = np.array(turns) + rng.normal(0, 2e-4, len(volts))
+        tables.append(np.column_stack([t[: len(volts)], noisy, volts]))
+    return tables
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg", "rev"])
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_wheel_without_gravity_is_in_its_unit(unit: str, seed: int, tmp_path: Path) -> None:
+    for k, table in enumerate(wheel(seed)):
+        table = table * [1.0, {"rad": 2 * np.pi, "deg": 360.0, "rev": 1.0}[unit], 1.0]
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.9g", ",", header="t,turn,u", comments="")
+    (tmp_path / "dataset.toml").write_text(
+        'name = "wheel"\ndt = 0.02\n[time]\ncolumn = "t"\n[[coordinates]]\nname = "turn"\n'
+        f'kind = "angular"\ncolumn = "turn"\nunit = "{unit}"\n'
+        '[[inputs]]\nname = "u"\ncolumn = "u"\nunit = "V"\n'
+    )
+    found = check_folder(tmp_path)
+    assert not [f.text for f in found if f.severity == "severe" or f.check == "angle unit"]
+
+
+def driven(force: Callable[[float], float], seed: int, size: float = 20.0) -> tn.Experiment:
+    """An angle under a known torque and a force that depends on the angle."""
+    rng, q, v, angles = np.random.default_rng(seed), 0.0, 0.0, []
+    torque = size * np.repeat(rng.uniform(-1, 1, 30), 40)
+    for u in torque:
+        angles.append(q)
+        for _ in range(5):
+            v += DT / 5 * (u - force(q) - 0.5 * v)
+            q += DT / 5 * v
+    return arm(np.array(angles), u=torque, inputs={"u": "N m"}, name=f"r{seed}")
+
+
+def test_a_position_that_a_spring_holds_over_many_turns_is_not_in_another_unit() -> None:
+    found = check_records([driven(lambda q: 6.0 * q, k, 150.0) for k in range(4)])
+    assert max(np.ptp(driven(lambda q: 6.0 * q, k, 150.0).q) for k in range(4)) > 20
+    assert not [f.text for f in found if f.severity == "severe"]
+
+
+def test_a_wheel_that_is_fast_for_its_log_is_no_fault_for_sure() -> None:
+    turns = np.cumsum(np.linspace(0, 2.5, 800))
+    assert [f.severity for f in check_record(arm(turns)) if f.check == "angle unit"] == ["warning"]
+
+
+@pytest.mark.parametrize("late", [1.25, 0.75])
+def test_a_slower_machine_is_no_other_period_for_sure(late: float) -> None:
+    def pendulum(rate: float, k: int) -> tn.Experiment:
+        q, v, angles = 0.6 + 0.2 * k, 0.0, []
+        for _ in range(600):
+            angles.append(q)
+            for _ in range(5):
+                v += DT / 5 * rate**2 * -np.sin(q)
+                q += DT / 5 * v
+        return arm(np.array(angles), name=f"r{k}")
+
+    records = [pendulum(6.0 * (late if k == 2 else 1.0), k) for k in range(5)]
+    found = [f for f in check_records(records) if f.is_serious]
+    assert found, "it is not like the others"
+    assert {f.severity for f in found} == {"warning"}
+
+
+def hunting(neutral: float) -> tn.Experiment:
+    """A beam at rest for a while, about which a controller moves its output a little."""
+    rng = np.random.default_rng(0)
+    q = np.concatenate([np.zeros(300), swing(500) - 1])
+    u = neutral + np.concatenate([1.5 * rng.uniform(-1, 1, 300), 25 * np.cos(np.arange(500) / 9)])
+    return arm(np.round(q / COUNT) * COUNT, u=u, inputs={"u": "1"})
+
+
+@pytest.mark.parametrize("neutral", [0.0, 50.0])
+def test_the_neutral_value_of_an_input_need_not_be_zero(neutral: float) -> None:
+    (band,) = [f for f in check_record(hunting(neutral)) if f.check == "dead band"]
+    low, high = (float(part) for part in band.size.split(" 1,")[0][5:].split(" to "))
+    assert neutral - 1.6 < low < high < neutral + 1.6
+
+
+# --- velocity columns ---
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    rows=st.lists(st.integers(10, 780), min_size=1, max_size=3, unique=True),
+    size=st.floats(20.0, 1e3),
+    seed=st.integers(0, 5),
+)
+def test_outliers_of_velocities_are_named_and_change_nothing_else(
+    rows: list[int], size: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    q = swing()
+    v = np.gradient(q, DT) + 0.01 * rng.normal(size=len(q))
+    assert serious(check_record(arm(q, v, v_measured=True))) == []
+    v[rows] += size * rng.choice([-1.0, 1.0], len(rows))
+    found = [f for f in check_record(arm(q, v, v_measured=True)) if f.is_serious]
+    assert [(f.check, f.severity) for f in found] == [("velocity", "warning")]
+    assert f"outliers at sample {', '.join(map(str, sorted(rows)))}" in found[0].what
+    reversed_ = check_record(arm(q, -v, v_measured=True))
+    assert "opposite sign" in next(f for f in reversed_ if f.severity == "severe").what
+
+
+@pytest.mark.parametrize(("factor", "told"), [(500.0, "too large"), (0.002, "too small")])
+def test_a_velocity_of_another_scale_is_told_the_right_way(factor: float, told: str) -> None:
+    q = swing()
+    found = check_record(arm(q, factor * np.gradient(q, DT), v_measured=True))
+    (severe,) = [f for f in found if f.severity == "severe"]
+    assert told in severe.remedy
+    number = float(severe.remedy.split("numbers are ")[1].split()[0])
+    assert number == pytest.approx(500, rel=0.01)
+
+
+def test_a_velocity_column_that_no_fit_uses_is_no_severe_finding() -> None:
+    q = swing()
+    found = check_record(arm(q, -np.gradient(q, DT), v_measured=False))
+    assert [f.severity for f in found if f.check == "velocity"] == ["warning"]
+
+
 # --- findings ---
 
 
@@ -135,6 +272,21 @@ def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> 
     copy = replace(records[0], name="fresh", split="test", sha256="")
     (found_copy,) = [f for f in check_records([*records, copy]) if f.is_serious]
     assert (found_copy.check, found_copy.severity) == ("copy", "severe")
+
+
+@pytest.mark.real
+def test_measured_records_have_no_severe_finding(real_data: Path) -> None:
+    measured = real_data.parent / "measured"
+    if not measured.is_dir():
+        pytest.skip("no measured data beside the Qube-Servo 2 data")
+    folders = [(f, None) for f in sorted(measured.iterdir()) if (f / "dataset.toml").is_file()]
+    cards = (Path(__file__).parents[2] / "examples").glob("*.toml")
+    folders += [(real_data.parent / c.stem, c) for c in cards]
+    for folder, card in folders:
+        if folder.is_dir():
+            place, content = locate(folder, card)
+            found = check_records(load_folder(place, content), content)
+            assert not [f.text for f in found if f.severity == "severe"], folder.name
 
 
 # --- records that hold little ---
@@ -222,7 +374,9 @@ def test_angles_that_all_are_in_another_unit_are_found_together(tmp_path: Path) 
     files = ["r0.csv", "r1.csv", "r2.csv"]
     draft = draft_card(tmp_path, files, {"unit y1": "deg", "unit y2": "deg"})
     (tmp_path / "dataset.toml").write_text(draft.text)
-    units = {f.channel: f.remedy for f in check_folder(tmp_path) if f.check == "angle unit"}
+    found = [f for f in check_folder(tmp_path) if f.check == "angle unit"]
+    assert {f.severity for f in found} == {"severe"}
+    units = {f.channel: f.remedy for f in found}
     assert {*units} == {"y1", "y2"}
     assert all(remedy.endswith('unit = "rad"') for remedy in units.values())
 

@@ -218,7 +218,10 @@ def test_strict_refuses_records_in_which_something_looks_wrong(
     assert tustinnet(capsys, "inspect", folder, "--strict")[0] == 0
     assert tustinnet(capsys, *fit, "--out", tmp_path / "sound", "--strict")[0] == 0
     spoil(folder)
-    told = "record 'fall2': angle jumps at sample 100, 101 (by 1.75 rad, 1142 counts: bad rows?)"
+    told = (
+        "record 'fall2': angle jumps at sample 100, 101: bad rows? (2 jumps of up to 1.7515 rad, "
+    )
+    told += "1142 counts)"
     validate = ("cross-validate", folder, "--recipe", tiny_recipe, "--folds", 3)
     for verb in (
         ("inspect", folder),

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import tustinnet as tn
 from tustinnet.channels import Hold
@@ -353,6 +355,34 @@ def test_zero_velocities_while_nothing_moves_are_no_padding() -> None:
     q = np.concatenate([np.zeros(20), swing(100)[0] - 1, np.full(20, 0.5)])
     v = np.concatenate([np.zeros(19), np.ones(102), np.zeros(19)])
     assert tn.from_arrays(q, v=v, dt=DT, coordinates={"a": "angular"}).padded_rows == (0, 0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    noise=st.sampled_from([0.0, 1e-6, 1e-4, 1e-3]),
+    rest=st.integers(2, 400),
+    moves=st.booleans(),
+    seed=st.integers(0, 10),
+)
+def test_readings_that_flicker_at_rest_are_no_padding(
+    noise: float, rest: int, moves: bool, seed: int
+) -> None:
+    rng, t = np.random.default_rng(seed), np.arange(300) * DT
+    q = np.concatenate([np.zeros(rest), moves * (1 - np.cos(2 * t))])
+    v = np.concatenate([np.zeros(rest), moves * 2 * np.sin(2 * t)])
+    q += noise * rng.normal(size=len(q))
+    e = tn.from_arrays(q, v=v, v_measured=True, dt=DT, coordinates={"a": "angular"})
+    assert e.padded_rows == (0, 0)
+    np.testing.assert_array_equal(e.velocities()[:, 0], v)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_zeros_of_velocities_while_an_arm_creeps_on_are_padding(noise: float) -> None:
+    t = np.arange(400) * DT
+    q, v = np.sin(2 * t), 2 * np.cos(2 * t)
+    v[:60] = 0.0
+    q = q + noise * np.random.default_rng(0).normal(size=400)
+    assert tn.from_arrays(q, v=v, dt=DT, coordinates={"a": "angular"}).padded_rows == (60, 0)
 
 
 def test_a_release_from_rest_is_no_padding() -> None:

@@ -162,6 +162,16 @@ def test_an_input_of_a_few_levels_is_not_called_saturated() -> None:
     assert inspect_experiment(record(q, u=u)).inputs[0].saturated == 0.0
 
 
+def test_held_levels_are_not_called_saturated_where_they_are_put_on_a_grid() -> None:
+    rng, q = np.random.default_rng(0), swing()[0]
+    u = np.repeat(rng.choice([-4.0, 4.0], len(q) // 20), 20)
+    e = record(q, u=u)
+    jitter = DT * rng.uniform(-0.2, 0.2, len(q))
+    on_grid = replace(e, t=e.t + jitter).resample(DT)
+    assert len(np.unique(on_grid.u)) > 10
+    assert inspect_experiment(on_grid).inputs[0].saturated == 0.0
+
+
 def test_declared_limits_decide_what_is_saturated() -> None:
     q, _ = swing()
     u = np.sign(np.random.default_rng(0).normal(size=len(q)))
@@ -183,35 +193,33 @@ def test_a_sound_record_is_not_suspicious() -> None:
 
 
 def test_padded_velocities_are_suspicious() -> None:
-    q, v = swing(rate=0.1)
+    q, v = (x[50:] for x in swing(rate=0.1))
     v[:2] = v[-3:] = 0
-    assert "zero rows (2 at the beginning, 3 at the end:" in suspicious(record(q, v))
+    assert "zero rows (2 at the beginning, 3 at the end," in suspicious(record(q, v))
 
 
 def test_a_jump_is_suspicious_with_its_sample() -> None:
     q, _ = swing()
     q[300] += 1.0
-    assert "angle jumps at sample 300, 301 (by 1 rad" in suspicious(record(quantised(q)))
+    assert "angle jumps at sample 300, 301: bad rows? (2 jumps of up to 1.000" in suspicious(
+        record(quantised(q))
+    )
 
 
 def test_a_jump_in_a_short_record_is_suspicious() -> None:
     q, _ = swing(60)
     q[33:] += 1000.0
-    assert "angle jumps at sample 33 (by 0.973 rad" in suspicious(record(q))
+    assert (
+        "angle jumps at sample 33: bad rows, or lost counts? (1 jump of up to 0.973"
+        in suspicious(record(q))
+    )
 
 
 def test_degrees_declared_as_radians_are_suspicious() -> None:
     told = suspicious(record(np.rad2deg(1.5 * swing(rate=0.1)[0]), resolution=None))
     assert "angle moves more than a quarter turn in" in told
-    assert "wrong unit" in told
+    assert "another unit" in told
     assert "jumps" not in told
-
-
-def test_magnitudes_that_no_mechanism_has_are_suspicious() -> None:
-    q, _ = swing()
-    told = suspicious(record(q * 1e7, u=1e10 * q))
-    assert "angle reaches 1e+07 rad" in told
-    assert "torque reaches 1e+10 N m" in told
 
 
 def test_a_spike_of_an_input_is_suspicious_with_its_sample() -> None:
@@ -240,7 +248,7 @@ def test_velocities_of_another_unit_or_sign_are_suspicious(factor: float, padded
     if padded:
         v[:2] = v[-2:] = 0
     told = suspicious(record(q, factor * v))
-    expected = "the opposite sign of" if factor < 0 else "another unit than"
+    expected = "the opposite sign of" if factor < 0 else "another scale than"
     assert f"angle: the velocity column has {expected}" in told
 
 

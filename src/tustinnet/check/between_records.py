@@ -8,6 +8,7 @@ other parameters do, the record is of a machine with another payload or friction
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,7 @@ from tustinnet.check.card_lines import (
     coordinate_line,
     file_line,
     input_line,
+    times_too_large,
     top_line,
     without_record,
 )
@@ -117,102 +119,64 @@ def list_suspicions(channels: Channels, ranges: Float[np.ndarray, " n_q"]) -> li
     """
     suspicions = []
     for j, c in enumerate(channels.coordinates):
+        extent = max(float(ranges[j]), 1e-300)
+        offsets = extent * np.array([-1, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
+        if c.kind == "angular":
+            offsets = np.r_[offsets, np.pi / 2 * np.array([-1, 1, 2])]
+        shift = Suspicion("offset", (c.name,), _change(0, j, np.add), offsets, 0.03 * extent)
         suspicions += [
-            Suspicion("sign", (c.name,), _scale_position(j), np.array([-1.0])),
-            Suspicion("gain", (c.name,), _scale_position(j), np.r_[_GAINS, _UNITS], 0.08, 1.0,
-                      is_relative=True),
-            Suspicion("offset", (c.name,), _shift_position(j),
-                      _offsets(c.kind == "angular", float(ranges[j])),
-                      0.03 * max(float(ranges[j]), 1e-300)),
-        ]  # fmt: skip
-        if channels.n_q > 1:
-            suspicions.append(Suspicion("lag", (c.name,), _delay_position(j), _LAGS, 0.7))
-        suspicions += [
-            Suspicion("swap", (c.name, other.name), _swap_positions(j, i), np.array([1.0]))
-            for i, other in enumerate(channels.coordinates[:j])
+            *_scales(c.name, 0, j, np.r_[_GAINS, _UNITS], 0.08),
+            shift,
+            *_delays(c.name, 0, j)[: channels.n_q - 1],  # of a single one nothing is late
         ]
     for k, i in enumerate(channels.inputs):
-        suspicions += [
-            Suspicion("sign", (i.name,), _scale_input(k), np.array([-1.0])),
-            Suspicion("gain", (i.name,), _scale_input(k), np.r_[_GAINS, 1e3, 1e-3], 0.15, 1.0,
-                      is_relative=True),
-            Suspicion("lag", (i.name,), _delay_input(k), _LAGS, 0.7),
-        ]  # fmt: skip
-        suspicions += [
-            Suspicion("swap", (i.name, other.name), _swap_inputs(k, m), np.array([1.0]))
-            for m, other in enumerate(channels.inputs[:k])
-        ]
+        suspicions += _scales(i.name, 1, k, np.r_[_GAINS, 1e3, 1e-3], 0.15)
+        suspicions += _delays(i.name, 1, k)
+    for side, listed in enumerate((channels.coordinates, channels.inputs)):
+        for j, i in combinations(range(len(listed)), 2):
+            undo = _change(side, [j, i], lambda x, _: x[:, ::-1])
+            names = (listed[i].name, listed[j].name)
+            suspicions.append(Suspicion("swap", names, undo, np.ones(1)))
     suspicions.append(
-        Suspicion("record period", (), lambda q, u, _: (q, u), _PERIODS, 0.02, 1.0,
-                  is_relative=True, is_period=True)
-    )  # fmt: skip
+        Suspicion(
+            "record period",
+            (),
+            lambda q, u, _: (q, u),
+            _PERIODS,
+            0.02,
+            1.0,
+            is_relative=True,
+            is_period=True,
+        )
+    )
     return suspicions
 
 
-def _offsets(is_angle: bool, extent: float) -> np.ndarray:
-    sizes = extent * np.array([-1, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
-    return np.r_[sizes, np.pi / 2 * np.array([-1, 1, 2])] if is_angle else sizes
+def _scales(
+    name: str, side: int, column: int, sizes: Float[np.ndarray, " s"], least: float
+) -> list[Suspicion]:
+    """Another sign and another gain of a channel."""
+    undo = _change(side, column, np.multiply)
+    return [
+        Suspicion("sign", (name,), undo, np.array([-1.0])),
+        Suspicion("gain", (name,), undo, sizes, least, 1.0, is_relative=True),
+    ]
 
 
-def _scale_position(j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
+def _delays(name: str, side: int, column: int) -> list[Suspicion]:
+    """A delay of a channel."""
+    return [Suspicion("lag", (name,), _change(side, column, delay), _LAGS, 0.7)]
+
+
+def _change(
+    side: int, columns: int | list[int], change: Callable[[np.ndarray, float], np.ndarray]
+) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
+    """Changes columns of the positions (side 0) or inputs (side 1) of a record."""
+
     def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        q = q.copy()
-        q[:, j] *= size
-        return q, u
-
-    return undo
-
-
-def _shift_position(j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        q = q.copy()
-        q[:, j] += size
-        return q, u
-
-    return undo
-
-
-def _delay_position(j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        q = q.copy()
-        q[:, j] = delay(q[:, j], size)
-        return q, u
-
-    return undo
-
-
-def _scale_input(k: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        u = u.copy()
-        u[:, k] *= size
-        return q, u
-
-    return undo
-
-
-def _delay_input(k: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        u = u.copy()
-        u[:, k] = delay(u[:, k], size)
-        return q, u
-
-    return undo
-
-
-def _swap_positions(i: int, j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        q = q.copy()
-        q[:, [i, j]] = q[:, [j, i]]
-        return q, u
-
-    return undo
-
-
-def _swap_inputs(i: int, j: int) -> Callable[[np.ndarray, np.ndarray, float], Arrays]:
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Arrays:
-        u = u.copy()
-        u[:, [i, j]] = u[:, [j, i]]
-        return q, u
+        arrays = q.copy(), u.copy()
+        arrays[side][:, columns] = change(arrays[side][:, columns], size)
+        return arrays
 
     return undo
 
@@ -433,7 +397,8 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         evidence = f"{-size:+.3g} {unit}; {drop}"
         block = view.coordinate_card(shown)
         factor = block.factor() * block.sign if block else 1.0
-        remedy = f"{in_file}{line(shown, f'offset = {_offset(block) - size / factor:.4g}')}"
+        offset = (block.offset if block else 0.0) - size / factor
+        remedy = f"{in_file}{line(shown, f'offset = {offset:.4g}')}"
     elif suspicion.check == "lag":
         # what must be delayed to fit came too early
         word = "early" if size > 0 else "late"
@@ -444,16 +409,14 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
             else without_record(e)
         )  # fmt: skip
     else:
-        what = "the record has another sampling period than the others"
+        what = "the record is of another sampling period, or of a machine that is as much slower"
         evidence = f"{1e3 * size * e.dt:.4g} ms against {1e3 * e.dt:.4g} ms; {drop}"
-        remedy = f"in a card of its own, {top_line(f'dt = {size * e.dt:.4g}')}"
+        remedy = f"in a card of its own, {top_line(f'dt = {size * e.dt:.4g}')}, or groups"
+    # a size may stand for a change of the machine; a sign and a swap cannot
+    severity = "warning" if suspicion.has_number else "severe"
     return view.finding(
-        suspicion.check, "severe", what, evidence, remedy, names[0] if names else ""
+        suspicion.check, severity, what, evidence, remedy, names[0] if names else ""
     )
-
-
-def _offset(block: object) -> float:
-    return float(getattr(block, "offset", 0.0))
 
 
 def _gain_key(view: RecordView, name: str, size: float) -> str:
@@ -464,7 +427,7 @@ def _gain_key(view: RecordView, name: str, size: float) -> str:
     for unit, factor in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
         if abs(size / factor - 1) < 0.15:
             return f'unit = "{unit}"'
-    return f"unit: its numbers are {1 / size:.4g} times too large"
+    return f"unit: {times_too_large(1 / size)}"
 
 
 def _unit(channels: Channels, name: str) -> str:
@@ -498,8 +461,11 @@ def _other_machines(model: MotionModel, views: Sequence[RecordView]) -> Iterator
             parameters, factors = model.scale_groups(r, kinds)
             after = model.cost(equations, parameters)
             told = [k for k in kinds if k in ("position", "input") or word == "friction"]
-            logs = [np.log(max(f, 0.01)) for kind in told for f in factors[kind]]
-            has_changed = max(map(abs, logs)) > _OTHER_FACTOR or np.ptp(logs) > _OTHER_RATIO
+            told_factors = np.concatenate([factors[kind] for kind in told])
+            if (told_factors <= 0).any():  # nothing weighs or rubs less than nothing
+                continue
+            logs = np.log(told_factors)
+            has_changed = np.abs(logs).max() > _OTHER_FACTOR or np.ptp(logs) > _OTHER_RATIO
             explains = after < _OTHER_MACHINE * cost[r]
             if not (explains and has_changed and (word == "friction" or after < _USUAL * usual)):
                 continue

@@ -15,7 +15,7 @@ from tustinnet.data.card import Card
 from tustinnet.data.experiment import Experiment
 
 # findings in a record that explain all that records show against one another
-_EXPLAINS = {"angle unit", "counter", "magnitude", "dead sensor"}
+_EXPLAINS = {"angle unit", "counter", "dead sensor"}
 
 
 def check_records(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:

@@ -1,17 +1,16 @@
 """Scales of angles that a draft of a card assumed, and that the motion of the records shows."""
 
-import re
 from pathlib import Path
 
-from tustinnet.check.check import check_records
+from tustinnet.check.scale_of_angles import find_scale_of_angles
+from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
 from tustinnet.data.declaration import declare, parse_toml
 from tustinnet.data.drafting.draft import Draft
 from tustinnet.data.loading import load_folder
 from tustinnet.errors import InputError
 
-_UNIT = re.compile(r'unit = "(deg|rad)"$')
-_COUNTS = re.compile(r"counts_per_revolution = ([\d.]+)$")
+_QUESTIONS = {"unit": "unit", "counts_per_revolution": "counts"}  # of drafts, by keys of a card
 
 
 def find_scales(draft: Draft, folder: Path, *, follow_links: bool = False) -> dict[str, str]:
@@ -33,14 +32,11 @@ def find_scales(draft: Draft, folder: Path, *, follow_links: bool = False) -> di
         records = load_folder(folder, card, on_message=lambda _: None, follow_links=follow_links)
     except InputError:  # which the caller meets when it reads the records itself
         return {}
-    scales: dict[str, str] = {}
-    for finding in check_records(records, card):
-        coordinate = assumed.get(finding.channel)
-        if finding.check != "angle unit" or coordinate is None:
-            continue
-        if "unit" in coordinate.assumed and (match := _UNIT.search(finding.remedy)):
-            scales[f"unit {coordinate.column}"] = match[1]
-        counts_match = _COUNTS.search(finding.remedy)
-        if "counts_per_revolution" in coordinate.assumed and counts_match:
-            scales[f"counts {coordinate.column}"] = counts_match[1]
-    return scales
+    names = [c.name for c in card.coordinates]
+    views = [RecordView(e.without_controller(), card) for e in records]
+    evidence = find_scale_of_angles(views)
+    return {
+        f"{_QUESTIONS[scale.key]} {assumed[names[scale.index]].column}": scale.value
+        for scale in (evidence.scales if evidence and evidence.is_clear else ())
+        if names[scale.index] in assumed and scale.key in assumed[names[scale.index]].assumed
+    }

@@ -19,7 +19,7 @@ _NOTHING = 1e-4  # of the usual size of a regressor: a direction that records do
 _PART = 0.3  # of a direction, that is named
 _MOST_DIRECTIONS = 2
 _LEVELS = 3  # an input of fewer excites little
-_NARROW = 0.02  # of the spectrum's lines
+_NARROW = 4.0  # lines of the spectrum, of an input that excites little
 
 
 def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -49,16 +49,14 @@ def poor_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
                 "record more levels: nothing between them can be told", i.name,
             )  # fmt: skip
             continue
-        shares = []
-        for u in columns:
-            power = np.abs(np.fft.rfft(u[:100_000] - u.mean())) ** 2
-            shares.append(np.sum(power) ** 2 / np.sum(power**2) / len(power))
-        if max(shares) < _NARROW and max(shares) * len(columns[0]) / 2 < 4:
-            lines = max(shares) * len(columns[0]) / 2
+        # of the power at n lines of the same size the sum of squares is an n-th
+        powers = [np.abs(np.fft.rfft(u[:100_000] - u.mean())) ** 2 for u in columns]
+        lines = max(float(np.sum(p) ** 2 / np.sum(p**2)) for p in powers)
+        if lines < _NARROW:
             yield _finding(
-                views, "poor input", "note", f"{i.name} is nearly a single sine",
-                f"{max(lines, 1):.1f} effective frequencies",
-                "record several frequencies: a sum of sines, noise, or steps", i.name,
+                views, "poor input", "note", f"{i.name} has few frequencies",
+                f"{lines:.1f} effective ones",
+                "record more: a sum of sines, noise, or many steps", i.name,
             )  # fmt: skip
 
 

@@ -5,30 +5,28 @@ the report; a new one is a function and a line there.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.check.card_lines import (
     coordinate_line,
-    file_line,
+    file_parts,
     input_line,
     time_line,
+    times_too_large,
     top_line,
-    without_record,
 )
-from tustinnet.check.finding import Finding
+from tustinnet.check.finding import SEVERITIES, Finding, Severity
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
+from tustinnet.data.units import velocity_factor
 from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
 from tustinnet.wording import counted
 
 _OTHER_PERIOD = 0.003  # relative; velocities and accelerations are wrong by it, and by twice it
 _FAR_PERIOD = 0.02
-_QUARTER, _OFTEN = np.pi / 2, 0.05  # no angle moves by this a sample, in this share of the samples
-_FARTHEST, _STRONGEST = 1e6, 1e9  # rad or m, and units of an input, which no mechanism reaches
 _OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
 _FEWEST_COUNTS = 10  # levels of a position that tell the count of its encoder
 _LONG_GAP = 4.5  # periods; of a shorter one little motion is lost
@@ -38,25 +36,22 @@ _BITS = range(8, 33)  # of counters
 _MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one size
 _SAME_WRAP = 0.05  # relative; a bad row there and back has two jumps of a size, no more
 _SAME_JUMP = 0.01  # relative
+_OFTEN = 3  # jumps of a size that are no chance
 _FROZEN = 5  # equal samples
 _SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
 _STEP = 5.0  # times the changes that an input rarely exceeds
 _COUNTS = 5.0  # a change of so many is none of quantisation
-_BRAKING = 3.0  # times the largest change of speed elsewhere: no mechanism stops so
 _RUNS = 2  # times that a coordinate reaches a limit of its sensor
 _CLIPPED = 4  # equal samples at a limit
 _LAG_SAMPLES, _LAG_TIME = 0.8, 0.01  # of a velocity, in samples and in periods of the motion
 _GAIN = 0.05  # relative, of a velocity
-_OTHER_GAIN = 0.2
+_OTHER_GAIN, _SAME_UNIT = 0.2, 0.1
 _LOW_CORRELATION, _HIGH_CORRELATION = 0.5, 0.9
 _BEYOND = 0.01  # of the range of limits
 _MOST_LAGS = 12  # samples
 _LONGEST_CLOCK = 5e-5  # s; a mechanism that needs a shorter period is rare
 
-_RATIOS = {  # of a velocity column to the slope: what it may mean
-    "deg/s": np.rad2deg(1.0), "rad/s": np.deg2rad(1.0), "rpm": 30 / np.pi,
-    "rev/s": 1 / (2 * np.pi), "mm/s": 1e3, "cm/s": 1e2, "m/s": 1e-3,
-}  # fmt: skip
+_VELOCITIES = {"rad": ("rad/s", "deg/s", "rpm", "rev/s"), "m": ("m/s", "cm/s", "mm/s")}
 
 
 # --- time ---
@@ -96,7 +91,7 @@ def time_unit(view: RecordView) -> Iterator[Finding]:
     else:
         return
     yield view.finding(
-        "time unit", "severe", f"the timestamps look like {unit}, not {card.time.unit}",
+        "time unit", "warning", f"the timestamps look like {unit}, not {card.time.unit}",
         f"they are {step:.4g} apart, which makes a period of {median:.3g} s",
         time_line(f'unit = "{unit}"'),
     )  # fmt: skip
@@ -113,11 +108,10 @@ def gaps(view: RecordView) -> Iterator[Finding]:
     row = int(np.searchsorted(e.t, start + recording.median_dt / 2)) + e.first_row
     count = f"{len(lengths)} gaps, the longest" if len(lengths) > 1 else "a gap"
     treatment = "filled by interpolation" if e.recording is not None else "left as it is"
-    rows = f"rows = [{e.first_row}, {row}]"
     yield view.finding(
         "gap", "warning", "samples are missing",
         f"{count} of {1e3 * (stop - start):.4g} ms, {lengths[worst] - 1:.0f} samples, {treatment}",
-        f"{file_line(e, rows)}, and the rows from {row} on as another entry",
+        file_parts(e, row, row),
         time=start - float(e.t[0]),
     )  # fmt: skip
 
@@ -126,7 +120,7 @@ def sampling(view: RecordView) -> Iterator[Finding]:
     """Samples in a period of the strongest oscillation."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if len(e) < 64 or not view.moving[j] or _moves_wildly(view, j):
+        if len(e) < 64 or not view.moving[j] or view.wild_share(j):
             continue
         scales = timescales([e.q[:, j]])
         is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
@@ -148,18 +142,16 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
     """Coordinates that never change, or flicker between two neighbouring counts."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if not view.moving[j]:
+        flickers = len(np.unique(e.q[:, j])) == 2 and _is_one_count(view, j)
+        if flickers or not view.moving[j]:
             yield view.finding(
-                "dead sensor", "warning", f"{c.name} never changes",
+                "dead sensor",
+                "warning",
+                f"{c.name} never changes" + " by more than one count" * (flickers),
                 f"{e.q[0, j]:.4g} {c.unit} in all {counted(len(e), 'sample')}",
-                coordinate_line(c.name, "column: is it the right one?"), c.name,
-            )  # fmt: skip
-        elif len(np.unique(e.q[:, j])) == 2 and _is_one_count(view, j):
-            yield view.finding(
-                "dead sensor", "warning", f"{c.name} never changes by more than one count",
-                f"{np.ptp(e.q[:, j]):.4g} {c.unit} in all {counted(len(e), 'sample')}",
-                coordinate_line(c.name, "column: is it the right one?"), c.name,
-            )  # fmt: skip
+                coordinate_line(c.name, "column: is it the right one?"),
+                c.name,
+            )
 
 
 def _is_one_count(view: RecordView, j: int) -> bool:
@@ -172,50 +164,25 @@ def _is_one_count(view: RecordView, j: int) -> bool:
     return int(np.count_nonzero(np.diff(e.q[:, j]))) > 2
 
 
-def magnitude(view: RecordView) -> Iterator[Finding]:
-    """Positions and inputs that no mechanism reaches."""
-    e = view.experiment
-    for j, c in enumerate(e.coordinates):
-        if c.unit in ("rad", "m") and (size := np.abs(e.q[:, j]).max()) > _FARTHEST:
-            yield view.finding(
-                "magnitude", "severe", f"{c.name} reaches {size:.3g} {c.unit}",
-                "unit or a bad row?", coordinate_line(c.name, "unit: which one?"), c.name,
-                view.seconds(int(np.abs(e.q[:, j]).argmax())),
-            )  # fmt: skip
-    for i, u in zip(e.inputs, e.u.T, strict=True):
-        if (size := np.abs(u).max()) > _STRONGEST:
-            yield view.finding(
-                "magnitude", "severe", f"{i.name} reaches {size:.3g} {i.unit}",
-                "unit or a bad row?", input_line(i.name, "scale: which one?"), i.name,
-                view.seconds(int(np.abs(u).argmax())),
-            )  # fmt: skip
-
-
 def wild_angle(view: RecordView) -> Iterator[Finding]:
-    """Angles that move more than a quarter turn from sample to sample."""
-    e = view.experiment
-    for j, c in enumerate(e.coordinates):
-        if _moves_wildly(view, j):
-            share = np.mean(np.abs(np.diff(e.q[:, j])) > _QUARTER)
+    """Angles that often move more than a quarter turn from sample to sample."""
+    for j, c in enumerate(view.experiment.coordinates):
+        if share := view.wild_share(j):
             yield view.finding(
-                "angle unit", "severe",
+                "angle unit",
+                "warning",
                 f"{c.name} moves more than a quarter turn in {share:.0%} of the periods",
-                "wrong unit, or sampled too slowly?",
-                coordinate_line(c.name, 'unit = "deg"'), c.name,
-            )  # fmt: skip
-
-
-def _moves_wildly(view: RecordView, j: int) -> bool:
-    e = view.experiment
-    is_angle = e.coordinates[j].kind == "angular"
-    return is_angle and bool(np.mean(np.abs(np.diff(e.q[:, j])) > _QUARTER) > _OFTEN)
+                "another unit, or sampled too slowly?",
+                coordinate_line(c.name, "unit: which one?"),
+                c.name,
+            )
 
 
 def jumps(view: RecordView) -> Iterator[Finding]:
     """Jumps of positions: spikes, lost counts, counters that overflow, wraps of another unit."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if _moves_wildly(view, j) or not view.moving[j]:
+        if view.wild_share(j) or not view.moving[j]:
             continue
         rows = outliers.find_jumps(e.t, e.q[:, j], c.resolution or view.recording.counts[j] or 0.0)
         rows = rows[~_follows_standstill(view, j, rows) & ~_follows_step(view, rows)]
@@ -223,25 +190,25 @@ def jumps(view: RecordView) -> Iterator[Finding]:
             continue
         sizes = _jump_sizes(e.q[:, j], rows)
         worst = float(np.abs(sizes).max())
-        listed = _list_rows(rows)
-        meaning = _meaning_of_jumps(view, j, sizes)
-        if meaning is not None:
+        check, severity, meaning = "jump", "warning", _meaning_of_jumps(view, j, sizes)
+        if meaning is None:
+            is_spike = len(rows) > 1 and abs(sizes.sum()) < 0.2 * np.abs(sizes).sum()
+            cause = "bad rows?" if is_spike else "bad rows, or lost counts?"
+            remedy = _without(view, rows)
+        else:
             cause, remedy = meaning
             check = "swap" if cause.endswith("swapped?") else "counter"
-            yield view.finding(
-                check, "severe", f"{c.name} jumps at sample {listed}: {cause}",
-                f"{counted(len(rows), 'jump')} of {worst:.5g} {c.unit}", remedy, c.name,
-                view.seconds(int(rows[0])),
-            )  # fmt: skip
-            continue
-        is_spike = len(rows) > 1 and abs(sizes.sum()) < 0.2 * np.abs(sizes).sum()
+            severity = "severe" if len(rows) >= _OFTEN else "warning"
         in_counts = f", {worst / view.counts[j]:.0f} counts" if view.counts[j] else ""
         yield view.finding(
-            "jump", "warning", f"{c.name} jumps at sample {listed}",
-            f"by {worst:.3g} {c.unit}{in_counts}: " + ("bad rows?" if is_spike else
-                                                      "bad rows, or lost counts?"),
-            _around(view, int(rows[0]), int(rows[-1])), c.name, view.seconds(int(rows[0])),
-        )  # fmt: skip
+            check,
+            severity,
+            f"{c.name} jumps at sample {_list_rows(rows)}: {cause}",
+            f"{counted(len(rows), 'jump')} of up to {worst:.5g} {c.unit}{in_counts}",
+            remedy,
+            c.name,
+            view.seconds(int(rows[0])),
+        )
 
 
 def _meaning_of_jumps(
@@ -264,9 +231,9 @@ def _meaning_of_jumps(
             return f"the turn of {other}, swapped?", coordinate_line(
                 c.name, f"column: that of {other}?")  # fmt: skip
         degrees = abs(360 - turn * round(360 / turn))
-        if abs(typical / degrees - 1) < _SAME_WRAP and len(size) > 2:
+        if abs(typical / degrees - 1) < _SAME_WRAP:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
-        if abs(typical / np.deg2rad(turn) - 1) < _SAME_WRAP and len(size) > 2:
+        if abs(typical / np.deg2rad(turn) - 1) < _SAME_WRAP:
             return "an angle in radians that wraps", coordinate_line(c.name, 'unit = "rad"')
     if not count:
         return None
@@ -303,14 +270,12 @@ def _jump_sizes(q: Float[np.ndarray, " n"], rows: Int[np.ndarray, " r"]) -> np.n
     return np.array([change[k - 1] - np.median(change[n]) for k, n in zip(rows, near, strict=True)])
 
 
-def _around(view: RecordView, first: int, last: int) -> str:
-    """The advice to use the rows before or after some bad ones."""
-    e = view.experiment
-    start, stop = e.first_row, e.first_row + len(e)
-    rows = [start, start + first] if first > len(e) - last else [start + last + 1, stop]
-    if rows[1] - rows[0] < 10:
-        return without_record(e)
-    return file_line(e, f"rows = {rows}")
+def _without(view: RecordView, rows: Int[np.ndarray, " r"]) -> str:
+    """The advice to leave out bad rows, and no others."""
+    if np.ptp(rows) > len(rows):
+        return "no line of the card: correct these rows in the file"
+    first = view.experiment.first_row
+    return file_parts(view.experiment, first + int(rows[0]), first + int(rows[-1]) + 1)
 
 
 def _equal_runs(view: RecordView, j: int) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"]]:
@@ -377,12 +342,12 @@ def _follows_step(view: RecordView, rows: Int[np.ndarray, " r"]) -> np.ndarray:
 
 
 def frozen_sensor(view: RecordView) -> Iterator[Finding]:
-    """Sensors that repeat a value in the middle of motion, or to the end of the record."""
+    """Sensors that repeat a value in the middle of motion."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
         if not view.moving[j] or len(e) < 20:
             continue
-        runs = _standstills(view, j) or _stops_at_ends(view, j)
+        runs = _standstills(view, j)
         if not runs:
             continue
         longest = max(runs, key=lambda run: run[1] - run[0])
@@ -392,32 +357,8 @@ def frozen_sensor(view: RecordView) -> Iterator[Finding]:
             "frozen sensor", "warning", f"{c.name} repeats a value while it moves",
             f"{times}{counted(total, 'sample')}, "
             f"{1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
-            _around(view, *longest), c.name, view.seconds(longest[0]),
+            _without(view, np.arange(longest[0], longest[1] + 1)), c.name, view.seconds(longest[0]),
         )  # fmt: skip
-
-
-def _stops_at_ends(view: RecordView, j: int) -> list[tuple[int, int]]:
-    """Runs of equal values at the ends of a record that begin or end at full speed."""
-    q, n = view.experiment.q[:, j], len(view.experiment)
-    first, last = _equal_runs(view, j)
-    if len(first) < 10:
-        return []
-    change = np.abs(np.diff(q))
-    bend = np.abs(np.diff(q, 2))
-    runs, fast = [], np.quantile(change, 0.9)
-    noise = _COUNTS * max(view.counts[j], view.noise[j])
-    tail, head = (int(first[-1]), n - 1), (0, int(last[0]))
-    speeds = (_speed_before(view, j, first[-1:])[0], _speed_after(view, j, last[:1])[0])
-    for run, speed in zip((tail, head), speeds, strict=True):
-        if run[1] - run[0] < max(_FROZEN, n // 50):
-            continue
-        own = np.zeros(len(bend), bool)
-        reach = 4 + 2 * _margin(view)
-        own[max(run[0] - reach, 0) : run[1] + reach] = True
-        usual = bend[~own].max(initial=0.0)
-        if abs(speed) > max(0.3 * fast, noise / 3) and abs(speed) > _BRAKING * usual:
-            runs.append(run)
-    return runs
 
 
 def clipped_sensor(view: RecordView) -> Iterator[Finding]:
@@ -431,32 +372,30 @@ def clipped_sensor(view: RecordView) -> Iterator[Finding]:
         rows = (last - first + 1 >= _CLIPPED) & (first >= 2) & (last < len(q) - 2)
         first, last = first[rows], last[rows]
         noise = max(view.counts[j], view.noise[j])
+        change = np.abs(np.diff(q))
         for extreme in (q.min(), q.max()):
             at = np.abs(q[first] - extreme) <= noise * (e.recording is not None)
             a, b = first[at], last[at]
-            into, out = np.abs(q[a] - q[a - 1]), np.abs(q[b + 1] - q[b])
             # the last change before a limit is only a part of one
-            into = np.maximum(into, np.abs(q[a - 1] - q[a - 2]))
-            out = np.maximum(out, np.abs(q[b + 2] - q[b + 1]))
+            into, out = (
+                np.maximum(change[a - 1], change[a - 2]),
+                np.maximum(change[b], change[b + 1]),
+            )
             # a turning point that lasts so long is left at a speed of half of this
-            smooth = 2 * _largest_bend(q, a, b) * (b - a + 1)
-            sharp = (np.minimum(into, out) > _COUNTS * noise) & (np.minimum(into, out) > smooth)
+            smooth = 2 * np.median(np.abs(np.diff(q, 2))) * (b - a + 1)
+            sharp = np.minimum(into, out) > np.maximum(_COUNTS * noise, smooth)
             if sharp.sum() < _RUNS:
                 continue
             samples = int(np.sum((b - a + 1)[sharp]))
             yield view.finding(
-                "clipped sensor", "warning", f"{c.name} is clipped at {extreme:.5g} {c.unit}",
-                f"{sharp.sum()} times, {counted(samples, 'sample')}, "
-                f"{samples / len(q):.1%} of them",
-                "no line of the card: the sensor's range is too small", c.name,
+                "clipped sensor",
+                "warning",
+                f"{c.name} stays at {extreme:.5g} {c.unit}, reached and left at speed",
+                f"{sharp.sum()} times, {counted(samples, 'sample')}",
+                "no line of the card: is it the end of the sensor, or a stop of the mechanism?",
+                c.name,
                 view.seconds(int(a[sharp][0])),
-            )  # fmt: skip
-
-
-def _largest_bend(q: np.ndarray, first: np.ndarray, last: np.ndarray) -> float:
-    """The change of speed from sample to sample that most of a record stays below."""
-    bend = np.abs(np.diff(q, 2))
-    return float(np.quantile(bend, 0.5)) if len(bend) else 0.0
+            )
 
 
 def encoder(view: RecordView) -> Iterator[Finding]:
@@ -486,14 +425,15 @@ def padded_velocities(view: RecordView) -> Iterator[Finding]:
     e = view.experiment
     lead, trail = e.padded_rows
     if lead or trail:
+        is_used = e.v_measured
         yield view.finding(
-            "padded velocity", "warning" if e.v_measured else "note",
+            "padded velocity",
+            "warning" if is_used else "note",
             "velocity columns are padded with zero rows",
-            f"{lead} at the beginning, {trail} at the end: not measured"
-            + (", so that all are taken from the positions" if e.v_measured else ""),
-            "velocity = { ..., measured = false }" if e.v_measured
-            else "none is needed: velocities come from the positions",
-        )  # fmt: skip
+            f"{lead} at the beginning, {trail} at the end, in which the positions move"
+            + ", so that all velocities are taken from the positions" * is_used,
+            "velocity = { ..., measured = false }" if is_used else "none is needed",
+        )
 
 
 def velocities(view: RecordView) -> Iterator[Finding]:
@@ -503,55 +443,73 @@ def velocities(view: RecordView) -> Iterator[Finding]:
     usable = slice(lead, len(e) - trail)
     if e.v is None or usable.stop - usable.start < 40:
         return
-    q, v = e.q[usable], e.v[usable]
+    q, v = e.q[usable], e.v[usable].copy()
+    for j in range(len(e.coordinates)):
+        rows = outliers.find_outliers(v[:, j])
+        if len(rows):
+            others = np.delete(np.arange(len(v)), rows)
+            usual = np.interp(rows, others, v[others, j])
+            yield _velocity_finding(
+                view,
+                j,
+                f"has outliers at sample {_list_rows(rows + lead)}, unlike",
+                f"by up to {np.abs(v[rows, j] - usual).max():.3g}",
+                "column: correct these rows in the file",
+                "warning",
+            )
+            v[rows, j] = usual
     windows = Windows(4, 1, e.dt)
     slopes, columns = windows.average_derivative(q), windows.average(v)
-    for j, c in enumerate(e.coordinates):
-        x, y = slopes[:, j], columns[:, j]
-        if not np.std(x) > 3 * view.noise[j] / (2 * windows.half * e.dt):
-            continue
-        if not np.std(y):
-            yield _velocity_finding(view, j, "never changes", f"{y[0]:.3g} {c.unit}/s",
-                                    "column: is it the right one?", "severe")  # fmt: skip
-            continue
-        lag, correlation, gain = _best_lag(x, y)
-        others = [abs(np.corrcoef(s, y)[0, 1]) if np.std(s) else 0.0 for s in slopes.T]
-        best = int(np.argmax(others))
-        if correlation < -_LOW_CORRELATION:
-            yield _velocity_finding(
-                view, j, "has the opposite sign of", f"gain {gain:.3g}, r = {correlation:.3f}",
-                "column, with its sign turned in the file", "severe")  # fmt: skip
-        elif best != j and others[best] > _HIGH_CORRELATION and correlation < others[best] - 0.1:
-            other = e.coordinates[best].name
-            yield _velocity_finding(
-                view, j, f"is that of {other}, not",
-                f"r = {correlation:.2f}, with {other} {others[best]:.3f}",
-                "column: that of the other coordinate", "severe")  # fmt: skip
-        elif correlation < _LOW_CORRELATION:
-            yield _velocity_finding(
-                view, j, "disagrees with", f"r = {correlation:.2f}",
-                "column: is it the right one?", "severe")  # fmt: skip
-        elif abs(gain - 1) > _OTHER_GAIN and correlation > _HIGH_CORRELATION:
-            name = min(_RATIOS, key=lambda name: abs(np.log(gain / _RATIOS[name])))
-            is_unit = abs(gain / _RATIOS[name] - 1) < 0.1
-            key = (
-                f'unit = "{name}"' if is_unit else f"unit: the column is {gain:.4g} times too large"
-            )
-            yield _velocity_finding(
-                view, j, "has another unit than", f"{gain:.4g} times the slope, r = "
-                f"{correlation:.3f}", key, "severe")  # fmt: skip
-        elif abs(gain - 1) > _GAIN and correlation > _HIGH_CORRELATION:
-            yield _velocity_finding(
-                view, j, "has another gain than", f"{gain:.4g} times the slope",
-                "unit: is the sensor calibrated?", "warning" if e.v_measured else "note",
-            )  # fmt: skip
-        if correlation > _HIGH_CORRELATION and lag > _LAG_SAMPLES:
-            period = timescales([e.q[usable][:, j]]).period
-            is_long = lag > max(_LAG_SAMPLES, _LAG_TIME * min(period, 400.0))
-            if is_long:
-                yield _velocity_finding(
-                    view, j, "lags behind", f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples",
-                    "measured = false", "warning" if e.v_measured else "note")  # fmt: skip
+    for j in range(len(e.coordinates)):
+        if np.std(slopes[:, j]) > 3 * view.noise[j] / (2 * windows.half * e.dt):
+            yield from _compare_velocity(view, j, slopes, columns[:, j])
+
+
+def _compare_velocity(
+    view: RecordView, j: int, slopes: Float[np.ndarray, "m n_q"], column: Float[np.ndarray, " m"]
+) -> Iterator[Finding]:
+    """Findings about a velocity column; it has to follow a slope to be called wrong for sure."""
+    e = view.experiment
+    lag, correlation, gain = _best_lag(slopes[:, j], column)
+    others = [abs(np.corrcoef(s, column)[0, 1]) if np.std(s) else 0.0 for s in slopes.T]
+    best = int(np.argmax(others))
+    # noise of one of both alone may change the gain by as much as the correlation
+    deviation = abs(gain - 1) - (1 - correlation)
+    size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
+    if best != j and others[best] > max(_HIGH_CORRELATION, abs(correlation) + 0.1):
+        relation, size = (
+            f"is that of {e.coordinates[best].name}, not",
+            (f"r = {correlation:.2f}, with that {others[best]:.3f}"),
+        )
+        key, severity = "column: that of the other coordinate", "severe"
+    elif correlation < -_HIGH_CORRELATION:
+        relation, severity = "has the opposite sign of", "severe"
+        key = "column, with its sign turned in the file"
+    elif correlation < _LOW_CORRELATION:
+        relation, key, severity = "disagrees with", "column: is it the right one?", "warning"
+    elif correlation > _HIGH_CORRELATION and deviation > _GAIN:
+        relation, key = "has another scale than", _velocity_unit(view, j, gain)
+        severity = "severe" if deviation > _OTHER_GAIN else "warning"
+    else:
+        relation, key, severity = "", "", "note"
+    if relation:
+        yield _velocity_finding(view, j, relation, size, key, severity)
+    if correlation > _HIGH_CORRELATION and lag > _LAG_SAMPLES:
+        period = timescales([e.q[:, j]]).period
+        if lag > _LAG_TIME * min(period, 400.0):
+            size = f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples"
+            yield _velocity_finding(view, j, "lags behind", size, "measured = false", "warning")
+
+
+def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
+    """The unit of a velocity column that is some times the slope, as an entry of the card."""
+    c = view.experiment.coordinates[j]
+    card = view.coordinate_card(c.name)
+    declared = card.velocity_factor() if card and card.velocity else 1.0
+    for name in _VELOCITIES.get(c.unit, ()):
+        if abs(velocity_factor(name, c.unit) * gain / declared - 1) < _SAME_UNIT:
+            return f'unit = "{name}"'
+    return f"unit: {times_too_large(gain)}"
 
 
 def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
@@ -561,25 +519,33 @@ def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[f
     r = np.array([np.corrcoef(a, b)[0, 1] if np.std(a) and np.std(b) else 0.0 for a, b in pairs])
     best = int(np.argmax(np.abs(r)))
     a, b = pairs[best]
-    a, b = a - a.mean(), b - b.mean()
     shift = 0.0
     if 0 < best < len(r) - 1:
         left, middle, right = np.abs(r[best - 1 : best + 2])
         shift = 0.5 * (left - right) / (left - 2 * middle + right) if middle < 1 else 0.0
-    return lags[best] + float(np.clip(shift, -0.5, 0.5)), float(r[best]), float(a @ b / (a @ a))
+    return (
+        lags[best] + float(np.clip(shift, -0.5, 0.5)),
+        float(r[best]),
+        float(np.sign(r[best]) * np.std(b) / np.std(a)),
+    )
 
 
 def _velocity_finding(
-    view: RecordView, j: int, relation: str, size: str, key: str,
-    severity: Literal["severe", "warning", "note"],
-) -> Finding:  # fmt: skip
-    """A finding about the velocity column of a coordinate."""
+    view: RecordView, j: int, relation: str, size: str, key: str, severity: Severity
+) -> Finding:
+    """A finding about a velocity column, a degree milder where no fit uses it."""
     c = view.experiment.coordinates[j]
+    if not view.experiment.v_measured:
+        severity = SEVERITIES[SEVERITIES.index(severity) + 1]
     return view.finding(
-        "velocity", severity,
+        "velocity",
+        severity,
         f"{c.name}: the velocity column {relation} the change of the positions",
-        size, coordinate_line(c.name, f"velocity = {{ {key} }}"), c.name, is_velocity=True,
-    )  # fmt: skip
+        size,
+        coordinate_line(c.name, f"velocity = {{ {key} }}"),
+        c.name,
+        is_velocity=True,
+    )
 
 
 # --- inputs ---
@@ -594,7 +560,7 @@ def input_spikes(view: RecordView) -> Iterator[Finding]:
             yield view.finding(
                 "spike", "warning", f"{i.name} has spikes at sample {_list_rows(rows)}",
                 f"by {size:.3g} {i.unit}, others stay within {_usual_size(u, rows):.3g}: bad rows?",
-                _around(view, int(rows[0]), int(rows[-1])), i.name, view.seconds(int(rows[0])),
+                _without(view, rows), i.name, view.seconds(int(rows[0])),
             )  # fmt: skip
 
 
@@ -635,15 +601,20 @@ def dead_band(view: RecordView) -> Iterator[Finding]:
     rests = np.flatnonzero(runs) + width - 1  # nothing moved for a while up to here
     if len(rests) < 0.02 * len(e) or not speed.max():
         return
-    for i, u in zip(e.inputs, e.u.T, strict=True):
-        largest = float(np.quantile(np.abs(u[rests]), 0.95))
-        if np.ptp(u[rests]) > 0 and 0.02 * np.abs(u).max() < largest < 0.7 * np.abs(u).max():
+    for i, u in zip(e.inputs, e.u[rests].T, strict=True):
+        low, high = np.quantile(u, [0.05, 0.95])
+        neutral = np.median(u)  # which is no force, whatever the number
+        reach = np.abs(e.u[:, e.inputs.index(i)] - neutral).max()
+        if 0.02 * reach < (high - low) / 2 < 0.7 * reach:
             yield view.finding(
-                "dead band", "note", f"nothing moves under small values of {i.name}",
-                f"up to {largest:.3g} {i.unit}, for {len(rests) * e.dt:.2g} s",
-                "no line of the card: a model needs dry friction or a dead zone", i.name,
+                "dead band",
+                "note",
+                f"nothing moves while {i.name} changes a little",
+                f"from {low:.3g} to {high:.3g} {i.unit}, for {len(rests) * e.dt:.2g} s",
+                "no line of the card: a model may need dry friction or a dead zone",
+                i.name,
                 view.seconds(int(rests[0])),
-            )  # fmt: skip
+            )
 
 
 def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
@@ -651,6 +622,6 @@ def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
 
 
 CHECKS: tuple[Callable[[RecordView], Iterator[Finding]], ...] = (
-    period, time_unit, gaps, sampling, dead_sensor, magnitude, wild_angle, jumps, frozen_sensor,
+    period, time_unit, gaps, sampling, dead_sensor, wild_angle, jumps, frozen_sensor,
     clipped_sensor, encoder, padded_velocities, velocities, input_spikes, limits, dead_band,
 )  # fmt: skip

@@ -1,113 +1,150 @@
 """Check of the scale of an angle by gravity, whose force has the period of a turn.
 
 Sines of an angle in degrees, or of one whose encoder has other counts in a turn than declared, fit
-the motion worse than those of the true angle. Small swings do not tell: their sine is straight.
+the motion worse than those of the true angle. They are compared beside polynomials of the angle,
+so that a spring, or a controller that holds a position, is no gravity. Small swings do not tell
+the scale: their sine is a polynomial.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tustinnet.check.card_lines import coordinate_line
 from tustinnet.check.finding import Finding
-from tustinnet.check.motion_model import Regressors, make_regressors, unexplained_share
+from tustinnet.check.motion_model import make_regressors, unexplained_share
 from tustinnet.check.view import RecordView
+from tustinnet.data.units import ANGLE
 
 _RECORDS = 5  # of them, from everywhere in the list
-_SCALES = {  # of the true angle to the declared one
-    "deg": np.pi / 180, "rad": 180 / np.pi, "twice": 2.0, "half": 0.5, "four": 4.0, "quarter": 0.25,
-}  # fmt: skip
-_UNITS = ("deg", "rad")
-_FEW_COORDINATES = 2  # of more the model is too poor for other scales
+_UNITS = {unit: ANGLE[unit] for unit in ("deg", "rad")}
+_COUNTS = (2.0, 0.5, 4.0, 0.25)  # of the declared ones: edges that are counted or not
 _DROP = 0.4  # of what the model leaves, which the true scale leaves
-_POOR = 0.5  # so much the model must explain with the true scale
-_LEAST = 0.01  # of the accelerations: a model that leaves less needs no other scale
-_SMALL_RANGE = 3.0  # rad; a spring may hold an angle that stays within
+_LEAST = 0.05  # of the accelerations, which the true scale explains beside all others
+
+
+@dataclass(frozen=True)
+class ScaleOfAngle:
+    """Another scale of an angle, as a key of its block in the card.
+
+    Attributes:
+        index: the coordinate.
+        key: `unit` or `counts_per_revolution`.
+        value: the value of the key.
+        factor: of the true angle to the declared one.
+    """
+
+    index: int
+    key: str
+    value: str
+    factor: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Other scales of one or all angles, with which a model explains the motion far better.
+
+    Attributes:
+        scales: the scales.
+        before: share of the accelerations that the model leaves with the declared ones.
+        after: the share that it leaves with these.
+        is_clear: whether the model leaves far more without gravity, too, where a spring or a
+            controller holds the angle.
+    """
+
+    scales: tuple[ScaleOfAngle, ...]
+    before: float
+    after: float
+    is_clear: bool
 
 
 def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Angles that gravity, or another force with the period of a turn, shows in another scale."""
-    step = max(1, len(views) // _RECORDS)
-    some = views[::step][:_RECORDS]
-    regressors = make_regressors(some)
-    if regressors is None:
+    evidence = find_scale_of_angles(views)
+    if evidence is None:
         return
-    channels = some[0].experiment.channels
-    q = np.concatenate([v.experiment.q for v in some])
-    plain = unexplained_share(regressors, some, np.ones(channels.n_q))
-    if plain < _LEAST:
-        return
-    angles = [j for j, c in enumerate(channels.coordinates)
-              if c.kind == "angular" and any(v.moving[j] for v in some)]  # fmt: skip
-    together = list(_unit_of_all(regressors, some, q, angles, plain)) if len(angles) > 1 else []
-    if together:
-        yield from together
-        return
-    for j in angles:
-        c = channels.coordinates[j]
-        tried = _SCALES if channels.n_q <= _FEW_COORDINATES else {k: _SCALES[k] for k in _UNITS}
-        shares = {
-            name: _scaled_share(regressors, some, q, [j], scale) for name, scale in tried.items()
-        }
-        best = min(shares, key=lambda name: shares[name])
-        if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
-            continue
-        evidence = (
-            f"its range is {np.ptp(q[:, j]):.3g} rad; gravity fits {1 / _SCALES[best]:.3g} times "
-            f"smaller angles: the model leaves {shares[best]:.2%} of the accelerations, not "
-            f"{plain:.2%}"
-        )
-        card = views[0].coordinate_card(c.name)
-        if best in _UNITS:
-            what, key = f"{c.name} is not in the declared unit", f'unit = "{best}"'
-        else:
-            counts = card.counts_per_revolution if card is not None else None
-            what = f"{c.name} has another scale than declared"
-            key = (
-                f"counts_per_revolution = {counts / _SCALES[best]:.6g}" if counts
-                else f"unit: its numbers are {1 / _SCALES[best]:.3g} times too large"
-            )  # fmt: skip
-        finding = views[0].finding("angle unit", "severe", what, evidence,
-                                   coordinate_line(c.name, key), c.name)  # fmt: skip
-        yield replace(finding, records=())
-
-
-def _unit_of_all(
-    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, angles: list[int],
-    plain: float,
-) -> Iterator[Finding]:  # fmt: skip
-    """Findings that all angles are in another unit, where one alone explains less."""
-    shares = {name: _scaled_share(regressors, views, q, angles, _SCALES[name]) for name in _UNITS}
-    best = min(shares, key=lambda name: shares[name])
-    if shares[best] > _DROP * plain or shares[best] > 1 - _POOR:
-        return
-    alone = min(_scaled_share(regressors, views, q, [j], _SCALES[best]) for j in angles)
-    if shares[best] > _DROP * alone:
-        return
-    for j in angles:
-        name = views[0].experiment.coordinates[j].name
-        evidence = (
-            f"its range is {np.ptp(q[:, j]):.3g} rad; with all angles {1 / _SCALES[best]:.3g} "
-            f"times smaller the model leaves {shares[best]:.2%} of the accelerations, not "
-            f"{plain:.2%}"
-        )
+    for scale in evidence.scales:
+        name = views[0].experiment.coordinates[scale.index].name
+        extent = np.ptp(np.concatenate([v.experiment.q[:, scale.index] for v in views]))
+        is_unit = scale.key == "unit"
+        doubt = "" if evidence.is_clear else ", or one that a spring or a controller holds"
         finding = views[0].finding(
-            "angle unit", "severe", f"{name} is not in the declared unit", evidence,
-            coordinate_line(name, f'unit = "{best}"'), name,
-        )  # fmt: skip
+            "angle unit",
+            "severe" if is_unit and evidence.is_clear else "warning",
+            f"{name} moves like an angle in another {'unit' if is_unit else 'scale'} than declared"
+            + (doubt if is_unit else ", or behind a gear"),
+            f"its range is {extent:.3g} rad; with angles {scale.factor:.3g} times as large the "
+            f"model leaves {evidence.after:.2%} of the accelerations, not {evidence.before:.2%}",
+            coordinate_line(
+                name, f"{scale.key} = {json.dumps(scale.value) if is_unit else scale.value}"
+            ),
+            name,
+        )
         yield replace(finding, records=())
 
 
-def _scaled_share(
-    regressors: Regressors, views: Sequence[RecordView], q: np.ndarray, which: list[int],
-    scale: float,
-) -> float:  # fmt: skip
-    """Share of the accelerations that the model leaves where some angles have another scale."""
-    scales = np.ones(q.shape[1])
-    scales[which] = scale
-    at_rest = regressors.held.copy()
-    at_rest[which] = np.ptp(q[:, which], axis=0) * scale < _SMALL_RANGE
-    scaled = replace(regressors, held=at_rest, creep=regressors.creep * scales)
-    first = views[0].experiment
-    return unexplained_share(scaled.with_names(first.q[:2], first.u[:2]), views, scales)
+def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
+    """Another scale of an angle, or another unit of all angles, that gravity shows.
+
+    Args:
+        views: records of a machine.
+    """
+    some = views[:: max(1, len(views) // _RECORDS)][:_RECORDS]
+    free = make_regressors(some)
+    if free is None:
+        return None
+    n_q, first = free.channels.n_q, some[0].experiment
+    regressors = replace(free, held=np.ones(n_q, bool)).with_names(first.q[:2], first.u[:2])
+
+    def share(scales: Sequence[ScaleOfAngle]) -> float:
+        factors = np.ones(n_q)
+        factors[[s.index for s in scales]] = [s.factor for s in scales]
+        scaled = replace(regressors, creep=regressors.creep * factors)
+        return unexplained_share(scaled, some, factors)
+
+    unheld = unexplained_share(free, some, np.ones(n_q))
+    if unheld < _LEAST:
+        return None
+    alone = [s for j in range(n_q) for s in _other_scales(some, j)]
+    groups = [tuple(s for s in alone if s.value == unit) for unit in _UNITS]
+    chosen, after = _best([(s,) for s in alone], share)
+    together, after_together = _best([g for g in groups if len(g) > 1], share)
+    if after_together < _DROP * after:
+        chosen, after = together, after_together
+    for before, is_clear in ((share(()), True), (unheld, False)):
+        if after < min(_DROP * before, before - _LEAST):
+            return Evidence(chosen, before, after, is_clear)
+    return None
+
+
+def _best(
+    trials: Sequence[tuple[ScaleOfAngle, ...]], share: Callable[[Sequence[ScaleOfAngle]], float]
+) -> tuple[tuple[ScaleOfAngle, ...], float]:
+    """The trial that leaves least, and what it leaves."""
+    shares = [share(trial) for trial in trials]
+    return min(zip(trials, shares, strict=True), key=lambda x: x[1], default=((), 1.0))
+
+
+def _other_scales(views: Sequence[RecordView], j: int) -> Iterator[ScaleOfAngle]:
+    """Scales of an angle other than the declared one, with which it does not turn too fast."""
+    c = views[0].experiment.coordinates[j]
+    card = views[0].coordinate_card(c.name)
+    if c.kind != "angular" or not any(v.moving[j] for v in views) or (card and card.sine):
+        return
+    if card is None or card.unit != "counts":
+        declared = card.factor() / card.scale if card else 1.0
+        scales = [
+            ScaleOfAngle(j, "unit", unit, factor / declared) for unit, factor in _UNITS.items()
+        ]
+    else:
+        counts = card.counts_per_revolution or 0.0
+        scales = [
+            ScaleOfAngle(j, "counts_per_revolution", f"{times * counts:.6g}", 1 / times)
+            for times in (_COUNTS if counts else ())
+        ]
+    for scale in scales:
+        is_declared = abs(scale.factor - 1) < 1e-6
+        if not (is_declared or any(v.wild_share(j, scale.factor) for v in views)):
+            yield scale

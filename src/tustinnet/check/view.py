@@ -13,10 +13,10 @@ from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import transients
+from tustinnet.signals.outliers import white_noise
 
 _STENCIL = 5  # samples, fewer have no velocities
-_THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
-_TO_DEVIATION = 1.4826
+_QUARTER, _OFTEN = np.pi / 2, 0.05  # rad, and a share of the periods that is not small
 
 Block = TypeVar("Block", CoordinateCard, InputCard)
 
@@ -59,11 +59,21 @@ class RecordView:
     @cached_property
     def noise(self) -> Float[np.ndarray, " n_q"]:
         """Standard deviation of the white part of each coordinate, (n_q,) [rad or m]."""
-        q = self.experiment.q
-        if len(q) < _STENCIL:
-            return np.array(self.counts)
-        rough = np.median(np.abs(np.diff(q, 3, axis=0)), axis=0) * _TO_DEVIATION / _THIRD_DIFFERENCE
-        return np.maximum(rough, np.array(self.counts) / np.sqrt(12))
+        return np.maximum(white_noise(self.experiment.q), np.array(self.counts) / np.sqrt(12))
+
+    def wild_share(self, j: int, factor: float = 1.0) -> float:
+        """Share of the periods in which an angle moves by more than a quarter turn, if many.
+
+        Args:
+            j: the coordinate.
+            factor: a scale that the angle would have.
+
+        Returns:
+            The share, 0 where it is small: an angle that is sampled well moves so rarely.
+        """
+        e = self.experiment
+        share = float(np.mean(np.abs(np.diff(e.q[:, j])) * factor > _QUARTER))
+        return share if e.coordinates[j].kind == "angular" and share > _OFTEN else 0.0
 
     def seconds(self, sample: int) -> float:
         """Time of a sample from the first one on [s]."""

@@ -13,15 +13,16 @@ from tustinnet.errors import InputError, require_name
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitation
+from tustinnet.signals.outliers import white_noise
 from tustinnet.wording import counted
 
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
 _STENCIL_SAMPLES = 5
-_FEW_PADDED = 10  # rows: fewer are the ends of a difference, more may be an arm at rest
 _COLUMNS = {"u": "inputs", "outputs": "loops"}
-_FLICKER = 2.5  # steps of a position at rest
+_AT_REST = 0.05  # of the largest speed, as in `rest_thresholds`
+_NOISE = 4.0  # standard deviations of a position, within which it does not move
 
 
 def unwrap_angles(
@@ -452,43 +453,34 @@ class Experiment(HasChannels):
     def padded_rows(self) -> tuple[int, int]:
         """Rows at the beginning and the end whose stored velocities are zero padding.
 
-        Rows of exact zeros in every velocity column count as padding where the positions say
-        that the system was moving, faster than the smallest velocity that the columns show.
+        Rows of exact zeros in every velocity column count as padding where the positions move
+        during most of them, faster than at rest and than the smallest velocity of the columns. An
+        arm that rests, whatever its readings flicker, has true zeros.
         """
-        if self.v is None or len(self) < 5:
+        if self.v is None or len(self) < _STENCIL_SAMPLES:
             return (0, 0)
         zero = np.all(self.v == 0, axis=1)
         lead = len(zero) if zero.all() else int(np.argmin(zero))
         trail = len(zero) if zero.all() else int(np.argmin(zero[::-1]))
         # one zero row may be a release from rest: motion counts between padded rows only
-        lead = lead if self._moves_unseen(slice(0, max(lead - 1, 0) + 1)) else 0
-        trail = trail if self._moves_unseen(slice(len(self) - max(trail - 1, 0) - 1, None)) else 0
+        lead = lead if self._moves_mostly(slice(0, lead)) else 0
+        trail = trail if self._moves_mostly(slice(len(self) - trail, None)) else 0
         return lead, trail
 
-    def _moves_unseen(self, rows: slice) -> bool:
-        """Whether positions move in rows of zero velocities by more than these could hide.
-
-        An encoder of an arm at rest flickers by a count, and a sensor shows nothing below its
-        smallest velocity.
-        """
+    def _moves_mostly(self, rows: slice) -> bool:
+        """Whether a position moves during most of some rows, by more than noise."""
         assert self.v is not None
         q = self.q[rows]
-        if len(q) < 2 or not np.any(np.diff(q, axis=0) != 0):
+        lag = min(_STENCIL_SAMPLES, len(q)) - 1
+        if lag < 1:
             return False
-        if len(q) <= _FEW_PADDED:
-            return True
+        usual = np.median(np.abs(q[lag:] - q[:-lag]), axis=0)
+        farthest = np.abs(self.q[lag:] - self.q[:-lag]).max(axis=0)
         size = np.abs(self.v)
         smallest = np.min(size, axis=0, initial=np.inf, where=size > 0)
         smallest[~np.isfinite(smallest)] = 0.0
-        hidden = np.maximum(smallest * self.dt * (len(q) - 1), _FLICKER * self._steps())
-        return bool(np.any(np.ptp(q, axis=0) > hidden))
-
-    def _steps(self) -> Float[np.ndarray, " n_q"]:
-        """The smallest step of each position, its encoder's count or that of its rounding."""
-        steps = np.abs(np.diff(self.q, axis=0))
-        scale = 1e-9 * np.abs(self.q).max(axis=0)
-        smallest = np.min(steps, axis=0, initial=np.inf, where=steps > scale)
-        return np.where(np.isfinite(smallest), smallest, 0.0)
+        hidden = np.maximum(_NOISE * white_noise(self.q), smallest * self.dt * lag)
+        return bool(np.any(usual > np.maximum(hidden, _AT_REST * farthest)))
 
 
 def moving_coordinates(experiments: Sequence[Experiment]) -> Bool[np.ndarray, " n_q"]:

@@ -1,8 +1,8 @@
 """Parts of records that spoil a fit: what they are, their lines for the data card, their removal.
 
 A part is a record or a stretch of it. This module finds those that need no model: a mechanism that
-moves though its inputs are zero, inputs at or beyond the limits of the actuator, a position that is
-unstable and held. `evaluate.spoiled` finds others by the errors of a model.
+moves though its inputs are zero, a position that is unstable and held. `evaluate.spoiled` finds
+others by the errors of a model.
 """
 
 import re
@@ -12,20 +12,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tustinnet.channels import Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import saturated_share
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
-Cause = Literal[
-    "unlogged force", "other conditions", "friction", "saturated input", "unstable phase"
-]  # fmt: skip
+Cause = Literal["unlogged force", "other conditions", "friction", "unstable phase"]
 
 KEY = "spoiled"  # in headers and summaries
 FEWEST = 50  # samples of a part of a record that is worth keeping
-_OFTEN = 0.05  # of the samples at an extreme value, from which an input is worth a line
 _ZERO = 0.02  # of an input's largest value: as good as none
 _REST = 0.5  # s at rest before a motion that no input causes
 _CLEARLY = 3.0  # times the speed below which it is at rest, and a motion
@@ -187,28 +182,7 @@ def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[Spoi
         parts.append(replace(
             spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False
         ))  # fmt: skip
-    for i, u in zip(e.inputs, e.u.T, strict=True):
-        part = _at_limits(e, i, u)
-        parts += [] if part is None else [part]
     return parts
-
-
-def _at_limits(e: Experiment, channel: Input, u: np.ndarray) -> SpoiledPart | None:
-    """An input without declared limits that is often at an extreme value."""
-    name, unit = channel.name, channel.unit
-    if channel.limits is not None:  # the check finds samples beyond them
-        return None
-    share = saturated_share(u, None)
-    if share < _OFTEN:
-        return None
-    low, high = float(u.min()), float(u.max())
-    reason = (
-        f"{name} is at its smallest or largest value, {low:.4g} or {high:.4g} {unit}, in "
-        f"{share:.0%} of the samples: probably a limit; make sure that the log has what the "
-        "actuator gave, not what was wanted"
-    )
-    card = f"limits = [{low:.6g}, {high:.6g}]  # of the input {name}"
-    return SpoiledPart(e.name, "saturated input", None, None, reason, card, is_left_out=False)
 
 
 def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:

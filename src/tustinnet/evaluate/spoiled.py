@@ -6,7 +6,8 @@ diverge. About the model's parameters these errors are linear in changes of the 
 parameters that suit all other records, and those that suit a record alone, are found without
 another fit.
 
-* A stretch with errors far above those of all other stretches has a force that is not in the log.
+* A stretch with errors far above the usual ones, and above those of all pieces elsewhere, has a
+  force that is not in the log. Where any other is as far off, the model lacks something.
   Where forces that only follow the sign of the velocity, or its sign at low speeds, explain them,
   it is friction that the model has otherwise, and no hand.
 * A record that its own parameters explain far better than those of the other records was made
@@ -44,8 +45,8 @@ _STEP = 1e-4  # relative, for derivatives by parameters; of the spread of states
 _REGULARISATION = 1e-3  # of a usual squared error, for a change of a parameter by itself
 _REWEIGHTINGS = 8
 _USUAL = 0.9  # of the pieces have an error that is usual
-# an unlogged force: times that, and times the usual error for such motion; either pair is enough
-_STRETCH = ((2.5, 1.75), (1.5, 4.0))
+# a stretch that is far off: times that, and times the usual error for such motion
+_FAR, _FAR_FOR_MOTION = 2.5, 1.75
 _BY_FRICTION = 0.45  # times the error of a stretch that friction of its own leaves
 _SLOW, _ONSET = 0.02, 0.2  # speeds by the usual one: where friction turns, and where it falls
 _LEAST_MOTION = 0.3  # of the usual one; where there is less, friction holds it
@@ -403,35 +404,35 @@ def _find_stretches(
     median = float(np.median(np.concatenate(single)))
     parts = []
     for i, (e, record) in enumerate(zip(errors, records, strict=True)):
-        is_far_off = [
-            (smooth[i] > large * usual) & (for_motion[i] > large_for_motion * usual_for_motion)
-            for large, large_for_motion in _STRETCH
-        ]
-        is_spoiled = np.any(is_far_off, axis=0) & (e.motion > _LEAST_MOTION)
+        is_far_off = (smooth[i] > _FAR * usual) & (e.motion > _LEAST_MOTION)
+        is_far_off &= for_motion[i] > _FAR_FOR_MOTION * usual_for_motion
         is_part = np.maximum(single[i], smooth[i]) > _EDGE * usual
         runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
         for a, b in runs.tolist():
-            if is_spoiled[a:b].any():
+            if is_far_off[a:b].any():
                 first = max(0, a * samples - samples // 2)
                 stop = min(len(record), b * samples + samples // 2)
-                far_off = (
+                size = (
                     f"short simulations are {single[i][a:b].max() / median:.2g} times as far off "
                     "as usual"
                 )
                 is_far = single[i][a:b] > _EDGE * usual
                 if _is_friction(with_friction(i).part(slice(a, b)), is_far, changes[i]):
                     reason = (
-                        f"{far_off}, by a force that changes its sign with the velocity: friction "
+                        f"{size}, by a force that changes its sign with the velocity: friction "
                         "that the model lacks, or has otherwise"
                     )
                     part = spoiled_stretch(record, first, stop, "friction", reason)
                     parts.append(replace(part, card="", is_left_out=False))
                     continue
-                reason = (
-                    f"{far_off}: moved by a hand, a contact, or another force that is not in the "
-                    "log?"
-                )
-                parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
+                # where any other piece is as far off, the model lacks something, in more places
+                others = [*single[:i], single[i][:a], single[i][b:], *single[i + 1 :]]
+                if np.median(single[i][a:b]) > np.concatenate(others).max(initial=0.0):
+                    reason = (
+                        f"{size}: moved by a hand, a contact, or another force that is not in the "
+                        "log?"
+                    )
+                    parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
     return parts
 
 

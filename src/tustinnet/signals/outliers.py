@@ -1,7 +1,9 @@
-"""Samples that do not belong to a signal: jumps of positions, spikes of inputs."""
+"""Noise of signals, and samples that do not belong to them: jumps of positions, spikes."""
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from tustinnet.signals.encoder import encoder_count
 
 # a jump is a change from one sample to the next that sticks out of its neighbours, see `jumps`
 _NEAR, _AROUND = 11, 31  # samples
@@ -19,6 +21,17 @@ _FEW_SHARE = 0.05  # share of the samples that may be spikes
 _SHORT = 2  # samples
 
 _AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
+
+_THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
+_TO_DEVIATION = 1.4826  # of the median size of normal numbers
+
+
+def white_noise(q: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
+    """Standard deviation of the white part of each signal, (c,), which outliers do not change."""
+    if len(q) < 4:
+        return np.zeros(q.shape[1])
+    size = np.median(np.abs(np.diff(q, 3, axis=0)), axis=0)
+    return size * _TO_DEVIATION / _THIRD_DIFFERENCE
 
 
 def find_jumps(
@@ -52,6 +65,12 @@ def find_jumps(
     # a log that is faster than its sensor moves by jumps alone
     is_usual = len(jumps) > _MANY and len(jumps) > _MANY_SHARE * np.count_nonzero(change)
     return jumps[:0] if is_usual else jumps
+
+
+def find_outliers(v: Float[np.ndarray, " n"]) -> Int[np.ndarray, " rows"]:
+    """Samples of a velocity that stick out of their neighbours, as jumps of its integral would."""
+    integral = np.concatenate([[0.0], np.cumsum(v)])
+    return find_jumps(np.arange(len(integral), dtype=float), integral, encoder_count(v) or 0.0) - 1
 
 
 def _largest_bend(change: Float[np.ndarray, " m"], jumps: Int[np.ndarray, " jumps"]) -> float:

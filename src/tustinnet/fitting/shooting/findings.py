@@ -178,18 +178,20 @@ def describe_bounds(
         noise_ratio: size of the residuals over that of the encoders' rounding, None if unknown.
         system: the system, whose ranges say where they are from.
     """
+    # of a machine a bound says something where the model follows its records, and only there
+    follows = _is_at_noise(noise_ratio)
     cause = (
         "the records do not determine it, or the range is wrong"
-        if _is_at_noise(noise_ratio)
+        if follows
         else "the model lacks something, or the range is wrong"
     )
     bases = {p.name: p.basis for p in system.parameters}
-    sentences, ranges = [], {}
+    sentences, ranges, vanished = [], {}, []
     for e in estimates:
         if not e.bound:
             continue
         if e.bound == "lower" and e.lower == 0:
-            sentences.append(f"'{e.name}' is 0, its lower bound: the records show nothing of it")
+            vanished.append(f"'{e.name}' is 0, its lower bound")
             continue
         name = e.name.partition("[")[0]
         basis = bases.get(name, "")
@@ -205,6 +207,18 @@ def describe_bounds(
             )
         if basis:
             ranges[name] = _wider(e)
+    if follows:
+        sentences += [f"{name}: the records show nothing of it" for name in vanished]
+    elif vanished:
+        advice = (
+            ""
+            if system.added_parameters
+            else '; try --set \'model.forces=["constant"]\' or "curve"'
+        )
+        sentences.append(
+            f"{', '.join(vanished)}: that says nothing of the machine as long as the model does "
+            f"not follow the records{advice}"
+        )
     if ranges and system.source is not None:
         some = dict([*ranges.items()][:_MOST_RANGES])
         sentences.append(
