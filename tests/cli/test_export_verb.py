@@ -98,8 +98,10 @@ def refused(capsys):
 
     def check(*arguments: object, names: str) -> None:
         code, printed, err = tustinnet(capsys, "export", *arguments)
-        assert (code, printed, err.count("\n")) == (1, "", 1), err
-        assert names in err
+        *understood, error = err.splitlines()
+        assert (code, printed, error.startswith("error: ")) == (1, "", True), err
+        assert all(line.startswith("--at: ") for line in understood), err
+        assert names in error
 
     return check
 
