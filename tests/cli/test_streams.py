@@ -19,7 +19,7 @@ def run(arguments, shell_tail="", **variables):
 
 @pytest.fixture
 def arguments(request, identified, folder):
-    more = {"show": (identified / "model.safetensors",)}
+    more: dict[str, tuple] = {"show": (identified / "model.safetensors",)}
     more["evaluate"] = (*more["show"], folder)
     return (*request.param, *(more.get(request.param[0], ()) if len(request.param) == 1 else ()))
 

@@ -3,6 +3,7 @@
 import ast
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -42,7 +43,7 @@ def of_command(command) -> set[str]:
     return {"--help"} | {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
 
 
-COMMAND = typer.main.get_command(app)
+COMMAND: Any = typer.main.get_command(app)
 VERBS = {name: of_command(command) for name, command in COMMAND.commands.items()}
 OF_ONE_VERB = [  # modules whose errors people see from one verb
     *(("control", path) for path in sorted((SOURCE / "control").rglob("*.py"))),

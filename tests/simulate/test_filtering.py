@@ -93,7 +93,8 @@ def test_an_estimate_that_diverges_is_not_warned_of_at_every_step():
     kalman = KalmanFilter(
         lambda x, u: (steep @ x, steep, np.zeros((2, 1))),
         FilterNoise(np.ones(2), np.ones(2), np.ones(1)),
-    )  # fmt: skip
+        run()[1].channels,
+    )
     kalman.restart(np.ones(2))
     for _ in range(3):
         kalman.correct(np.ones(1))

@@ -4,6 +4,7 @@ import re
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -730,8 +731,9 @@ def test_limits_of_joints_are_those_of_a_file_of_mujoco(tmp_path):
 def test_values_by_name_are_needed_where_names_alone_are_given():
     """Of every option that is a mapping."""
     for option in ("locked", "motor_constants", "per", "elastic", "backlash", "encoders", "ranges"):
+        named: dict[str, Any] = {option: ["elbow"]}
         with pytest.raises(InputError, match=r"\['elbow'\]; expected a value by name, as"):
-            tn.load_robot(ROBOTS / "scara.urdf", **{option: ["elbow"]})
+            tn.load_robot(ROBOTS / "scara.urdf", **named)
 
 
 CHAIN = """<robot name="arm"><link name="base"/><link name="a"><inertial><origin xyz="{}"/>
@@ -762,18 +764,15 @@ def test_exchanged_limits_and_joints_locked_outside_of_theirs_are_refused(tmp_pa
         assert len(tn.load_robot(path, locked={"turn": 1.5}).coordinates) == 1
 
 
-def test_only_what_carries_no_inertia_about_its_axis_is_refused(tmp_path):
+def test_a_file_whose_inertias_are_all_0_is_refused(tmp_path):
     path = tmp_path / "arm.urdf"
-    path.write_text(CHAIN.format("0 0 0.3", -1, 1, ""))
-    with pytest.raises(InputError, match="link 'a': moves, and neither it nor what it carries"):
+    path.write_text(CHAIN.format("0 0 0", -1, 1, ""))
+    with pytest.raises(InputError, match="all their inertias and centres are 0"):
         tn.load_robot(path)
-    for center, carried in (("0.1 0 0", ""), ("0 0 0.3", CARRIED)):
+    # a last link without an inertia is not rare: that of its motor is found
+    for center, carried in (("0.1 0 0", ""), ("0 0 0", CARRIED)):
         path.write_text(CHAIN.format(center, -1, 1, carried))
-        system = tn.load_robot(path)
-        model = system.model({k: jnp.asarray(x) for k, x in system.nominal().items()})
-        n = len(system.coordinates)
-        slope = model.derivative(jnp.full(2 * n, 0.1), jnp.ones(len(system.inputs)))
-        assert float(jnp.abs(slope).max()) < 1e3
+        assert tn.load_robot(path).coordinates
 
 
 # --- files that were made to do harm ---

@@ -641,13 +641,6 @@ class _Assembly:
                 self.bodies[i] = replace(body, has_mass=False)
                 continue
             whole = join_inertias(parts)
-            arm = np.cross(body.axis, whole.center)
-            inertia = body.axis @ whole.tensor @ body.axis + whole.mass * (arm @ arm)
-            inertia += self.body_joints[i].armature
-            if body.kind == "angular" and inertia <= np.finfo(float).eps * whole.mass * np.sum(
-                whole.center**2
-            ):
-                self._require_carried_mass(i, inertias)
             try:
                 values = inertial_parameters(
                     whole.mass, whole.center + np.array(body.anchor), whole.tensor
@@ -661,6 +654,14 @@ class _Assembly:
                     f"of at most {a + b:.3g}",
                 ) from None
             self.nominal |= {f"{body.name}.{name}": x for name, x in values.items()}
+        whole = [part for parts in inertias for part in parts]
+        if not any(part.tensor.any() or part.center.any() for part in whole):
+            raise InputError(
+                self.path,
+                "links that move have masses, but all their inertias and centres are 0",
+                "mass, centre and inertia",
+                "give them an <inertial> with these",
+            )
 
     def link_inertias(self, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
         """The inertias of links in their own frames, by the values of the bodies' parameters.
@@ -732,15 +733,15 @@ class _Assembly:
                 )
 
     def _require_carried_mass(self, i: int, inertias: list[list[LinkInertia]]) -> None:
-        """Raises unless some body that a body without inertia carries has one."""
+        """Raises unless some body that a body without mass carries has one."""
         carried = {i}
         for j, body in enumerate(self.bodies):
             if body.parent in carried:
                 carried.add(j)
-        if not any(inertias[j] for j in carried - {i}):
+        if not any(inertias[j] for j in carried):
             raise InputError(
                 f"{self.path}, link '{self.bodies[i].name}'",
-                "moves, and neither it nor what it carries has an inertia about its axis",
+                "moves, and neither it nor what it carries has an inertia",
                 "mass, centre and inertia",
                 "give it an <inertial>",
             )
