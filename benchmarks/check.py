@@ -19,8 +19,8 @@ from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
 
 import tustinnet as tn
 from tustinnet.check.check import check_records
-from tustinnet.check.finding import Finding
 from tustinnet.check.draft_scales import find_scales
+from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
 from tustinnet.data.catalog import locate
 from tustinnet.data.declaration import declare, parse_toml
