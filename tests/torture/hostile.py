@@ -15,11 +15,15 @@ from typing import Any
 import numpy as np
 
 import tustinnet as tn
+from tustinnet.control.controllers import LinearFeedback
+from tustinnet.control.estimator import ExtendedKalmanFilter
+from tustinnet.control.lqr import lqr
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
+from tustinnet.simulate.filtering import FilterNoise
 
 from ..hostile_files import NAMES, WRITERS
-from . import oracle
+from . import material, oracle
 from .command import Job, done, others, run
 from .report import Part
 
@@ -168,4 +172,25 @@ class Hostile:
         ended = run(job.command(out), {})
         ended.require_told()
         oracle.require(victim.read_text() == "precious", f"{job.name} wrote through a link")
+        return "accepted"
+
+    def _glitches(self, random: Random) -> str:
+        """Wrong samples of an encoder, through a filter and a controller in closed loop."""
+        model = material.physics()
+        limits = {"torque": (-2.0, 2.0)}
+        feedback = LinearFeedback(lqr(model, np.zeros(2), np.zeros(1), limits=limits))
+        noise = FilterNoise(np.array([0.01, 1.0]), np.full(2, 1e-3), np.array([1e-3]))
+        estimator = ExtendedKalmanFilter(model, noise)
+        step, x, u = tn.compiled_step(model), np.array([0.3, 0.0]), np.zeros(1)
+        wrong = (np.nan, np.inf, -np.inf, 1e300, 3.0, -7.5, 0.1)
+        feedback.reset()
+        estimate = estimator.reset(x[:1])
+        for k in range(2000):
+            u = feedback.inputs(k, estimate)
+            oracle.require(bool(np.isfinite(u).all() and (np.abs(u) <= 2.0).all()), f"input {u}")
+            x = step(x, u)
+            is_wrong = k < 1500 and random.random() < 0.2
+            y = np.array([random.choice(wrong)]) if is_wrong else x[:1]
+            estimate = estimator.update(y, u)
+        oracle.require(not estimator.is_lost and abs(x[0]) < 0.05, f"ends at {x}")
         return "accepted"
