@@ -319,7 +319,7 @@ def test_one_of_many_columns_is_read(tmp_path: Path) -> None:
     rows = [",".join(names), ",".join(["1"] * 10_000), ",".join(["2"] * 10_000)]
     path.write_text("\n".join(rows))
     e = one(path, coordinates=[{**ANGLE, "column": "c9999"}], inputs=[])
-    np.testing.assert_allclose(e.q[:, 0], np.deg2rad([1.0, 2.0]))
+    assert e.q[:, 0].tolist() == [1.0, 2.0]
 
 
 def test_columns_that_are_not_used_may_hold_anything_finite_or_not(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from tustinnet.models.contract import with_dtype
 from tustinnet.simulate.rollout import rollout, rollouts
 
 ANGLE, SLIDE = tn.Coordinate("a", "angular"), tn.Coordinate("s", "linear")
+OTHER = tn.Coordinate("b", "angular")
 
 
 def network(coordinates, hidden, stem, activation, output_bias, seed) -> TustinNet:
@@ -53,13 +54,13 @@ results_by_batch, results_one_by_one = (
 
 STRUCTURES = [
     ((ANGLE,), (7,), None, "leaky_relu", False, 1, 1, True),
-    ((ANGLE, ANGLE), (12, 9), 6, "relu", True, 5, 17, False),
+    ((ANGLE, OTHER), (12, 9), 6, "relu", True, 5, 17, False),
     ((SLIDE, ANGLE), (20, 20, 5), 6, "tanh", False, 3, 75, True),
     ((SLIDE,), (12, 9), None, "silu", True, 2, 50, True),
-    ((ANGLE, ANGLE), (20, 20, 5), None, "softplus", False, 4, 2, False),
+    ((ANGLE, OTHER), (20, 20, 5), None, "softplus", False, 4, 2, False),
     ((SLIDE, ANGLE), (7,), 6, "leaky_relu", True, 1, 50, False),
     ((ANGLE,), (12, 9), 6, "tanh", True, 4, 17, False),
-    ((ANGLE, ANGLE), (12, 9), None, "leaky_relu", False, 3, 75, True),
+    ((ANGLE, OTHER), (12, 9), None, "leaky_relu", False, 3, 75, True),
 ]
 
 
