@@ -31,7 +31,7 @@ class InputError(ValueError):
 def to_printable(text: str, longest: int) -> str:
     """Text on one line: white space as single blanks, other unprintable characters escaped, cut."""
     line = " ".join(text[: 4 * longest].split())  # the rest would be cut anyway
-    escaped = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    escaped = escape_unprinted(line)
     return escaped if len(escaped) <= longest else f"{escaped[: longest - 4]} ..."
 
 

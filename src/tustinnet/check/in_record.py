@@ -147,7 +147,7 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
             yield view.finding(
                 "dead sensor",
                 "warning",
-                f"{c.name} never changes" + " by more than one count" * (flickers),
+                f"{c.name} never changes" + " by more than one count" * flickers,
                 f"{e.q[0, j]:.4g} {c.unit} in all {counted(len(e), 'sample')}",
                 coordinate_line(c.name, "column: is it the right one?"),
                 c.name,
@@ -477,10 +477,8 @@ def _compare_velocity(
     deviation = abs(gain - 1) - (1 - correlation)
     size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
     if best != j and others[best] > max(_HIGH_CORRELATION, abs(correlation) + 0.1):
-        relation, size = (
-            f"is that of {e.coordinates[best].name}, not",
-            (f"r = {correlation:.2f}, with that {others[best]:.3f}"),
-        )
+        relation = f"is that of {e.coordinates[best].name}, not"
+        size = f"r = {correlation:.2f}, with that {others[best]:.3f}"
         key, severity = "column: that of the other coordinate", "severe"
     elif correlation < -_HIGH_CORRELATION:
         relation, severity = "has the opposite sign of", "severe"
@@ -601,10 +599,10 @@ def dead_band(view: RecordView) -> Iterator[Finding]:
     rests = np.flatnonzero(runs) + width - 1  # nothing moved for a while up to here
     if len(rests) < 0.02 * len(e) or not speed.max():
         return
-    for i, u in zip(e.inputs, e.u[rests].T, strict=True):
-        low, high = np.quantile(u, [0.05, 0.95])
-        neutral = np.median(u)  # which is no force, whatever the number
-        reach = np.abs(e.u[:, e.inputs.index(i)] - neutral).max()
+    for i, u, resting in zip(e.inputs, e.u.T, e.u[rests].T, strict=True):
+        low, high = np.quantile(resting, [0.05, 0.95])
+        neutral = np.median(resting)  # which is no force, whatever the number
+        reach = np.abs(u - neutral).max()
         if 0.02 * reach < (high - low) / 2 < 0.7 * reach:
             yield view.finding(
                 "dead band",

@@ -198,7 +198,7 @@ def control(
         input_limits,
         values.read_limits("--within", within),
         trust_beyond,
-        values.read("--safe", safe and safe.split(",")),
+        values.read_point("--safe", safe),
     )
     with lock_folder(out):
         begin = time.perf_counter()

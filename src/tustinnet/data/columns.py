@@ -83,9 +83,9 @@ class Columns:
         labels: Mapping[str, str] | None = None,
         parts: Mapping[str, Part] | None = None,
     ) -> None:
-        self._sources = {escape_unprinted(name): name for name in names}
-        self.names = tuple(self._sources)
-        require_different([escape_unprinted(name) for name in names], "names of columns")
+        self.names = tuple(map(escape_unprinted, names))
+        require_different(self.names, "names of columns")
+        self._sources = dict(zip(self.names, names, strict=True))
         self.notes = tuple(map(escape_unprinted, notes))
         self.others, self.clocks = _escape_all(others), _escape_all(clocks)
         self.units, self.labels = _escape_all(units), _escape_all(labels)

@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -654,8 +655,7 @@ class _Assembly:
                     f"of at most {a + b:.3g}",
                 ) from None
             self.nominal |= {f"{body.name}.{name}": x for name, x in values.items()}
-        whole = [part for parts in inertias for part in parts]
-        if not any(part.tensor.any() or part.center.any() for part in whole):
+        if not any(part.tensor.any() or part.center.any() for part in chain(*inertias)):
             raise InputError(
                 self.path,
                 "links that move have masses, but all their inertias and centres are 0",

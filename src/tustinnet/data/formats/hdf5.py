@@ -43,22 +43,21 @@ def require_all_inside(path: Path, group: Any) -> None:
     def find_outside(name: str, link: Any) -> str | None:
         is_outside = isinstance(link, h5py.ExternalLink)
         if isinstance(link, h5py.HardLink) and isinstance(item := group[name], h5py.Dataset):
-            is_outside = item.external or item.is_virtual
+            is_outside = _is_elsewhere(item)
         return name if is_outside else None
 
     name = group.visititems_links(find_outside)
     if name is not None:
-        raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
+        raise _elsewhere_error(path, name)
 
 
-def require_numbers_inside(path: Path, name: str, data: Any) -> None:
-    """Raises unless the numbers of a data set are in the file itself.
+def _is_elsewhere(data: Any) -> bool:
+    """Whether the numbers of a data set are in another file."""
+    return bool(data.external or data.is_virtual)
 
-    Raises:
-        InputError: they are in another file.
-    """
-    if data.external or data.is_virtual:
-        raise InputError(path, f"the numbers of '{name}' are in another file", "in this file")
+
+def _elsewhere_error(path: Path, name: str) -> InputError:
+    return InputError(path, f"the numbers of '{name}' are in another file", "in this file")
 
 
 def _contents(path: Path) -> Contents:
@@ -110,7 +109,8 @@ def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:
                     other = f"of shape {inner.shape}" if inner.shape else "a single number"
                     yield _Item(full, inner, field, None, other)
                 else:
-                    require_numbers_inside(path, full, inner)
+                    if _is_elsewhere(inner):
+                        raise _elsewhere_error(path, full)
                     yield _Item(full, inner, field, shape)
 
 

@@ -26,6 +26,7 @@ class _Channel(NamedTuple):
     Attributes:
         name: its name, with that of its group.
         group: number of its group.
+        group_name: name of its group.
         number: its number in the group.
         block: what the file says of it.
         conversion: how its numbers follow from raw ones, None for raw ones.
@@ -34,6 +35,7 @@ class _Channel(NamedTuple):
 
     name: str
     group: int
+    group_name: str
     number: int
     block: Any
     conversion: Any
@@ -52,12 +54,11 @@ def _contents(path: Path) -> Contents:
     arrays, others, clocks, units = [], {}, {}, {}
     with _open(path) as file:
         masters = {c.group: c for c in file.channels if c.is_master}
-        names = _group_names(file.mdf)
         for channel in file.channels:
             group = file.mdf.groups[channel.group]
             length = int(group.channel_group.cycles_nr)
             if length < 2:
-                others[names[channel.group]] = f"a group of {length} samples"
+                others[channel.group_name] = f"a group of {length} samples"
                 continue
             if channel.block.data_type not in _NUMBERS[file.version]:
                 reason = "text or bytes"
@@ -134,7 +135,7 @@ def _take_channels(path: Path, mdf: Any, version: int) -> Iterator[_Channel]:
             conversion, block.conversion = block.conversion, None
             if version == 4:
                 block.attachment = None
-            yield _Channel(place, number, index, block, conversion, is_master)
+            yield _Channel(place, number, name, index, block, conversion, is_master)
 
 
 def _require_inside_record(path: Path, place: str, group: Any, block: Any, version: int) -> None:

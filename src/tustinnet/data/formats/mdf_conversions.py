@@ -88,14 +88,14 @@ def convert(conversion: Any, version: int, raw: Array) -> Array:
             for mask, value in zip(_masks(conversion, raw), _list(conversion, "phys"), strict=True):
                 values[mask] = value
             return values
-        case "names of values" | "names of ranges" if any(_referenced(conversion)):
+        case "names of values" | "names of ranges" if _referenced(conversion):
             return _convert_by_value(conversion, version, raw)
     return raw
 
 
 def _kind(conversion: Any, version: int) -> str:
     """The kind of a conversion, empty where it is not known."""
-    if conversion is None or isinstance(conversion, bytes):
+    if conversion is None:
         return "none"
     return _KINDS[version].get(conversion.conversion_type, "")
 
@@ -125,19 +125,22 @@ def _masks(conversion: Any, raw: Array) -> Iterator[Array]:
 
 def _referenced(conversion: Any) -> list[Any]:
     """The conversions to which one refers, not the texts."""
-    return [c for c in (conversion.referenced_blocks or {}).values() if hasattr(c, "formula")]
+    return [c for c in (conversion.referenced_blocks or {}).values() if _is_conversion(c)]
+
+
+def _is_conversion(block: Any) -> bool:
+    """Whether a conversion refers to another one, not to a text."""
+    return hasattr(block, "formula")
 
 
 def _convert_by_value(conversion: Any, version: int, raw: Array) -> Array:
     """Numbers whose conversion depends on their value; NaN where it has a name instead."""
     blocks = conversion.referenced_blocks
-    rest = np.ones(len(raw), bool)
-    values = np.full(len(raw), np.nan)
+    values, rest = np.full(len(raw), np.nan), np.ones(len(raw), bool)
     cases = [(mask, blocks.get(f"text_{k}")) for k, mask in enumerate(_masks(conversion, raw))]
-    for mask, block in [*cases, (None, blocks.get("default_addr"))]:
-        chosen = rest if mask is None else rest & mask
-        if hasattr(block, "formula"):
+    for mask, block in [*cases, (rest, blocks.get("default_addr"))]:
+        chosen = rest & mask
+        if _is_conversion(block):
             values[chosen] = convert(block, version, raw[chosen])
-        if mask is not None:
-            rest = rest & ~mask
+        rest = rest & ~mask
     return values
