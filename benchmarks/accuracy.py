@@ -71,10 +71,12 @@ def split(args: argparse.Namespace) -> None:
             score = by_start["model-20"][i]
             rows.append(
                 [
-                    e.name, *[number(by_start[s][i].rmse) for s in STARTS],
-                    *[number(x) for x in score.coordinate_rmse], *by_time(e, score),
+                    e.name,
+                    *[number(by_start[s][i].rmse) for s in STARTS],
+                    *[number(x) for x in score.coordinate_rmse],
+                    *by_time(e, score),
                 ]
-            )  # fmt: skip
+            )
         print(Table(["record", *STARTS, *names, *spans], rows, title=str(path)).markdown())
         if isinstance(model, Discretised) and isinstance(model.continuous, LagrangianModel):
             print(by_cause(model, held).markdown())

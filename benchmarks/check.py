@@ -63,9 +63,15 @@ def run_faults(faults: Sequence[Fault]) -> Table:
             found, others = found + bool(named), others + more
             text = f"{named[0].severity}: {named[0].size}" if named else "–"
             rows.append(
-                [fault.name, fault.machine, "yes" if named else "NO", text[:70], str(more),
-                 f"{seconds:.2f}"]
-            )  # fmt: skip
+                [
+                    fault.name,
+                    fault.machine,
+                    "yes" if named else "NO",
+                    text[:70],
+                    str(more),
+                    f"{seconds:.2f}",
+                ]
+            )
     title = f"{found} of {len(faults)} planted faults named; {others} other findings beside them"
     return Table(["fault", "machine", "named", "finding", "others", "s"], rows, title=title)
 
@@ -86,16 +92,20 @@ def run_measured(data: Path | None) -> Table:
             continue
         findings, _ = _timed(records, card)
         spoiled = [p for e in records for p in find_without_model(e, held_equilibrium(e))]
-        said = [f"{f.what} ({f.size}) in {', '.join(f.records) or 'all'}" for f in findings
-                if f.severity == "severe"]  # fmt: skip
+        said = [
+            f"{f.what} ({f.size}) in {', '.join(f.records) or 'all'}"
+            for f in findings
+            if f.severity == "severe"
+        ]
         counts = len(said), sum(f.severity == "warning" for f in findings)
         severe, warnings = severe + counts[0], warnings + counts[1]
         said += [f"spoiled: {p.place}: {p.reason}" for p in spoiled]
         rows.append([name, *map(str, counts), ""])
         rows += [["", "", "", text[:200]] for text in said]
     title = f"{severe} severe findings and {warnings} warnings on logs as they are"
-    return Table(["folder", "severe", "warnings", "severe findings, spoiled parts"], rows,
-                 title=title)  # fmt: skip
+    return Table(
+        ["folder", "severe", "warnings", "severe findings, spoiled parts"], rows, title=title
+    )
 
 
 def log_folders(place: Path) -> Iterator[Path]:
@@ -191,8 +201,10 @@ def run_few() -> Table:
                 findings, _ = _timed(replace(records, experiments=chosen), card)
                 serious = [f for f in findings if f.is_serious]
                 sets, alarms = sets + 1, alarms + bool(serious)
-                rows += [[f"{name} {seed}", ", ".join(e.name for e in chosen), f.text[:90]]
-                         for f in serious]  # fmt: skip
+                rows += [
+                    [f"{name} {seed}", ", ".join(e.name for e in chosen), f.text[:90]]
+                    for f in serious
+                ]
     title = f"{alarms} of {sets} sets of a few clean records with a false alarm"
     return Table(["machine", "records", "alarm"], rows, title=title)
 
@@ -204,9 +216,12 @@ def run_times() -> Table:
     def record(name: str, samples: int) -> tn.Experiment:
         drive = np.repeat(rng.uniform(-3, 3, samples // 20 + 1), 20)[:samples]
         return tn.from_arrays(
-            *_swing(drive), dt=0.01, coordinates={"a": "angular", "b": "angular"},
-            inputs={"u": "V"}, name=name,
-        )  # fmt: skip
+            *_swing(drive),
+            dt=0.01,
+            coordinates={"a": "angular", "b": "angular"},
+            inputs={"u": "V"},
+            name=name,
+        )
 
     rows = []
     for count, samples in ((21, 1000), (1, _LONG)):
@@ -237,9 +252,12 @@ def main(arguments: Sequence[str]) -> None:
     folder = next((Path(a) for a in arguments if a not in words), None)
     tables = {
         "faults": lambda: run_faults(FAULTS),
-        "measured": lambda: run_measured(folder), "late": lambda: run_faults(LATE_FAULTS),
-        "clean": lambda: run_clean(folder), "few": run_few, "time": run_times,
-    }  # fmt: skip
+        "measured": lambda: run_measured(folder),
+        "late": lambda: run_faults(LATE_FAULTS),
+        "clean": lambda: run_clean(folder),
+        "few": run_few,
+        "time": run_times,
+    }
     for word in chosen:
         print(tables[word]().markdown(), flush=True)
 

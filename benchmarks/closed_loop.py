@@ -28,8 +28,10 @@ def measure(seconds: float, records: int, seed: int) -> dict[str, float]:
     held_out = balanced(2, seconds, seed + 1000)
     scores = tn.evaluate(result.model, held_out, result.start, horizon=result.horizon)
     print(f"  two new records, {result.horizon:.2g} s at once: {tn.mean_rmse(scores):.2g} rad")
-    inside = [e.interval is not None and e.interval[0] <= TRUTH[e.name] <= e.interval[1]
-              for e in result.estimates]  # fmt: skip
+    inside = [
+        e.interval is not None and e.interval[0] <= TRUTH[e.name] <= e.interval[1]
+        for e in result.estimates
+    ]
     print(f"  {sum(inside)} of {len(inside)} intervals hold the truth")
     return {e.name: e.value / TRUTH[e.name] - 1 for e in result.estimates}
 

@@ -116,9 +116,16 @@ def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
         inputs.append(np.clip(-feedback.gain @ states[-1], -10, 10))
         states.append(step(states[-1], inputs[-1]))
     plan = tc.Plan(
-        np.array(states), np.array(inputs), 0.0, converged=True, reached=True, iterations=0,
-        dt=PERIOD, goal=x0, before=u0,
-    )  # fmt: skip
+        np.array(states),
+        np.array(inputs),
+        0.0,
+        converged=True,
+        reached=True,
+        iterations=0,
+        dt=PERIOD,
+        goal=x0,
+        before=u0,
+    )
     gains = np.tile(feedback.gain, (STEPS, 1, 1))
     return {"feedback": feedback, "plan": tc.Tracking(plan, gains, feedback)}
 
@@ -144,8 +151,23 @@ def sizes(folder: Path) -> list[str]:
     flags = CORTEX.split()
     run(["arm-none-eabi-gcc", *flags, "-c", *SOURCES, "bare.c"], folder)
     objects = [source.replace(".c", ".o") for source in (*SOURCES, "bare.c")]
-    run(["arm-none-eabi-gcc", *flags, "-nostartfiles", "-Wl,--gc-sections", "-Wl,-e,main", *objects,
-         "-lm", "-lc", "-lgcc", "--specs=nosys.specs", "-o", "program"], folder)  # fmt: skip
+    run(
+        [
+            "arm-none-eabi-gcc",
+            *flags,
+            "-nostartfiles",
+            "-Wl,--gc-sections",
+            "-Wl,-e,main",
+            *objects,
+            "-lm",
+            "-lc",
+            "-lgcc",
+            "--specs=nosys.specs",
+            "-o",
+            "program",
+        ],
+        folder,
+    )
     rows = [
         line.split() for line in run(["arm-none-eabi-size", "-A", "program"], folder).split("\n")
     ]

@@ -68,8 +68,9 @@ def play(machines: Path, out: Path, name: str) -> str:
     file = run / "model.safetensors"
     if not file.is_file():
         words = ["fit", str(logs), "--recipe", "mechanism", "--out", str(run), "--no-report", "-q"]
-        subprocess.run([sys.executable, "-m", "tustinnet", *words], check=True,
-                       stdout=subprocess.DEVNULL)  # fmt: skip
+        subprocess.run(
+            [sys.executable, "-m", "tustinnet", *words], check=True, stdout=subprocess.DEVNULL
+        )
     model, header, data = tn.load_model(file), read_header(file), tn.load(logs)
     limits = {"voltage": (-limit, limit)}
     begin = find_rest(model, at, limits) if start == "rest" else start

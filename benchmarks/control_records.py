@@ -65,14 +65,28 @@ def fit(folder: Path, training: Sequence[tn.Experiment], recipe: Sequence[str]) 
     data, file = folder / "logs", folder / "run" / "model.safetensors"
     if not file.is_file():
         held_out = [replace(e, split="validation") for e in (training[-1],)]
-        split = [replace(e, split="train") for e in training] if len(training) < 3 else [
-            *(replace(e, split="train") for e in training[:-1]), *held_out
-        ]  # fmt: skip
+        split = (
+            [replace(e, split="train") for e in training]
+            if len(training) < 3
+            else [*(replace(e, split="train") for e in training[:-1]), *held_out]
+        )
         write_data_set(tn.DataSet("twin", tuple(split)), data, "Simulated twin", overwrite=True)
-        words = ["fit", str(data), *recipe, "--out", str(file.parent), "--no-report", "-q",
-                 "--overwrite"]  # fmt: skip
-        subprocess.run([sys.executable, "-m", "tustinnet", *words], check=True,
-                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+        words = [
+            "fit",
+            str(data),
+            *recipe,
+            "--out",
+            str(file.parent),
+            "--no-report",
+            "-q",
+            "--overwrite",
+        ]
+        subprocess.run(
+            [sys.executable, "-m", "tustinnet", *words],
+            check=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
     return file
 
 
@@ -132,11 +146,14 @@ def failures(made: Design, seed: int, number: int) -> tuple[tc.RobustnessRow, li
             q.append(twin.measure())
         logs.append(
             tn.from_arrays(
-                np.stack(q[:LOGGED]), np.stack(u[:LOGGED]), dt=run.dt,
-                name=f"failure_{number}_{i}", coordinates=twin.channels.coordinates,
+                np.stack(q[:LOGGED]),
+                np.stack(u[:LOGGED]),
+                dt=run.dt,
+                name=f"failure_{number}_{i}",
+                coordinates=twin.channels.coordinates,
                 inputs=twin.channels.inputs,
             )
-        )  # fmt: skip
+        )
     return tc.RobustnessRow("twin", "the twin", tuple(outcomes)), logs
 
 

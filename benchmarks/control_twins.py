@@ -141,18 +141,25 @@ def design_on(
     except InputError:
         point = tc.find_equilibrium(model, {"alpha": 0.0})
     feedback = tc.lqr(
-        model, point.x, point.u, deviations=DEVIATIONS,
-        limits={"voltage": (-COMMANDED, COMMANDED)},
-    )  # fmt: skip
+        model, point.x, point.u, deviations=DEVIATIONS, limits={"voltage": (-COMMANDED, COMMANDED)}
+    )
     hanging = np.asarray(model.initial_state(jnp.array([0, jnp.pi, 0, 0]), jnp.zeros(1)))
     low, high = np.array(header["range"]["states"], float)[model.channels.velocity].T  # pyright: ignore[reportIndexIssue, reportArgumentType, reportCallIssue]
     plan = tc.ilqr(
-        model, hanging, point.x, STEPS_OF_PLAN, goal_inputs=point.u, deviations=DEVIATIONS,
-        limits={"voltage": (-PLANNED, PLANNED)}, guesses=3,
+        model,
+        hanging,
+        point.x,
+        STEPS_OF_PLAN,
+        goal_inputs=point.u,
+        deviations=DEVIATIONS,
+        limits={"voltage": (-PLANNED, PLANNED)},
+        guesses=3,
         within={
-            "theta": (-1.8, 1.8), "der_theta": (low[0], high[0]), "der_alpha": (low[1], high[1])
+            "theta": (-1.8, 1.8),
+            "der_theta": (low[0], high[0]),
+            "der_alpha": (low[1], high[1]),
         },
-    )  # fmt: skip
+    )
     seconds = time.perf_counter() - start_time
     noise = tc.find_noise(model, training)
     rest = tc.find_equilibrium(model, {"alpha": np.pi})
@@ -264,8 +271,9 @@ def robustness(out: Path, names: list[str]) -> None:
             row = play(made, share, PROMISED)
             print(
                 f"  {row.help}: promised {more[kind].share:.2f}, played {row.share:.2f} "
-                f"{row.failures}", flush=True,
-            )  # fmt: skip
+                f"{row.failures}",
+                flush=True,
+            )
 
 
 class Pushed:
@@ -323,8 +331,9 @@ def falls(out: Path, names: list[str]) -> None:
                 f"  {100 * share:.0f} %, {push:g} rad/s: {len(fallen)} fell; "
                 f"{sum(run.is_success for run in runs)} of {STARTS} stand, "
                 f"{sum(run.is_success for run in without)} without recovery{when}"
-                f"; the arm within {arm:.1f} rad", flush=True,
-            )  # fmt: skip
+                f"; the arm within {arm:.1f} rad",
+                flush=True,
+            )
 
 
 def figure(out: Path, file: str) -> None:

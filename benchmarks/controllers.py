@@ -96,9 +96,15 @@ def plan_row(name: str) -> list[str]:
         times = ["", "", "", ""]
     n_x = system.n_x
     cost = Cost(
-        x=upright, u=np.zeros(1), states=np.ones(n_x), inputs=np.ones(1), end=np.eye(n_x),
-        lower=np.full(n_x, -np.inf), upper=np.full(n_x, np.inf), penalty=np.zeros(n_x),
-    )  # fmt: skip
+        x=upright,
+        u=np.zeros(1),
+        states=np.ones(n_x),
+        inputs=np.ones(1),
+        end=np.eye(n_x),
+        lower=np.full(n_x, -np.inf),
+        upper=np.full(n_x, np.inf),
+        penalty=np.zeros(n_x),
+    )
     solver = Solver(system, limits, cost)
     motion = solver.begin(hanging, np.zeros((STEPS, 1)))
     policy = solver.policy(motion, 1.0)
@@ -174,14 +180,24 @@ def measure_mpc() -> None:
         ms = 1e3 * np.array(times)
         rows.append(
             [
-                f"{iterations}", f"{np.median(ms):.2f}", f"{np.quantile(ms, 0.99):.2f}",
-                f"{1e3 * np.median(ipopt):.1f}", f"{1e3 * np.median(ipopt) / np.median(ms):.0f}",
-                f"{excess[0]:.1e}", f"{excess[1:].max():.1e}",
+                f"{iterations}",
+                f"{np.median(ms):.2f}",
+                f"{np.quantile(ms, 0.99):.2f}",
+                f"{1e3 * np.median(ipopt):.1f}",
+                f"{1e3 * np.median(ipopt) / np.median(ms):.0f}",
+                f"{excess[0]:.1e}",
+                f"{excess[1:].max():.1e}",
             ]
-        )  # fmt: skip
+        )
     head = (
-        "iterations", "period [ms]", "99 % [ms]", "IPOPT [ms]", "ratio", "first excess", "later"
-    )  # fmt: skip
+        "iterations",
+        "period [ms]",
+        "99 % [ms]",
+        "IPOPT [ms]",
+        "ratio",
+        "first excess",
+        "later",
+    )
     print(Table(head, rows, f"{AHEAD} steps ahead, the grey box").markdown())
 
 

@@ -69,10 +69,13 @@ def pendulum(records: int) -> Callable[[], object]:
     start = np.zeros((records, n_x))
     start[:, 1] = np.linspace(2.3, 3.0, records)
     runs = Runs(
-        start, equations.parameter_rows(system.nominal(), np.zeros((records, 0), int)),
-        np.full(records, STEPS), np.arange(records) * (STEPS + 1),
-        generator.normal(size=(rows, 1, 1)), np.full(rows, DT),
-    )  # fmt: skip
+        start,
+        equations.parameter_rows(system.nominal(), np.zeros((records, 0), int)),
+        np.full(records, STEPS),
+        np.arange(records) * (STEPS + 1),
+        generator.normal(size=(rows, 1, 1)),
+        np.full(rows, DT),
+    )
     seeds = np.zeros((records, equations.n_p + n_x, n_x))
     seeds[:, equations.n_p :] = np.eye(n_x)
     samples = Samples(np.zeros((rows, 2)), np.ones((rows, 2)))
@@ -124,12 +127,16 @@ def chain(joints: int = 7) -> tn.LagrangianSystem:
         tn.Parameter(f"{name}{i}", unit, value, value / 10, value * 10)
         for i in range(joints)
         for name, unit, value in (
-            ("mass", "kg", 1.0), ("length", "m", 0.5), ("inertia", "kg m^2", 0.05),
+            ("mass", "kg", 1.0),
+            ("length", "m", 0.5),
+            ("inertia", "kg m^2", 0.05),
             ("damping", "N m s", 0.05),
         )
-    ]  # fmt: skip
-    parameters += [tn.Parameter("gravity", "m/s^2", 9.81, 9.0, 10.0),
-                   tn.Parameter("gain", "N m/V", 1.0, 0.1, 10.0)]  # fmt: skip
+    ]
+    parameters += [
+        tn.Parameter("gravity", "m/s^2", 9.81, 9.0, 10.0),
+        tn.Parameter("gain", "N m/V", 1.0, 0.1, 10.0),
+    ]
 
     def kinetic(q, v, p):  # noqa: ANN001, ANN202
         total = angle = speed = along = up = 0.0
@@ -150,11 +157,15 @@ def chain(joints: int = 7) -> tn.LagrangianSystem:
         return total
 
     return tn.LagrangianSystem(
-        "chain", tuple(tn.Coordinate(f"q{i}", "angular") for i in range(joints)),
-        (tn.Input("voltage", "V"),), tuple(parameters), kinetic, potential,
+        "chain",
+        tuple(tn.Coordinate(f"q{i}", "angular") for i in range(joints)),
+        (tn.Input("voltage", "V"),),
+        tuple(parameters),
+        kinetic,
+        potential,
         lambda q, v, p: jnp.stack([p[f"damping{i}"] * v[i] for i in range(joints)]),
         lambda q, v, u, p: jnp.concatenate([p["gain"] * u, jnp.zeros(joints - 1)]),
-    )  # fmt: skip
+    )
 
 
 def seven_joints() -> dict[str, float]:
@@ -166,9 +177,11 @@ def seven_joints() -> dict[str, float]:
         runs = Runs(
             np.full((1, 14), 0.3),
             equations.parameter_rows(system.nominal(), np.zeros((1, 0), int)),
-            np.array([steps]), np.zeros(1, int), np.zeros((steps + 1, 1, 1)),
+            np.array([steps]),
+            np.zeros(1, int),
+            np.zeros((steps + 1, 1, 1)),
             np.full(steps + 1, 1e-3),
-        )  # fmt: skip
+        )
         seeds = np.zeros((1, 44, 14))
         seeds[:, 30:] = np.eye(14)
         samples = Samples(np.zeros((steps + 1, 7)), np.ones((steps + 1, 7)))
@@ -178,20 +191,28 @@ def seven_joints() -> dict[str, float]:
     begin = time.perf_counter()
     compared(1)
     compiled = time.perf_counter() - begin
-    return {"first_call_s": round(compiled, 2), "1e4_steps_s": round(timed(
-        lambda: compared(steps), 3), 2)}  # fmt: skip
+    return {
+        "first_call_s": round(compiled, 2),
+        "1e4_steps_s": round(timed(lambda: compared(steps), 3), 2),
+    }
 
 
 def long_record() -> dict[str, float]:
     """Memory of a process that identifies a pendulum from one record of 1e6 samples."""
     channels = {"coordinates": [tn.Coordinate("q", "angular")], "inputs": [tn.Input("u", "N m")]}
     system = tn.LagrangianSystem(
-        "swing", tuple(channels["coordinates"]), tuple(channels["inputs"]),
-        (tn.Parameter("damping", "N m s", 0.1, 0.01, 1.0),
-         tn.Parameter("gravity", "N m", 1.0, 0.1, 10.0)),
-        lambda q, v, p: 0.05 * v[0] ** 2, lambda q, p: -p["gravity"] * jnp.cos(q[0]),
-        lambda q, v, p: p["damping"] * v, lambda q, v, u, p: u,
-    )  # fmt: skip
+        "swing",
+        tuple(channels["coordinates"]),
+        tuple(channels["inputs"]),
+        (
+            tn.Parameter("damping", "N m s", 0.1, 0.01, 1.0),
+            tn.Parameter("gravity", "N m", 1.0, 0.1, 10.0),
+        ),
+        lambda q, v, p: 0.05 * v[0] ** 2,
+        lambda q, p: -p["gravity"] * jnp.cos(q[0]),
+        lambda q, v, p: p["damping"] * v,
+        lambda q, v, u, p: u,
+    )
     truth = {"damping": jnp.asarray(0.15), "gravity": jnp.asarray(1.3)}
     model = tn.discretise(system.model(truth), DT)
     u = np.repeat(np.random.default_rng(0).normal(size=(10_000, 1)), 100, axis=0)
@@ -221,8 +242,10 @@ def whole_command(source: Path, arguments: list[str]) -> float:
         subprocess.run(
             [sys.executable, "-c", COMMAND, *arguments],
             env={**os.environ, "PYTHONPATH": str(source), "XDG_CACHE_HOME": caches},
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=True,
+        )
         return time.perf_counter() - begin
 
 

@@ -38,9 +38,12 @@ FLAGS = {
     "-O2": ["-std=c99", "-O2"],
     "-O3 -march=native": ["-std=c99", "-O3", "-march=native"],
     "-O3 -march=native -ffp-contract=fast": [
-        "-std=c99", "-O3", "-march=native", "-ffp-contract=fast",
+        "-std=c99",
+        "-O3",
+        "-march=native",
+        "-ffp-contract=fast",
     ],
-}  # fmt: skip
+}
 CORTEX = "-std=c99 -O2 -mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard -ffunction-sections "
 CORTEX += "-fdata-sections -fstack-usage -DMODEL_FLOAT"
 TIMER = """
@@ -187,10 +190,24 @@ class Bench:
             return
         (self.folder / "step.onnx").write_bytes(bytes_of(files["step.onnx"]))
         done = subprocess.run(
-            [command, "compile", "--large-weight-threshold", "0", "--large-temp-threshold", "0",
-             "--restrict-arrays", "--input-dim", "batch=1", "step.onnx", "emx_step.c"],
-            cwd=self.folder, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            [
+                command,
+                "compile",
+                "--large-weight-threshold",
+                "0",
+                "--large-temp-threshold",
+                "0",
+                "--restrict-arrays",
+                "--input-dim",
+                "batch=1",
+                "step.onnx",
+                "emx_step.c",
+            ],
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         if done.returncode:
             print(f"emx-onnx-cgen: left out ({done.stdout.strip().splitlines()[-1:]})")
             return
@@ -218,12 +235,30 @@ class Bench:
         )
         flags = CORTEX.split()
         run(["arm-none-eabi-gcc", *flags, "-c", "model.c", "main.c"], self.folder)
-        run(["arm-none-eabi-gcc", *flags, "-nostartfiles", "-Wl,--gc-sections", "-Wl,-e,main",
-             "model.o", "main.o", "-lm", "-lc", "-lgcc", "--specs=nosys.specs", "-o", "program"],
-            self.folder)  # fmt: skip
+        run(
+            [
+                "arm-none-eabi-gcc",
+                *flags,
+                "-nostartfiles",
+                "-Wl,--gc-sections",
+                "-Wl,-e,main",
+                "model.o",
+                "main.o",
+                "-lm",
+                "-lc",
+                "-lgcc",
+                "--specs=nosys.specs",
+                "-o",
+                "program",
+            ],
+            self.folder,
+        )
         told = run(["arm-none-eabi-size", "-A", "program"], self.folder)
-        sections = {p[0]: int(p[1]) for p in map(str.split, told.splitlines()) if len(p) == 3
-                    and p[1].isdigit()}  # fmt: skip
+        sections = {
+            p[0]: int(p[1])
+            for p in map(str.split, told.splitlines())
+            if len(p) == 3 and p[1].isdigit()
+        }
         flash = sum(sections.get(name, 0) for name in (".text", ".rodata", ".data", ".ARM.exidx"))
         stacks = {}
         for line in (self.folder / "model.su").read_text().splitlines():

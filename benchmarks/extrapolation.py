@@ -66,23 +66,31 @@ def tables(found: Sequence[Mapping[str, object]]) -> Table:
         told = {
             (name, kind): [
                 statistics.fmean(
-                    x for of in mine if (of["set"], of["seed"]) == (name, seed)
-                    for record, x in of["rmse"].items() if record.startswith(start)
+                    x
+                    for of in mine
+                    if (of["set"], of["seed"]) == (name, seed)
+                    for record, x in of["rmse"].items()
+                    if record.startswith(start)
                 )
                 for seed in sorted({of["seed"] for of in mine})
             ]
             for name in dict.fromkeys(of["set"] for of in mine)
             for kind, start in KINDS.items()
             if any(r.startswith(start) for of in mine if of["set"] == name for r in of["rmse"])
-        }  # fmt: skip
+        }
         for (name, kind), each in told.items():
             usual = statistics.median(told[REFERENCE, kind])
             middle = statistics.median(each)
-            rows.append([
-                str(approach), str(name), kind, number(middle, scale=0.1),
-                f"{number(min(each), scale=0.1)}..{number(max(each), scale=0.1)}",
-                f"{middle / usual:.2f}",
-            ])  # fmt: skip
+            rows.append(
+                [
+                    str(approach),
+                    str(name),
+                    kind,
+                    number(middle, scale=0.1),
+                    f"{number(min(each), scale=0.1)}..{number(max(each), scale=0.1)}",
+                    f"{middle / usual:.2f}",
+                ]
+            )
     columns = ["model", "trained on", "scored on", "RMSE [rad]", "seeds", "over `mixed`"]
     return Table(columns, rows)
 
@@ -118,14 +126,22 @@ def main() -> None:
         network = fitter.train(draws, network_recipe)
         hybrid = fitter.train(draws, options.recipe, physics=models)
     results: dict[str, tuple[list[Draw], list[DrawResult]]] = {
-        "network": (draws, network), "grey box": (alone, physics), "hybrid": (draws, hybrid),
-    }  # fmt: skip
+        "network": (draws, network),
+        "grey box": (alone, physics),
+        "hybrid": (draws, hybrid),
+    }
     found = []
     for approach, (at, fits) in results.items():
         for i, (draw, fit) in enumerate(zip(at, fits, strict=True)):
             assert fit.model is not None, fit.outcome
-            found.append({"approach": approach, "set": lots[i % len(lots)][0],
-                          "seed": draw.number, "rmse": fit.rmse})  # fmt: skip
+            found.append(
+                {
+                    "approach": approach,
+                    "set": lots[i % len(lots)][0],
+                    "seed": draw.number,
+                    "rmse": fit.rmse,
+                }
+            )
     given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(json.dumps(found, indent=1))
     print(tables(found).markdown())

@@ -65,9 +65,16 @@ def sticking_twin(law: str, values: dict[str, float]) -> Twin:
     parameters = tuple(tn.Parameter(name, "", values[name], 0.0, 10.0) for name in LAWS[law])
     own = {name: values[name] for name in TRUTH}
     return Twin(
-        with_forces(JOINT, (f"{law}:joint",), parameters), own, (2 * np.pi / 1024,),
-        amplitude=(0.25,), band=(0.3, 3.0), rest=(0.0,), spread=(0.0,), dt=0.005, substeps=20,
-    )  # fmt: skip
+        with_forces(JOINT, (f"{law}:joint",), parameters),
+        own,
+        (2 * np.pi / 1024,),
+        amplitude=(0.25,),
+        band=(0.3, 3.0),
+        rest=(0.0,),
+        spread=(0.0,),
+        dt=0.005,
+        substeps=20,
+    )
 
 
 def identify_friction(

@@ -199,10 +199,14 @@ def memory(samples: int, count: int) -> None:
         read = np.round(q / encoder) * encoder
         experiments.append(
             tn.from_arrays(
-                read, u, dt=0.01, name=f"r{i}",
-                coordinates=pendulum.coordinates, inputs=pendulum.inputs,
+                read,
+                u,
+                dt=0.01,
+                name=f"r{i}",
+                coordinates=pendulum.coordinates,
+                inputs=pendulum.inputs,
             )
-        )  # fmt: skip
+        )
     seconds = []
     for _ in range(2):
         begun = time.perf_counter()
@@ -225,9 +229,14 @@ def scipy_run(
         while last < len(e) - 1 and e.u[last, 0] == e.u[k, 0]:
             last += 1
         solved = solve_ivp(
-            derivative, (e.t[k], e.t[last]), x, "RK45", e.t[k + 1 : last + 1], rtol=1e-6,
+            derivative,
+            (e.t[k], e.t[last]),
+            x,
+            "RK45",
+            e.t[k + 1 : last + 1],
+            rtol=1e-6,
             args=(e.u[k, 0],),
-        )  # fmt: skip
+        )
         rows += list(solved.y.T)
         x, k = rows[-1], last
     return np.array(rows)[:, :2]

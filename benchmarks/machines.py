@@ -200,9 +200,21 @@ def read_rows(file: Path) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as a Markdown table."""
-    columns = ["machine", "chosen", "claimed", "held out", "typical claimed", "held out",
-               "in range", "spread", "linear", "wall / budget", "used / budget", "exit",
-               "traceback"]  # fmt: skip
+    columns = [
+        "machine",
+        "chosen",
+        "claimed",
+        "held out",
+        "typical claimed",
+        "held out",
+        "in range",
+        "spread",
+        "linear",
+        "wall / budget",
+        "used / budget",
+        "exit",
+        "traceback",
+    ]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
 
     def number(value: float | None, unit: str = "") -> str:
@@ -219,12 +231,19 @@ def table(rows: Sequence[Row]) -> str:
         geometric = float(np.exp(np.mean(np.log(row.by_record)))) if row.by_record else None
         ended = "stopped" if row.exit_code is None else str(row.exit_code)
         cells = [
-            row.machine, row.chosen or row.problem, number(row.claimed) + error + f" {row.unit}",
-            number(row.heldout) + horizon, typical, number(geometric), inside, number(row.spread),
-            number(row.linear), *(number(x / row.budget if row.budget else None)
-                                  for x in (row.wall, row.used)), ended,
+            row.machine,
+            row.chosen or row.problem,
+            number(row.claimed) + error + f" {row.unit}",
+            number(row.heldout) + horizon,
+            typical,
+            number(geometric),
+            inside,
+            number(row.spread),
+            number(row.linear),
+            *(number(x / row.budget if row.budget else None) for x in (row.wall, row.used)),
+            ended,
             "yes" if row.traceback else "no",
-        ]  # fmt: skip
+        ]
         lines.append(f"| {' | '.join(cell.strip() for cell in cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -277,20 +296,29 @@ def fit_and_score(folder: Path, budget: str, system: bool, command: str, runs: P
     claim, parts = summary["claim"], summary["seconds_by_part"]
     tried = sum(parts.get(name, 0.0) for name in ("candidates", "committees"))
     result |= {
-        "chosen": summary["best"], "unit": summary["unit"], "horizon": summary["horizon"],
-        "claimed": first["mean"], "claimed_error": first["standard_error"],
-        "linear": linear.get("mean"), "sentences": tuple(summary["sentences"]),
+        "chosen": summary["best"],
+        "unit": summary["unit"],
+        "horizon": summary["horizon"],
+        "claimed": first["mean"],
+        "claimed_error": first["standard_error"],
+        "linear": linear.get("mean"),
+        "sentences": tuple(summary["sentences"]),
         "typical": () if claim is None else (claim["typical"], claim["low"], claim["high"]),
-        "used": result["wall"] - tried + sum(c["seconds"] for c in candidates.values()
-                                             if c.get("starts")),
-    }  # fmt: skip
+        "used": result["wall"]
+        - tried
+        + sum(c["seconds"] for c in candidates.values() if c.get("starts")),
+    }
     words = [sys.executable, str(Path(__file__)), "score", str(run), str(folder / "heldout")]
     scored = subprocess.run(words, capture_output=True, text=True, check=False)
     if scored.returncode:
         return Row(**result, problem=scored.stderr.strip().splitlines()[-1])
     values = json.loads(scored.stdout.splitlines()[-1])
-    return Row(**result, heldout=values["rmse"], spread=values["spread"],
-               by_record=tuple(values["by_record"]))  # fmt: skip
+    return Row(
+        **result,
+        heldout=values["rmse"],
+        spread=values["spread"],
+        by_record=tuple(values["by_record"]),
+    )
 
 
 def run(

@@ -72,8 +72,9 @@ def recorded(of: Sequence[Proposal], channels: tn.Experiment) -> dict[str, tn.Ex
     """What the twin makes of proposals."""
     values = {name: jnp.asarray(value) for name, value in TWIN_VALUES.items()}
     runs = [TwinRun(p.name, "train", np.concatenate([p.q, p.v, [0.0]]), p.u) for p in of]
-    made = log_runs(WITH_MEMORY.model(values), channels.channels, runs, AS_LOGGED,
-                    np.random.default_rng(1))  # fmt: skip
+    made = log_runs(
+        WITH_MEMORY.model(values), channels.channels, runs, AS_LOGGED, np.random.default_rng(1)
+    )
     return {e.name: e for e in made}
 
 
@@ -95,8 +96,13 @@ class Arm:
 Ranked = tuple[list[float], Callable[[Sequence[Proposal]], list[str]]]
 
 
-def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
-         tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
+def grey(
+    arms: Sequence[Arm],
+    made: dict[str, tn.Experiment],
+    held_out: Sequence[tn.Experiment],
+    tell: Callable,
+    horizon: float | None,
+) -> list[Ranked]:
     """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
     ranked: list[Ranked] = []
     # positions alone: their units are the same for all records, so that programs compile once
@@ -107,8 +113,11 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence
         result = fit_task(task, tell)[0]
         scores = tn.evaluate(result.model, held_out, "model-20")
         assert result.identification is not None
-        off = [abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
-               for e in result.identification.estimates if TWIN_VALUES[e.name] > 0]  # fmt: skip
+        off = [
+            abs(np.log(max(e.value, 1e-12) / TWIN_VALUES[e.name]))
+            for e in result.identification.estimates
+            if TWIN_VALUES[e.name] > 0
+        ]
 
         def rank(of: Sequence[Proposal], result: tn.FitResult = result) -> list[str]:
             ranking = rank_proposals(result.model, result.as_header(), of)
@@ -118,13 +127,19 @@ def grey(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence
     return ranked
 
 
-def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Sequence[tn.Experiment],
-            tell: Callable, horizon: float | None) -> list[Ranked]:  # fmt: skip
+def network(
+    arms: Sequence[Arm],
+    made: dict[str, tn.Experiment],
+    held_out: Sequence[tn.Experiment],
+    tell: Callable,
+    horizon: float | None,
+) -> list[Ranked]:
     """Trains a committee for each arm: its RMSE, and who ranks."""
     recipe = tn.read_recipe(Path(__file__).parent / "recipes" / "short-network.toml", QUICK)
     folds = tuple(Fold(Roles(tuple(made[name] for name in arm.names), ())) for arm in arms)
-    members = tuple(Member(MEMBERS * arm.seed + k, fold=f)
-                    for f, arm in enumerate(arms) for k in range(MEMBERS))  # fmt: skip
+    members = tuple(
+        Member(MEMBERS * arm.seed + k, fold=f) for f, arm in enumerate(arms) for k in range(MEMBERS)
+    )
     results = fit_task(Task(recipe, folds, members), tell)
     ranked: list[Ranked] = []
     for f in range(len(arms)):
@@ -142,8 +157,10 @@ def network(arms: Sequence[Arm], made: dict[str, tn.Experiment], held_out: Seque
 def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], seeds: int) -> str:
     """With how many records chosen ones are as good as random ones are with the most."""
     goal_at = sizes[-1]
-    medians = {way: [statistics.median(curves[way, s][k] for s in range(seeds))
-                     for k in range(len(sizes))] for way in (RANDOM, CHOSEN)}  # fmt: skip
+    medians = {
+        way: [statistics.median(curves[way, s][k] for s in range(seeds)) for k in range(len(sizes))]
+        for way in (RANDOM, CHOSEN)
+    }
     goal = medians[RANDOM][sizes.index(goal_at)]
     reached = [n for n, x in zip(sizes, medians[CHOSEN], strict=True) if x <= goal]
     with_ = f"with {reached[0]}" if reached else "never"
@@ -173,8 +190,15 @@ def main() -> None:
             for arm, (figures, rank) in zip(
                 arms, fit(arms, made, held_out, progress.follow, given.horizon), strict=True
             ):
-                lines.append({"way": arm.way, "seed": arm.seed, "records": n, "figures": figures,
-                              "names": list(arm.names)})  # fmt: skip
+                lines.append(
+                    {
+                        "way": arm.way,
+                        "seed": arm.seed,
+                        "records": n,
+                        "figures": figures,
+                        "names": list(arm.names),
+                    }
+                )
                 print(f"{n} records, seed {arm.seed}, {arm.way}: {figures}", flush=True)
                 others = [name for name in orders[arm.seed] if name not in arm.names]
                 if arm.way == CHOSEN and more:

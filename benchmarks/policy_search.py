@@ -49,9 +49,15 @@ def search(file: Path, *, randomise: bool | float, seed: int) -> tuple[np.ndarra
     """The best policy on a model, and the share of the reward that it earns there."""
     count = POPULATION * EPISODES
     envs = gymnasium.make_vec(
-        "tustinnet.gym:TustinNet-v0", count, model=file, reward="swing-up", randomise=randomise,
-        start=[0.0, np.pi, 0.0, 0.0], noise=0.02, margin=1.0,
-    )  # fmt: skip
+        "tustinnet.gym:TustinNet-v0",
+        count,
+        model=file,
+        reward="swing-up",
+        randomise=randomise,
+        start=[0.0, np.pi, 0.0, 0.0],
+        noise=0.02,
+        margin=1.0,
+    )
     ends = envs.unwrapped.rules.inputs[0]  # pyright: ignore[reportAttributeAccessIssue]
     drawn = np.random.default_rng(seed)
 
@@ -72,9 +78,16 @@ def search(file: Path, *, randomise: bool | float, seed: int) -> tuple[np.ndarra
         return -sums / LENGTH
 
     result = scipy.optimize.differential_evolution(
-        cost, BOUNDS, popsize=POPULATION // len(BOUNDS), maxiter=GENERATIONS, seed=seed,
-        polish=False, vectorized=True, updating="deferred", tol=0,
-    )  # fmt: skip
+        cost,
+        BOUNDS,
+        popsize=POPULATION // len(BOUNDS),
+        maxiter=GENERATIONS,
+        seed=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        tol=0,
+    )
     return result.x, float(-result.fun)
 
 

@@ -54,10 +54,13 @@ def write(given: argparse.Namespace) -> dict[str, Any]:
         write_into(given.out.parent, given.out.name, page)
         seconds.append(time.perf_counter() - begin)
     return {
-        "models": len(files), "records": len(records), "evaluation": round(evaluation, 2),
-        "first": round(seconds[0], 2), "median": round(median(seconds), 2),
+        "models": len(files),
+        "records": len(records),
+        "evaluation": round(evaluation, 2),
+        "first": round(seconds[0], 2),
+        "median": round(median(seconds), 2),
         "bytes": len(page.encode()),
-    }  # fmt: skip
+    }
 
 
 def opened(given: argparse.Namespace) -> dict[str, Any]:
@@ -79,12 +82,16 @@ def opened(given: argparse.Namespace) -> dict[str, Any]:
             measured = page.context.new_cdp_session(page)
             measured.send("Performance.enable")
             before = _seconds(measured)
-            rates.append(page.evaluate(
-                """async (seconds) => {
+            rates.append(
+                page.evaluate(
+                    """async (seconds) => {
                   const [from, before] = [performance.now(), globalThis.frames_];
                   await new Promise((done) => setTimeout(done, 1000 * seconds));
                   return (globalThis.frames_ - before) / ((performance.now() - from) / 1000);
-                }""", SECONDS))  # fmt: skip
+                }""",
+                    SECONDS,
+                )
+            )
             busy.append(1000 * (_seconds(measured) - before) / (rates[-1] * SECONDS))
             page.close()
         browser.close()

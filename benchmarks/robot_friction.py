@@ -66,8 +66,11 @@ def main(seeds: int) -> None:
         start_time = time.perf_counter()
         hybrid = tn.fit(data, "hybrid", physics=plain).model
         short, whole = errors_of(hybrid, data)
-        print(f"| {seed} | hybrid on the first | | {short:.2g} | {whole:.2g} | "
-              f"{time.perf_counter() - start_time:.0f} |", flush=True)  # fmt: skip
+        print(
+            f"| {seed} | hybrid on the first | | {short:.2g} | {whole:.2g} | "
+            f"{time.perf_counter() - start_time:.0f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

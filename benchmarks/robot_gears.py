@@ -72,9 +72,18 @@ def make_records(
         truth[f"{joint}.gear_stiffness"] = stiffness
         truth[f"{joint}.gear_damping"] = DAMPING[joint]
     data = record_in_loop(
-        system, truth, count, 5.0, dt=DT, noise=noise, seed=seed, substeps=8, begins_moving=True,
-        resolution=resolution, knows_controller=knows_controller,
-    )  # fmt: skip
+        system,
+        truth,
+        count,
+        5.0,
+        dt=DT,
+        noise=noise,
+        seed=seed,
+        substeps=8,
+        begins_moving=True,
+        resolution=resolution,
+        knows_controller=knows_controller,
+    )
     return system, truth, data
 
 
@@ -99,8 +108,10 @@ def compare_models(seeds: int) -> None:
             shown = [f"{e:.2e}" for e in errors_of(result.model, data)]
             gears = [e for e in result.estimates if e.name.endswith("gear_stiffness")]
             listed = ", ".join(f"{e.value:.0f} ± {2 * (e.error or np.nan):.0f}" for e in gears)
-            print(f"| {seed} | {name} | {' | '.join(shown)} | {listed} | {result.seconds:.0f} |",
-                  flush=True)  # fmt: skip
+            print(
+                f"| {seed} | {name} | {' | '.join(shown)} | {listed} | {result.seconds:.0f} |",
+                flush=True,
+            )
         values = {name: jnp.asarray(truth[name]) for name in system.nominal()}
         model = replace(result.model, continuous=system.model(values))
         shown = [f"{e:.2e}" for e in errors_of(model, data)]
@@ -111,19 +122,28 @@ def compare_models(seeds: int) -> None:
 def count_intervals(seeds: int) -> None:
     """Prints a row for each kind of records: how often true values are within their intervals."""
     kinds = ("gear_stiffness", "gear_damping", "armature")
-    print(f"| driven by | encoder | torque noise | records | {' | '.join(kinds)} "
-          "| errors of stiffness and damping by stated ones |")  # fmt: skip
+    print(
+        f"| driven by | encoder | torque noise | records | {' | '.join(kinds)} "
+        "| errors of stiffness and damping by stated ones |"
+    )
     for in_loop, bits, noise, count in (
-        (False, 16, 0.002, 4), (False, 13, 0.0, 4), (True, 13, 0.002, 4), (False, 16, 0.0, 4),
+        (False, 16, 0.002, 4),
+        (False, 13, 0.0, 4),
+        (True, 13, 0.002, 4),
+        (False, 16, 0.0, 4),
         (False, 16, 0.002, 9),
-    ):  # fmt: skip
+    ):
         inside: dict[str, list[bool]] = {kind: [] for kind in kinds}
         deviations = []
         for seed in range(seeds):
             _, truth, data = make_records(
-                seed, noise, 2 * np.pi / 2**bits, locked={"joint1": 0.0}, count=count,
+                seed,
+                noise,
+                2 * np.pi / 2**bits,
+                locked={"joint1": 0.0},
+                count=count,
                 knows_controller=in_loop,
-            )  # fmt: skip
+            )
             system = load_arm("motor", locked={"joint1": 0.0})
             result = tn.identify(data, system, "grey" if in_loop else RECIPE)
             for e in result.estimates:
@@ -133,8 +153,11 @@ def count_intervals(seeds: int) -> None:
                         deviations.append((e.value - truth[e.name]) / e.error)
         shown = [f"{sum(own)} of {len(own)}" for own in inside.values()]
         by = "set points" if in_loop else "torques"
-        print(f"| {by} | {bits} bits | {100 * noise:g} % | {count - 1} | {' | '.join(shown)} "
-              f"| {np.sqrt(np.mean(np.square(deviations))):.2f} |", flush=True)  # fmt: skip
+        print(
+            f"| {by} | {bits} bits | {100 * noise:g} % | {count - 1} | {' | '.join(shown)} "
+            f"| {np.sqrt(np.mean(np.square(deviations))):.2f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

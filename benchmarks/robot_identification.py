@@ -256,16 +256,24 @@ def fit_by_mujoco(
             moment, tensor = np.array(others[:3]), np.reshape(others[3:], (3, 3))
             set_inertia(s.body(body), mass, moment, tensor)
 
-        parameters.add(sysid.body_inertia_param(
-            spec.copy(), model, body, sysid.InertiaType.Pseudo,
-            mass_bound_mult=np.array([0.2, 5.0]), stretch_bound_mult=np.array([0.2, 5.0]),
-            # its own compiles the model for each body, and 4.0 refuses what it writes
-            modifier=write_inertia,
-        ))  # fmt: skip
+        parameters.add(
+            sysid.body_inertia_param(
+                spec.copy(),
+                model,
+                body,
+                sysid.InertiaType.Pseudo,
+                mass_bound_mult=np.array([0.2, 5.0]),
+                stretch_bound_mult=np.array([0.2, 5.0]),
+                # its own compiles the model for each body, and 4.0 refuses what it writes
+                modifier=write_inertia,
+            )
+        )
     for joint in [j.name for j in spec.joints]:
         for ours, theirs in (
-            ("armature", "armature"), ("viscous", "damping"), ("coulomb", "frictionloss")
-        ):  # fmt: skip
+            ("armature", "armature"),
+            ("viscous", "damping"),
+            ("coulomb", "frictionloss"),
+        ):
             p = by_name[f"{joint}.{ours}"]
 
             def write(s: Any, own: Any, joint: str = joint, theirs: str = theirs) -> None:
@@ -350,16 +358,26 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
         truth = true_values(system, seed) | offsets
         true_model = arm_for_mujoco(mujoco, truth, steps).compile()
         *records, held_out = record_by_mujoco(mujoco, true_model, 4, 5.0, seed, steps)
-        data = tn.DataSet("arm", tuple(
-            tn.from_arrays(
-                q, u, dt=_STEP,
-                coordinates=[tn.Coordinate(c.name, c.kind, _ENCODER) for c in system.coordinates],
-                inputs=[tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
-                        for i in system.inputs],
-                name=f"run{k}", split="train",
-            )
-            for k, (q, u) in enumerate(records)
-        ))  # fmt: skip
+        data = tn.DataSet(
+            "arm",
+            tuple(
+                tn.from_arrays(
+                    q,
+                    u,
+                    dt=_STEP,
+                    coordinates=[
+                        tn.Coordinate(c.name, c.kind, _ENCODER) for c in system.coordinates
+                    ],
+                    inputs=[
+                        tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
+                        for i in system.inputs
+                    ],
+                    name=f"run{k}",
+                    split="train",
+                )
+                for k, (q, u) in enumerate(records)
+            ),
+        )
         cutoff = cutoff_for(occupied_band(held_out[0], _STEP), _STEP)
         motion = [low_pass(held_out[0], _STEP, 3 * cutoff, k) for k in range(3)]
         measured, true = held_out[1], torques_along(mujoco, true_model, motion)
@@ -385,8 +403,10 @@ def compare_to_mujoco(count: int, iterations: int | None = None, steps: int = 10
             error = 1000 * motion_error(mujoco, model, held_out, steps)
             row = [float(missing.mean()), float(off.mean()), error, seconds]
             rows[name].append(row)
-            print(f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | "
-                  f"{row[3]:.0f} |", flush=True)  # fmt: skip
+            print(
+                f"| {seed} | {name} | {row[0]:.2f} | {row[1]:.2f} | {row[2]:.3f} | {row[3]:.0f} |",
+                flush=True,
+            )
     medians = {name: np.median(measured, axis=0) for name, measured in rows.items()}
     for name, (a, b, c, d) in medians.items():
         print(f"| median | {name} | {a:.2f} | {b:.2f} | {c:.3f} | {d:.0f} |")

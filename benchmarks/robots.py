@@ -99,10 +99,14 @@ def own_terms(system: LagrangianSystem, states: np.ndarray) -> list[dict[str, np
         return jnp.concatenate([model.mass_matrix(q).ravel(), bias, energies])
 
     return [
-        {"mass": row[: n * n].reshape(n, n), "bias": row[n * n : -2],
-         "kinetic": row[-2], "potential": row[-1]}
+        {
+            "mass": row[: n * n].reshape(n, n),
+            "bias": row[n * n : -2],
+            "kinetic": row[-2],
+            "potential": row[-1],
+        }
         for row in evaluate(Formula(terms, 2 * n), states)
-    ]  # fmt: skip
+    ]
 
 
 def pinocchio_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, Any]]:
@@ -121,12 +125,15 @@ def pinocchio_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str,
             position[joint.idx_q : joint.idx_q + joint.nq] = both
         upper = np.triu(pin.crba(model, data, position))
         mass = upper + np.triu(upper, 1).T
-        results.append({
-            "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
-            "bias": lead.ratios.T @ pin.nonLinearEffects(model, data, position, velocity)[places],
-            "kinetic": pin.computeKineticEnergy(model, data, position, velocity),
-            "potential": pin.computePotentialEnergy(model, data, position),
-        })  # fmt: skip
+        results.append(
+            {
+                "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
+                "bias": lead.ratios.T
+                @ pin.nonLinearEffects(model, data, position, velocity)[places],
+                "kinetic": pin.computeKineticEnergy(model, data, position, velocity),
+                "potential": pin.computePotentialEnergy(model, data, position),
+            }
+        )
     return results
 
 
@@ -157,12 +164,14 @@ def mujoco_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, An
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         potential, kinetic = data.energy
-        results.append({
-            "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
-            "bias": lead.ratios.T @ (data.qfrc_bias - data.qfrc_spring)[places],
-            "kinetic": kinetic,
-            "potential": potential,
-        })  # fmt: skip
+        results.append(
+            {
+                "mass": lead.ratios.T @ mass[np.ix_(places, places)] @ lead.ratios,
+                "bias": lead.ratios.T @ (data.qfrc_bias - data.qfrc_spring)[places],
+                "kinetic": kinetic,
+                "potential": potential,
+            }
+        )
     return results
 
 
@@ -266,8 +275,9 @@ def descriptions(folders: Sequence[str]) -> None:
         print(f"| {file.name} | {len(system.coordinates)} | {largest} |", flush=True)
     print(f"{len(files)} files, {loaded} read, {alone} of them by no other tool")
     for key, sizes in errors.items():
-        print(f"{key:32s} {len(sizes)} robots, median {np.median(sizes):.1e}, "
-              f"worst {max(sizes):.1e}")  # fmt: skip
+        print(
+            f"{key:32s} {len(sizes)} robots, median {np.median(sizes):.1e}, worst {max(sizes):.1e}"
+        )
     for sentences in sorted(refused.values(), key=len, reverse=True):
         print(f"{len(sentences)} times: {sentences[0]}")
 
@@ -276,13 +286,25 @@ def fit(folder: Path, data: tn.DataSet) -> tuple[dict[str, Any], float, float]:
     """Identifies an arm by the command: header of its model, seconds, GiB at the peak."""
     logs, run = folder / "logs", folder / "run"
     write_data_set(tn.DataSet("arm", tuple(data)), logs, "Simulated arm", overwrite=True)
-    words = ["fit", str(logs), "--recipe", "inverse-dynamics", "--system", str(ARM), "--out",
-             str(run), "--no-report", "--overwrite", "-q"]  # fmt: skip
+    words = [
+        "fit",
+        str(logs),
+        "--recipe",
+        "inverse-dynamics",
+        "--system",
+        str(ARM),
+        "--out",
+        str(run),
+        "--no-report",
+        "--overwrite",
+        "-q",
+    ]
     start_time = time.perf_counter()
     child = subprocess.Popen(
-        [sys.executable, "-m", "tustinnet", *words], stdout=subprocess.DEVNULL,
+        [sys.executable, "-m", "tustinnet", *words],
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
     _, status, usage = os.wait4(child.pid, 0)
     child.returncode = status
     if status:
@@ -298,8 +320,9 @@ def estimates(header: dict[str, Any]) -> tuple[list[str], np.ndarray, np.ndarray
     errors = np.array([row["error"] or 0.0 for row in rows])
     factors = [
         (row["interval"][1] - row["value"]) / row["error"]
-        for row in rows if row["error"] and row["interval"] and row["lower"] < 0
-    ]  # fmt: skip
+        for row in rows
+        if row["error"] and row["interval"] and row["lower"] < 0
+    ]
     correlation = np.nan_to_num(np.array(identification["correlation"], float))
     covariance = correlation * np.outer(errors, errors)
     np.fill_diagonal(covariance, errors**2)
@@ -317,15 +340,19 @@ def linear_parameters(system: LagrangianSystem, names: Sequence[str], vector: An
         tensor = jnp.asarray(body.tensor)[np.triu_indices(3)]
         inertias += [jnp.atleast_1d(body.mass), jnp.asarray(body.moment), tensor]
     inertial = {f"{link}.{name}" for link in links for name in INERTIAL}
-    others = [jnp.atleast_1d(x) for name, x in zip(names, vector, strict=True)
-              if name not in inertial]  # fmt: skip
+    others = [
+        jnp.atleast_1d(x) for name, x in zip(names, vector, strict=True) if name not in inertial
+    ]
     return jnp.concatenate([*inertias, *others])
 
 
 def deviations(
-    system: LagrangianSystem, names: Sequence[str], values: np.ndarray, others: np.ndarray,
+    system: LagrangianSystem,
+    names: Sequence[str],
+    values: np.ndarray,
+    others: np.ndarray,
     covariance: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Differences of two sets of base parameters in standard errors.
 
     Base parameters are the combinations of linear parameters of which the records say more than
@@ -354,9 +381,9 @@ def deviations(
 def spreads(names: Sequence[str], system: LagrangianSystem) -> np.ndarray:
     """Standard deviations of the priors of parameters."""
     by_name = {p.name: p for p in system.parameters}
-    return np.array([
-        min(by_name[n].prior or np.inf, (by_name[n].upper - by_name[n].lower) / 2) for n in names
-    ])  # fmt: skip
+    return np.array(
+        [min(by_name[n].prior or np.inf, (by_name[n].upper - by_name[n].lower) / 2) for n in names]
+    )
 
 
 def twins(out: Path, count: int, first: int = 0) -> None:
@@ -382,14 +409,20 @@ def twins(out: Path, count: int, first: int = 0) -> None:
             100 * row["held_out"] / row["size"] for row in header["identification"]["force_errors"]
         ]
         rows.append([float(np.mean(missing)), seconds, memory])
-        print(f"| {seed} | {min(missing):.2f} to {max(missing):.2f} | {(np.abs(z) < factor).sum()} "
-              f"of {len(z)} | {near.sum()} of {decided.sum()} | {seconds:.0f} | {memory:.2f} |",
-              flush=True)  # fmt: skip
+        print(
+            f"| {seed} | {min(missing):.2f} to {max(missing):.2f} | {(np.abs(z) < factor).sum()} "
+            f"of {len(z)} | {near.sum()} of {decided.sum()} | {seconds:.0f} | {memory:.2f} |",
+            flush=True,
+        )
     middle, seconds, memory = np.median(rows, axis=0)
-    print(f"median: missing torque {middle:.2f} % in the mean of joints, {seconds:.0f} s, "
-          f"{memory:.2f} GiB")  # fmt: skip
-    print(f"base parameters {inside} of {combinations} ({inside / combinations:.1%}), "
-          f"values {single} of {singles} ({single / singles:.1%})")  # fmt: skip
+    print(
+        f"median: missing torque {middle:.2f} % in the mean of joints, {seconds:.0f} s, "
+        f"{memory:.2f} GiB"
+    )
+    print(
+        f"base parameters {inside} of {combinations} ({inside / combinations:.1%}), "
+        f"values {single} of {singles} ({single / singles:.1%})"
+    )
 
 
 def halves(out: Path, count: int, first: int = 0) -> None:
@@ -411,8 +444,10 @@ def halves(out: Path, count: int, first: int = 0) -> None:
         agreed, compared = agreed + int((np.abs(z) < factor).sum()), compared + len(z)
         shares.append(float(np.mean(np.abs(z) < factor)))
         print(f"{seed}: {(np.abs(z) < factor).sum()} of {len(z)}", flush=True)
-    print(f"base parameters that agree: {agreed} of {compared} ({agreed / compared:.1%}), "
-          f"median of arms {np.median(shares):.1%}")  # fmt: skip
+    print(
+        f"base parameters that agree: {agreed} of {compared} ({agreed / compared:.1%}), "
+        f"median of arms {np.median(shares):.1%}"
+    )
 
 
 def payload(count: int) -> None:
@@ -424,10 +459,11 @@ def payload(count: int) -> None:
         records = [
             replace(e, name=f"{e.name}-{group}", groups=(("payload", group),))
             for group, values, more in (
-                ("none", empty, 0), ("ball", with_payload(empty, "flange", 2.5, center), 1000),
+                ("none", empty, 0),
+                ("ball", with_payload(empty, "flange", 2.5, center), 1000),
             )
             for e in record_in_loop(system, values, 5, 10.0, seed=seed + more)
-        ]  # fmt: skip
+        ]
         start_time = time.perf_counter()
         result = tn.identify(tn.DataSet("arm", tuple(records)), robot, "inverse-dynamics")
         (sentence,) = [s for s in result.findings if "carries" in s]
@@ -474,14 +510,19 @@ def design(count: int) -> None:
     rng, options = np.random.default_rng(0), DesignOptions(budget=None)
     reach = np.concatenate([ends[:, 1], speed, 2 * np.pi * options.highest * speed])
     states = rng.uniform(-1, 1, (1000, len(reach))) * reach
-    print("| arm | noise | record | velocity of the limit | stated errors | torque missing at "
-          "random states [%] | along other motions [%] |")  # fmt: skip
+    print(
+        "| arm | noise | record | velocity of the limit | stated errors | torque missing at "
+        "random states [%] | along other motions [%] |"
+    )
     for seed in range(count):
         truth = true_values(system, seed)
         start_time = time.perf_counter()
         design = design_record(system, knowledge, limits, replace(options, seed=seed))
-        print(f"designed in {time.perf_counter() - start_time:.0f} s, errors by random motions "
-              f"{design.by_random:.2f} times as large", flush=True)  # fmt: skip
+        print(
+            f"designed in {time.perf_counter() - start_time:.0f} s, errors by random motions "
+            f"{design.by_random:.2f} times as large",
+            flush=True,
+        )
         start = replace(options, seed=seed, iterations=0, starts=1)
         other = design_record(system, knowledge, limits, start)
         for law, noise in (("one sensor", design.noise), ("by record", 0.02)):
@@ -494,9 +535,10 @@ def design(count: int) -> None:
             along = np.concatenate([filter_record(e, 5.0).points for e in others])
             stated: dict[str, np.ndarray] = {}
             for name, motions in (
-                ("designed", [(design.q, design.v)]), ("random", [(other.q, other.v)]),
+                ("designed", [(design.q, design.v)]),
+                ("random", [(other.q, other.v)]),
                 ("sines", []),
-            ):  # fmt: skip
+            ):
                 record = record_in_loop(
                     system, truth, 2, 10.0, noise=noise, seed=seed, motions=motions
                 )[0]
@@ -508,8 +550,11 @@ def design(count: int) -> None:
                 ratio = np.exp(np.mean(np.log(stated[name][:n] / stated["designed"][:n])))
                 missing = [torque_errors(system, result.values, truth, x) for x in (states, along)]
                 fastest = float(np.max(np.abs(record.velocities()) / speed))
-                print(f"| {seed} | {law} | {name} | {fastest:.2f} | {ratio:.2f} | {missing[0]:.3f} "
-                      f"| {missing[1]:.3f} |", flush=True)  # fmt: skip
+                print(
+                    f"| {seed} | {law} | {name} | {fastest:.2f} | {ratio:.2f} | {missing[0]:.3f} "
+                    f"| {missing[1]:.3f} |",
+                    flush=True,
+                )
 
 
 def score_in_loop(
@@ -525,8 +570,10 @@ def loop(count: int, records: int) -> None:
     """Motion of whole held-out records: after inverse dynamics, short horizons, and in the loop."""
     system = tn.load_system(ARM)
     short = {"name": "short", "model": {"kind": "euler-lagrange"}, "search": {"horizon": 0.25}}
-    print("| arm | inverse dynamics [rad] | short horizons [rad] | in the loop [rad] "
-          "| short, torques as recorded [rad] | s | s | s |")  # fmt: skip
+    print(
+        "| arm | inverse dynamics [rad] | short horizons [rad] | in the loop [rad] "
+        "| short, torques as recorded [rad] | s | s | s |"
+    )
     for seed in range(count):
         truth = true_values(system, seed)
         in_loop, driven = (
@@ -544,13 +591,13 @@ def loop(count: int, records: int) -> None:
             score_in_loop(closed, result.values, held_out)
             for result in (first, by_horizons, closed)
         ]
-        as_recorded = tn.evaluate(
-            by_horizons.model, list(driven.split("validation")), "derived-6"
-        )  # fmt: skip
+        as_recorded = tn.evaluate(by_horizons.model, list(driven.split("validation")), "derived-6")
         times = [result.seconds for result in (first, by_horizons, closed)]
-        print(f"| {seed} | {' | '.join(f'{x:.2e}' for x in scores)} "
-              f"| {tn.mean_rmse(as_recorded):.2g} | {' | '.join(f'{x:.0f}' for x in times)} |",
-              flush=True)  # fmt: skip
+        print(
+            f"| {seed} | {' | '.join(f'{x:.2e}' for x in scores)} "
+            f"| {tn.mean_rmse(as_recorded):.2g} | {' | '.join(f'{x:.0f}' for x in times)} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

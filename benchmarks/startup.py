@@ -26,8 +26,10 @@ def seconds(program: str, *arguments: str, source: Path) -> float:
     begin = time.perf_counter()
     subprocess.run(
         [sys.executable, "-c", program, *arguments],
-        env={**os.environ, "PYTHONPATH": str(source)}, stdout=subprocess.DEVNULL, check=True,
-    )  # fmt: skip
+        env={**os.environ, "PYTHONPATH": str(source)},
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
     return time.perf_counter() - begin
 
 
@@ -49,9 +51,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     given = parser.parse_args()
     commands = {
-        "--help": ["--help"], "inspect DATA": ["inspect", given.data],
+        "--help": ["--help"],
+        "inspect DATA": ["inspect", given.data],
         "show MODEL": ["show", given.model],
-    }  # fmt: skip
+    }
     sources = [path.resolve() for path in given.source]
     rounds = [{of: measured(commands, of) for of in sources} for _ in range(given.rounds + 1)][1:]
     table = {}

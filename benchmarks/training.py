@@ -115,9 +115,12 @@ def eager_torch(work: TrainingPlan, batch: int) -> Call:
     scale = torch.tensor(np.asarray(work.models.network.scaling.velocity)[0])
     gain = torch.tensor(np.asarray(work.models.network.scaling.acceleration)[0]) * dt
     net = torch.nn.Sequential(
-        torch.nn.Linear(7, HIDDEN), torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, HIDDEN),
-        torch.nn.LeakyReLU(0.01), torch.nn.Linear(HIDDEN, 2),
-    )  # fmt: skip
+        torch.nn.Linear(7, HIDDEN),
+        torch.nn.LeakyReLU(0.01),
+        torch.nn.Linear(HIDDEN, HIDDEN),
+        torch.nn.LeakyReLU(0.01),
+        torch.nn.Linear(HIDDEN, 2),
+    )
     optimiser = torch.optim.Adam(net.parameters(), 1e-3)
 
     def call() -> None:
@@ -264,9 +267,12 @@ def throughput(folder: str) -> None:
 
 
 VERBS = {
-    "compare": compare, "seeds": several_seeds, "windows": many_windows, "engines": engines,
+    "compare": compare,
+    "seeds": several_seeds,
+    "windows": many_windows,
+    "engines": engines,
     "throughput": throughput,
-}  # fmt: skip
+}
 
 if __name__ == "__main__":
     if len(sys.argv) != 3 or sys.argv[1] not in VERBS:

@@ -23,10 +23,16 @@ from tustinnet.systems.twin import Twin
 
 # seconds after the beginning of the record of seed 0
 MOMENTS = {
-    "cart_pole": 1.2, "link_chain": 2.8, "two_mass_drive": 2.0, "crane": 2.4,
-    "ball_and_beam": 0.56, "reaction_wheel": 1.2, "propeller_pendulum": 1.2,
-    "positioning_axis": 0.8, "duffing": 1.2,
-}  # fmt: skip
+    "cart_pole": 1.2,
+    "link_chain": 2.8,
+    "two_mass_drive": 2.0,
+    "crane": 2.4,
+    "ball_and_beam": 0.56,
+    "reaction_wheel": 1.2,
+    "propeller_pendulum": 1.2,
+    "positioning_axis": 0.8,
+    "duffing": 1.2,
+}
 WIDTH, HEIGHT = 460, 1200  # of the window
 MARGIN = 12  # pixels around what is drawn
 COLOURS = 16

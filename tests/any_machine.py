@@ -14,9 +14,15 @@ Array = npt.NDArray[np.float64]
 
 Kinds = Literal["linear", "angular", "mixed"]
 Trait = Literal[
-    "plain", "stiff", "lightly damped", "unstable", "at rest", "still coordinate", "still input",
+    "plain",
+    "stiff",
+    "lightly damped",
+    "unstable",
+    "at rest",
+    "still coordinate",
+    "still input",
     "nan",
-]  # fmt: skip
+]
 Hold = Literal["zero-order", "first-order", "band-limited", "unknown", "undeclared"]
 
 DT = 0.01  # s
@@ -57,14 +63,19 @@ class Machine:
     @property
     def name(self) -> str:
         """The properties in a few letters, for folders and for the names of tests."""
-        return "-".join([
-            f"{self.inputs}u{self.coordinates}q", self.kinds, f"{self.records}x{self.samples}",
-            *(["validation"] if self.has_validation else []),
-            *(["velocities"] if self.has_velocities else []),
-            *(["time"] if self.has_time else []),
-            self.hold, *(["delay"] if self.is_delay_unknown else []),
-            self.trait.replace(" ", "_"),
-        ])  # fmt: skip
+        return "-".join(
+            [
+                f"{self.inputs}u{self.coordinates}q",
+                self.kinds,
+                f"{self.records}x{self.samples}",
+                *(["validation"] if self.has_validation else []),
+                *(["velocities"] if self.has_velocities else []),
+                *(["time"] if self.has_time else []),
+                self.hold,
+                *(["delay"] if self.is_delay_unknown else []),
+                self.trait.replace(" ", "_"),
+            ]
+        )
 
     @property
     def coordinate_kinds(self) -> list[str]:
@@ -85,13 +96,22 @@ def write_logs(machine: Machine, folder: Path) -> None:
         if machine.trait == "nan" and k == machine.records // 2:
             q[len(q) // 3] = np.nan
         columns = [*([time] if machine.has_time else []), *q.T, *u.T]
-        names = [*(["time"] if machine.has_time else []), *(f"q{i}" for i in range(n)),
-                 *(f"u{i}" for i in range(count))]  # fmt: skip
+        names = [
+            *(["time"] if machine.has_time else []),
+            *(f"q{i}" for i in range(n)),
+            *(f"u{i}" for i in range(count)),
+        ]
         if machine.has_velocities:
             columns += [*v.T]
             names += [f"v{i}" for i in range(n)]
-        np.savetxt(folder / f"run{k:02d}.csv", np.column_stack(columns), "%.6g", ",",
-                   header=",".join(names), comments="")  # fmt: skip
+        np.savetxt(
+            folder / f"run{k:02d}.csv",
+            np.column_stack(columns),
+            "%.6g",
+            ",",
+            header=",".join(names),
+            comments="",
+        )
     (folder / "dataset.toml").write_text(_card(machine))
 
 
@@ -99,8 +119,13 @@ def _card(machine: Machine) -> str:
     lines = ['name = "machine"', f"dt = {DT}"]
     lines += ["[time]", 'column = "time"'] if machine.has_time else []
     for i, kind in enumerate(machine.coordinate_kinds):
-        lines += ["[[coordinates]]", f'name = "q{i}"', f'kind = "{kind}"', f'column = "q{i}"',
-                  "resolution = 1e-4"]  # fmt: skip
+        lines += [
+            "[[coordinates]]",
+            f'name = "q{i}"',
+            f'kind = "{kind}"',
+            f'column = "q{i}"',
+            "resolution = 1e-4",
+        ]
         lines += [f'velocity = {{ column = "v{i}" }}'] if machine.has_velocities else []
     for i in range(machine.inputs):
         lines += ["[[inputs]]", f'name = "u{i}"', f'column = "u{i}"', 'unit = "V"']
@@ -175,15 +200,18 @@ def _signals(rng: np.random.Generator, steps: int, count: int) -> Array:
     return u
 
 
-def cover_pairs(levels: dict[str, Sequence[object]], rng: np.random.Generator, most: int,
-                ) -> list[Machine]:  # fmt: skip
+def cover_pairs(
+    levels: dict[str, Sequence[object]], rng: np.random.Generator, most: int
+) -> list[Machine]:
     """Machines that together have every pair of levels of two properties, `most` at most."""
     keys = list(levels)
     missing = {
         (a, x, b, y)
-        for i, a in enumerate(keys) for b in keys[i + 1:]
-        for x in levels[a] for y in levels[b]
-    }  # fmt: skip
+        for i, a in enumerate(keys)
+        for b in keys[i + 1 :]
+        for x in levels[a]
+        for y in levels[b]
+    }
 
     def pairs(row: dict[str, object]) -> set[tuple[str, object, str, object]]:
         return {(a, row[a], b, row[b]) for i, a in enumerate(keys) for b in keys[i + 1 :]}

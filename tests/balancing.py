@@ -80,11 +80,15 @@ def balanced(count: int, seconds: float, seed: int = 0, push: float = 2.0) -> li
     )
     return [
         tn.from_arrays(
-            q[i], u[i], dt=DT, name=f"hold{i + 1}",
-            coordinates=SYSTEM.coordinates, inputs=SYSTEM.inputs,
+            q[i],
+            u[i],
+            dt=DT,
+            name=f"hold{i + 1}",
+            coordinates=SYSTEM.coordinates,
+            inputs=SYSTEM.inputs,
         )
         for i in range(count)
-    ]  # fmt: skip
+    ]
 
 
 @jax.jit

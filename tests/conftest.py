@@ -139,9 +139,13 @@ def write_folder(pendulum: tn.DataSet, place: Path) -> Path:
     for e in pendulum:
         rows = np.column_stack([e.t, np.rad2deg(e.q[:, 0]), e.u[:, 0]])
         np.savetxt(
-            place / f"{e.name}.csv", rows, delimiter=",", header="time,angle,torque", comments="",
+            place / f"{e.name}.csv",
+            rows,
+            delimiter=",",
+            header="time,angle,torque",
+            comments="",
             fmt="%.9g",
-        )  # fmt: skip
+        )
     (place / "dataset.toml").write_text(CARD)
     return place
 
@@ -200,8 +204,18 @@ def identified_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFacto
     (place / "small_pendulum.py").write_text(SYSTEM)
     logs = write_folder(pendulum, place / "logs")
     with pytest.raises(SystemExit) as ended:
-        run(["fit", str(logs), "--recipe", "grey", "--system", str(place / "small_pendulum.py"),
-             "--out", str(place / "grey")])  # fmt: skip
+        run(
+            [
+                "fit",
+                str(logs),
+                "--recipe",
+                "grey",
+                "--system",
+                str(place / "small_pendulum.py"),
+                "--out",
+                str(place / "grey"),
+            ]
+        )
     assert not ended.value.code
     return place / "grey"
 

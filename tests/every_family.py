@@ -28,9 +28,14 @@ def scaling(memory: int = 0) -> Scaling:
 
 def network(seed: int, channels=CHANNELS, times=(), taps=(), hidden=(6, 5)) -> tn.TustinNet:
     return random_tustin_net(
-        channels, scaling(len(times)), jax.random.key(seed), hidden=hidden, stem=4,
-        relaxation_times=times, taps=taps,
-    )  # fmt: skip
+        channels,
+        scaling(len(times)),
+        jax.random.key(seed),
+        hidden=hidden,
+        stem=4,
+        relaxation_times=times,
+        taps=taps,
+    )
 
 
 def physics(channels=CHANNELS, system=CREEPING, **values: float) -> tn.Model:
@@ -79,9 +84,16 @@ def pendulum_network(hidden: tuple[int, ...]) -> tn.TustinNet:
 
 
 _FAMILIES = (
-    "network memory", "physics", "hybrid", "gru", "network memory 2", "linear", "neural ode",
-    "hybrid 2", "network taps",
-)  # fmt: skip
+    "network memory",
+    "physics",
+    "hybrid",
+    "gru",
+    "network memory 2",
+    "linear",
+    "neural ode",
+    "hybrid 2",
+    "network taps",
+)
 _OTHERS = {
     "committee": lambda: tn.committee(every_family()),
     "qube": lambda: nominal(SYSTEM, 1),

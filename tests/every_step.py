@@ -101,9 +101,13 @@ def constants(x, u):
 def without_inputs() -> tn.Model:
     """A mass that nothing drives."""
     system = tn.LagrangianSystem(
-        name="mass", coordinates=(tn.Coordinate("s", "linear"),), inputs=(), parameters=(),
-        kinetic=lambda q, v, p: v[0] ** 2 / 2, potential=lambda q, p: jnp.cos(q[0]),
-    )  # fmt: skip
+        name="mass",
+        coordinates=(tn.Coordinate("s", "linear"),),
+        inputs=(),
+        parameters=(),
+        kinetic=lambda q, v, p: v[0] ** 2 / 2,
+        potential=lambda q, p: jnp.cos(q[0]),
+    )
     return tn.discretise(tn.LagrangianModel(system, {}), 0.01)
 
 

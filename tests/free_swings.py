@@ -10,9 +10,12 @@ import tustinnet as tn
 from tustinnet.simulate.rollout import rollout
 
 FREE = replace(
-    SWING, name="free swing", inputs=(), input_map=None,
+    SWING,
+    name="free swing",
+    inputs=(),
+    input_map=None,
     parameters=tuple(p for p in SWING.parameters if p.name != "gain"),
-)  # fmt: skip
+)
 
 
 def free(values=TRUTH) -> tn.Model:

@@ -19,22 +19,23 @@ LIMIT = 12.0  # V
 def card(kind: str = "pd", **loop: Any) -> dict[str, Any]:
     """The data card of `table`, with keys of its loop added; a key of None is left out."""
     keys = {
-        "input": "voltage", "coordinate": "angle", "position": "wanted", "velocity": "wanted_rate",
-        "feedforward": "extra", "kp": KP, "kd": KD,
-    } | loop  # fmt: skip
+        "input": "voltage",
+        "coordinate": "angle",
+        "position": "wanted",
+        "velocity": "wanted_rate",
+        "feedforward": "extra",
+        "kp": KP,
+        "kd": KD,
+    } | loop
     return {
         "name": "held",
         "dt": DT,
         "coordinates": [
             {"name": "angle", "kind": "angular", "column": "read", "resolution": COUNT}
         ],
-        "inputs": [
-            {"name": "voltage", "column": "volts", "unit": "V", "limits": [-LIMIT, LIMIT]}
-        ],
-        "controller": {
-            "kind": kind, "loops": [{k: x for k, x in keys.items() if x is not None}]
-        },
-    }  # fmt: skip
+        "inputs": [{"name": "voltage", "column": "volts", "unit": "V", "limits": [-LIMIT, LIMIT]}],
+        "controller": {"kind": kind, "loops": [{k: x for k, x in keys.items() if x is not None}]},
+    }
 
 
 def table(
@@ -81,8 +82,10 @@ def table(
     return {
         "read": np.round(np.array(angles) / COUNT) * COUNT,
         "volts": np.array(volts) + noise * rng.normal(size=len(t)),
-        "wanted": wanted, "wanted_rate": rate, "extra": extra,
-    }  # fmt: skip
+        "wanted": wanted,
+        "wanted_rate": rate,
+        "extra": extra,
+    }
 
 
 def held_swings(
@@ -95,10 +98,15 @@ def held_swings(
         law: what the controller has beside gains of position and velocity, see `table`.
         loop: keys of the loop of their card, see `card`.
     """
-    return tn.DataSet("held", tuple(
-        from_frame(
-            pl.DataFrame(table(seed=k, **law)), card(**loop), name=f"run{k}",
-            split="train" if k < count - 1 else "validation",
-        )
-        for k in range(count)
-    ))  # fmt: skip
+    return tn.DataSet(
+        "held",
+        tuple(
+            from_frame(
+                pl.DataFrame(table(seed=k, **law)),
+                card(**loop),
+                name=f"run{k}",
+                split="train" if k < count - 1 else "validation",
+            )
+            for k in range(count)
+        ),
+    )

@@ -12,11 +12,28 @@ import scipy.io
 
 # names that end a line, steer a terminal, or would add to a card, a message or a program
 NAMES = (
-    'u\ndescription = "written by the name"\n#', "\x1b[31mred\x1b[0m", "a\r\nb", 'q"]\n[x]',
-    "column 1\nname = 3", "column 7", "column = 2", "\x7f\x85\u2028", "\u202eabc", "'''", "#",
-    "a\x00b", "\\u001b", "{x}", "{", "%s", "$(id)", "$\\foo$", "../../x", "<b>&amp;",
+    'u\ndescription = "written by the name"\n#',
+    "\x1b[31mred\x1b[0m",
+    "a\r\nb",
+    'q"]\n[x]',
+    "column 1\nname = 3",
+    "column 7",
+    "column = 2",
+    "\x7f\x85\u2028",
+    "\u202eabc",
+    "'''",
+    "#",
+    "a\x00b",
+    "\\u001b",
+    "{x}",
+    "{",
+    "%s",
+    "$(id)",
+    "$\\foo$",
+    "../../x",
+    "<b>&amp;",
     "\x1b]0;title\x07",
-)  # fmt: skip
+)
 T = 0.01 * np.arange(300)
 SIGNALS = (T, np.sin(3 * T), np.repeat(np.random.default_rng(0).normal(size=15), 20))
 
@@ -97,13 +114,20 @@ def write_lerobot(folder: Path, names: list[str]) -> Path:
     (folder / "meta/info.json").write_text(json.dumps(info))
     state = np.column_stack(SIGNALS[1:]).astype(np.float32)
     episode = np.repeat([0, 1], len(T) // 2)
-    pl.DataFrame({
-        "observation.state": state, "timestamp": T.astype(np.float32), "episode_index": episode
-    }).write_parquet(file)  # fmt: skip
+    pl.DataFrame(
+        {"observation.state": state, "timestamp": T.astype(np.float32), "episode_index": episode}
+    ).write_parquet(file)
     return file
 
 
 WRITERS: tuple[Callable[[Path, list[str]], Path], ...] = (
-    write_text, write_hdf5, write_parquet, write_npz, write_mat, write_workbook, write_mdf,
-    write_tdms, write_lerobot,
-)  # fmt: skip
+    write_text,
+    write_hdf5,
+    write_parquet,
+    write_npz,
+    write_mat,
+    write_workbook,
+    write_mdf,
+    write_tdms,
+    write_lerobot,
+)

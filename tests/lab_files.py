@@ -60,10 +60,12 @@ def ros_messages(types: dict[str, Any], *, version: int) -> Iterator[tuple[str, 
             position = angle(ANGLE_TIMES[k])
             order = [0, 1] if k % 2 else [1, 0]  # names may come in any order
             message = types["sensor_msgs/msg/JointState"](
-                header=header, name=[JOINTS[j] for j in order],
-                position=np.array([0.25 * k, position])[order], velocity=np.array([]),
+                header=header,
+                name=[JOINTS[j] for j in order],
+                position=np.array([0.25 * k, position])[order],
+                velocity=np.array([]),
                 effort=np.array([1.0, 2.0])[order],
-            )  # fmt: skip
+            )
         elif topic == "/command":
             dimension = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
             data = np.array([commands()[k], 7.0])
@@ -140,11 +142,15 @@ def mcap_file(path: Path) -> Path:
         for k, t in enumerate(ANGLE_TIMES):
             stamp = BEGIN + round(t * 1e9)
             message = {
-                "header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
-                           "frame_id": "arm"},
-                "name": JOINTS, "position": [0.25 * k, float(angle(t))], "velocity": [],
+                "header": {
+                    "stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
+                    "frame_id": "arm",
+                },
+                "name": JOINTS,
+                "position": [0.25 * k, float(angle(t))],
+                "velocity": [],
                 "effort": [1.0, 2.0],
-            }  # fmt: skip
+            }
             writer.write_message("/joint_states", schema, message, stamp + 3_000_000, stamp)
         for t, command in zip(COMMAND_TIMES, commands(), strict=True):
             time, data = BEGIN + round(t * 1e9), json.dumps({"data": [command, 7], "note": "on"})
@@ -212,9 +218,11 @@ def tdms_file(path: Path) -> Path:
 
     def waveform(t: np.ndarray, unit: str) -> dict[str, Any]:
         return {
-            "wf_start_time": begin, "wf_start_offset": float(t[0]), "unit_string": unit,
+            "wf_start_time": begin,
+            "wf_start_offset": float(t[0]),
+            "unit_string": unit,
             "wf_increment": float(t[1] - t[0]),
-        }  # fmt: skip
+        }
 
     with TdmsWriter(path) as file:
         file.write_segment(
@@ -250,10 +258,13 @@ def lerobot_data_set(folder: Path, version: str) -> list[Path]:
         t = np.arange(60 + 10 * episode) / 50
         state = np.column_stack([np.sin(3 * t + episode), np.cos(2 * t)]).astype(np.float32)
         table = {
-            "observation.state": state, "action": np.roll(state, -1, axis=0).tolist(),
-            "observation.effort": (2 * state).tolist(), "timestamp": t.astype(np.float32),
-            "episode_index": np.full(len(t), episode), "frame_index": np.arange(len(t)),
-        }  # fmt: skip
+            "observation.state": state,
+            "action": np.roll(state, -1, axis=0).tolist(),
+            "observation.effort": (2 * state).tolist(),
+            "timestamp": t.astype(np.float32),
+            "episode_index": np.full(len(t), episode),
+            "frame_index": np.arange(len(t)),
+        }
         episodes.append(pl.DataFrame(table))
     (folder / "data/chunk-000").mkdir(parents=True)
     if version.startswith("v2"):

@@ -122,8 +122,7 @@ def record_in_loop(
     stiffness = inertia * 20.0**2 + 10.0 * friction / amplitude
     damping = 2 * 0.8 * np.sqrt(inertia * stiffness)
     coordinates = [tn.Coordinate(c.name, c.kind, resolution) for c in system.coordinates]
-    inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True)
-              for i in system.inputs]  # fmt: skip
+    inputs = [tn.Input(i.name, i.unit, "zero-order", is_delay_declared=True) for i in system.inputs]
     gains = [
         (float(stiffness[j]), float(damping[j])) if knows_gains else (None, None) for j in driven
     ]
@@ -164,10 +163,14 @@ def record_in_loop(
         level = noise if isinstance(noise, np.ndarray) else noise * torques.std(axis=0)
         measured = torques + level * rng.normal(size=torques.shape)
         record = tn.from_arrays(
-            np.round(states[:, :n] / resolution) * resolution, measured, dt=dt,
-            coordinates=coordinates, inputs=inputs,
-            name=f"run{k}", split="train" if k < count - 1 else "validation",
-        )  # fmt: skip
+            np.round(states[:, :n] / resolution) * resolution,
+            measured,
+            dt=dt,
+            coordinates=coordinates,
+            inputs=inputs,
+            name=f"run{k}",
+            split="train" if k < count - 1 else "validation",
+        )
         if knows_controller:
             u = np.stack([wanted[:, driven], speed[:, driven]], axis=2).reshape(len(t), -1)
             record = replace(record, u=u, channels=channels, outputs=record.u)

@@ -113,9 +113,14 @@ def simulated(
         drive = np.stack([u[:-1, None], np.diff(u)[:, None]], axis=1)
     x = np.asarray(tn.rollout(model, np.array(x0), drive))
     return tn.from_arrays(
-        x[:, 0], u, v=x[:, 1], dt=DT, name=name,
-        coordinates=system.coordinates, inputs=system.inputs,
-    )  # fmt: skip
+        x[:, 0],
+        u,
+        v=x[:, 1],
+        dt=DT,
+        name=name,
+        coordinates=system.coordinates,
+        inputs=system.inputs,
+    )
 
 
 def voltage(samples: int, seed: int) -> np.ndarray:
@@ -161,8 +166,9 @@ def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.
     """What another system does from the starts and voltages of the records, through encoders."""
     model = tn.discretise(
         system.model({k: jnp.asarray(x) for k, x in (system.nominal() | TRUTH | values).items()}),
-        DT, 8,
-    )  # fmt: skip
+        DT,
+        8,
+    )
     made = []
     for e in records():
         begun = jnp.concatenate([jnp.asarray(e.q[0]), jnp.asarray(e.velocities()[0])])

@@ -17,13 +17,19 @@ from simulated.measurement import Machine, Run, measure, simulate
 from tustinnet.check.finding import Finding
 
 MACHINES: dict[str, Callable[[], Machine]] = {
-    "double-pendulum": machines.double_pendulum, "cart-pole": machines.cart_pole,
-    "unbalanced-disc": machines.unbalanced_disc, "gantry-crane": machines.gantry_crane,
-    "two-mass-drive": machines.two_mass_drive, "duffing": machines.duffing,
-    "ball-on-beam": machines.ball_on_beam, "propeller-pendulum": machines.propeller_pendulum,
-    "flexible-beam": machines.flexible_beam, "positioning-axis": machines.positioning_axis,
-    "reaction-wheel": machines.reaction_wheel, "planar-arm": machines.planar_arm,
-}  # fmt: skip
+    "double-pendulum": machines.double_pendulum,
+    "cart-pole": machines.cart_pole,
+    "unbalanced-disc": machines.unbalanced_disc,
+    "gantry-crane": machines.gantry_crane,
+    "two-mass-drive": machines.two_mass_drive,
+    "duffing": machines.duffing,
+    "ball-on-beam": machines.ball_on_beam,
+    "propeller-pendulum": machines.propeller_pendulum,
+    "flexible-beam": machines.flexible_beam,
+    "positioning-axis": machines.positioning_axis,
+    "reaction-wheel": machines.reaction_wheel,
+    "planar-arm": machines.planar_arm,
+}
 
 
 @dataclass
@@ -91,15 +97,21 @@ class Logs:
 
 def make_card(machine: Machine) -> str:
     """The card of a machine without splits."""
-    parts = [f'name = "{machine.name}"\ndt = {machine.dt:.9g}\n',
-             '[time]\ncolumn = "time"\nirregular = "resample"\n']  # fmt: skip
+    parts = [
+        f'name = "{machine.name}"\ndt = {machine.dt:.9g}\n',
+        '[time]\ncolumn = "time"\nirregular = "resample"\n',
+    ]
     return "\n".join([*parts, *(c.card() for c in (*machine.sensors, *machine.actuators))])
 
 
 def simulate_logs(
-    name: str, seed: int = 0, fit: int = 6, held_out: int = 2, longest: float = 8.0,
+    name: str,
+    seed: int = 0,
+    fit: int = 6,
+    held_out: int = 2,
+    longest: float = 8.0,
     change: Callable[[dict[str, float]], None] | None = None,
-) -> Logs:  # fmt: skip
+) -> Logs:
     """Logs of some runs of a machine.
 
     Args:
@@ -124,10 +136,13 @@ def simulate_logs(
     for run, motion in zip(runs, motions, strict=True):
         names, tables[run.name] = measure(machine, motion, rng)
     return Logs(
-        machine, names, tables, {r.name: m.x for r, m in zip(runs, motions, strict=True)},
+        machine,
+        names,
+        tables,
+        {r.name: m.x for r, m in zip(runs, motions, strict=True)},
         {"train": [r.name for r in train[:fit]], "test": [r.name for r in test[:held_out]]},
         make_card(machine),
-    )  # fmt: skip
+    )
 
 
 @cache
@@ -139,9 +154,14 @@ def logs_of(name: str, longest: float = 8.0) -> Logs:
     """A copy of the logs of a machine, simulated once."""
     logs = _cached(name, longest)
     return replace(
-        logs, names=[*logs.names], tables={k: v.copy() for k, v in logs.tables.items()},
-        splits={k: [*v] for k, v in logs.splits.items()}, entries={}, newline={}, digits={},
-    )  # fmt: skip
+        logs,
+        names=[*logs.names],
+        tables={k: v.copy() for k, v in logs.tables.items()},
+        splits={k: [*v] for k, v in logs.splits.items()},
+        entries={},
+        newline={},
+        digits={},
+    )
 
 
 def with_velocities(logs: Logs, noise: float = 0.005) -> Logs:
@@ -197,15 +217,19 @@ class Fault:
         """Whether a finding is about it."""
         is_right_record = not self.records or set(self.records) <= {*f.records}
         is_right_channel = (
-            not self.channels or f.channel in self.channels
+            not self.channels
+            or f.channel in self.channels
             or any(c in f.what for c in self.channels)
-        )  # fmt: skip
+        )
         # a fault of one record that is said of several is not located
         is_located = len(self.records) != 1 or len(f.records) == 1
         return (
-            f.check in self.checks and f.is_serious
-            and is_right_record and is_right_channel and is_located
-        )  # fmt: skip
+            f.check in self.checks
+            and f.is_serious
+            and is_right_record
+            and is_right_channel
+            and is_located
+        )
 
 
 def turn(logs: Logs, name: str) -> float:
@@ -449,14 +473,24 @@ def without_time(step: int, log: str) -> Callable[[Logs], None]:
 
 
 def _copy_log(
-    log: str, name: str, split: str, newline: str = "\n", digits: int = 9, first: int = 0,
-    noise: float = 0.0, later: float = 0.0,
-) -> Callable[[Logs], None]:  # fmt: skip
+    log: str,
+    name: str,
+    split: str,
+    newline: str = "\n",
+    digits: int = 9,
+    first: int = 0,
+    noise: float = 0.0,
+    later: float = 0.0,
+) -> Callable[[Logs], None]:
     def plant(logs: Logs) -> None:
         table = logs.tables[log][first:].copy()
         table[:, 0] += later - table[0, 0]
-        table += noise * table.std(axis=0) * np.random.default_rng(5).normal(size=table.shape) * (
-            np.arange(table.shape[1]) > 0)  # fmt: skip
+        table += (
+            noise
+            * table.std(axis=0)
+            * np.random.default_rng(5).normal(size=table.shape)
+            * (np.arange(table.shape[1]) > 0)
+        )
         logs.tables[name] = table
         logs.splits[split].append(name)
         logs.newline[name], logs.digits[name] = newline, digits
@@ -485,130 +519,376 @@ _falls = tuple(f"fall{i}" for i in range(6))
 FAULTS: tuple[Fault, ...] = (
     # time
     Fault("log at 10.4 ms in a card of 10 ms", "cart-pole", _stretch_time(1.04), ("period",)),
-    Fault("one log at another period", "two-mass-drive", _stretch_time(1.02, "moves1"),
-          ("period",), ("moves1",)),
+    Fault(
+        "one log at another period",
+        "two-mass-drive",
+        _stretch_time(1.02, "moves1"),
+        ("period",),
+        ("moves1",),
+    ),
     Fault("times in ms declared as s", "positioning-axis", _time_in_ms, ("time unit",)),
     Fault("a gap", "double-pendulum", _drop_rows("fall3", 300, 12), ("gap",), ("fall3",)),
     Fault("a long gap", "gantry-crane", _drop_rows("travel2", 150, 40), ("gap",), ("travel2",)),
-    Fault("sampled too slowly", "flexible-beam", _decimate(10), ("sampling",),
-          channels=("deflection",)),
+    Fault(
+        "sampled too slowly",
+        "flexible-beam",
+        _decimate(10),
+        ("sampling",),
+        channels=("deflection",),
+    ),
     # counters and units
-    Fault("a counter of 11 bits", "reaction-wheel", _overflow("levels1", "wheel_counts", 2048),
-          ("counter",), ("levels1",), ("wheel",)),
-    Fault("wraps that are kept", "double-pendulum",
-          _set_card('column = "upper_counts"\n', 'column = "upper_counts"\nunwrap = false\n'),
-          ("counter",), channels=("upper",)),
-    Fault("another count than declared", "unbalanced-disc",
-          _set_card(f'column = "{_deg}"\n', f'column = "{_deg}"\ncounts_per_revolution = 3600\n'),
-          ("encoder count",), channels=("disc",)),
-    Fault("degrees that wrap declared as radians", "unbalanced-disc",
-          _set_card('unit = "deg"', 'unit = "rad"'), ("counter", "angle unit"), channels=("disc",)),
-    Fault("degrees declared as radians", "gantry-crane",
-          _set_card('unit = "deg"', 'unit = "rad"'), ("angle unit",), channels=("load",)),
-    Fault("radians declared as degrees", "unbalanced-disc", _scale_column(_deg, np.pi / 180),
-          ("angle unit", "counter"), channels=("disc",)),
-    Fault("half of the counts in a turn", "double-pendulum",
-          _set_card("counts_per_revolution = 2400", "counts_per_revolution = 1200"),
-          ("angle unit", "counter"), channels=("lower",)),
+    Fault(
+        "a counter of 11 bits",
+        "reaction-wheel",
+        _overflow("levels1", "wheel_counts", 2048),
+        ("counter",),
+        ("levels1",),
+        ("wheel",),
+    ),
+    Fault(
+        "wraps that are kept",
+        "double-pendulum",
+        _set_card('column = "upper_counts"\n', 'column = "upper_counts"\nunwrap = false\n'),
+        ("counter",),
+        channels=("upper",),
+    ),
+    Fault(
+        "another count than declared",
+        "unbalanced-disc",
+        _set_card(f'column = "{_deg}"\n', f'column = "{_deg}"\ncounts_per_revolution = 3600\n'),
+        ("encoder count",),
+        channels=("disc",),
+    ),
+    Fault(
+        "degrees that wrap declared as radians",
+        "unbalanced-disc",
+        _set_card('unit = "deg"', 'unit = "rad"'),
+        ("counter", "angle unit"),
+        channels=("disc",),
+    ),
+    Fault(
+        "degrees declared as radians",
+        "gantry-crane",
+        _set_card('unit = "deg"', 'unit = "rad"'),
+        ("angle unit",),
+        channels=("load",),
+    ),
+    Fault(
+        "radians declared as degrees",
+        "unbalanced-disc",
+        _scale_column(_deg, np.pi / 180),
+        ("angle unit", "counter"),
+        channels=("disc",),
+    ),
+    Fault(
+        "half of the counts in a turn",
+        "double-pendulum",
+        _set_card("counts_per_revolution = 2400", "counts_per_revolution = 1200"),
+        ("angle unit", "counter"),
+        channels=("lower",),
+    ),
     # sensors
-    Fault("a sensor that freezes", "cart-pole", _freeze("sines1", "cart_mm", 300, 340),
-          ("frozen sensor",), ("sines1",), ("cart",)),
-    Fault("a sensor that freezes to the end", "double-pendulum",
-          lambda logs: _freeze("fall2", "upper_counts", _fastest(logs, "fall2", "upper_counts"),
-                              801)(logs),
-          ("frozen sensor",), ("fall2",), ("upper",)),
-    Fault("a clipped sensor", "gantry-crane", _clip("travel1", "load_deg", 0.6),
-          ("clipped sensor",), ("travel1",), ("load",)),
-    Fault("a dead encoder", "cart-pole", _die("sines2", "pole_counts", 1.0), ("dead sensor",),
-          ("sines2",), ("pole",)),
-    Fault("a column that never changes", "ball-on-beam", _scale_column("ball_mm", 0.0, "sines0"),
-          ("dead sensor",), ("sines0",), ("ball",)),
-    Fault("a spike of a position", "positioning-axis", _spike("moves2", "carriage_mm", 700, 5.0),
-          ("jump",), ("moves2",), ("carriage",)),
-    Fault("a spike of a few counts", "two-mass-drive", _spike("sines0", "motor_counts", 500, 60.0),
-          ("jump",), ("sines0",), ("motor",)),
-    Fault("a spike of an input", "unbalanced-disc", _spike("sines3", "voltage", 200, 400.0),
-          ("spike",), ("sines3",), ("voltage",)),
-    Fault("lost counts", "reaction-wheel", _shift_from("sines1", "pendulum_counts", 400, 150.0),
-          ("jump",), ("sines1",), ("pendulum",)),
+    Fault(
+        "a sensor that freezes",
+        "cart-pole",
+        _freeze("sines1", "cart_mm", 300, 340),
+        ("frozen sensor",),
+        ("sines1",),
+        ("cart",),
+    ),
+    Fault(
+        "a sensor that freezes to the end",
+        "double-pendulum",
+        lambda logs: _freeze("fall2", "upper_counts", _fastest(logs, "fall2", "upper_counts"), 801)(
+            logs
+        ),
+        ("frozen sensor",),
+        ("fall2",),
+        ("upper",),
+    ),
+    Fault(
+        "a clipped sensor",
+        "gantry-crane",
+        _clip("travel1", "load_deg", 0.6),
+        ("clipped sensor",),
+        ("travel1",),
+        ("load",),
+    ),
+    Fault(
+        "a dead encoder",
+        "cart-pole",
+        _die("sines2", "pole_counts", 1.0),
+        ("dead sensor",),
+        ("sines2",),
+        ("pole",),
+    ),
+    Fault(
+        "a column that never changes",
+        "ball-on-beam",
+        _scale_column("ball_mm", 0.0, "sines0"),
+        ("dead sensor",),
+        ("sines0",),
+        ("ball",),
+    ),
+    Fault(
+        "a spike of a position",
+        "positioning-axis",
+        _spike("moves2", "carriage_mm", 700, 5.0),
+        ("jump",),
+        ("moves2",),
+        ("carriage",),
+    ),
+    Fault(
+        "a spike of a few counts",
+        "two-mass-drive",
+        _spike("sines0", "motor_counts", 500, 60.0),
+        ("jump",),
+        ("sines0",),
+        ("motor",),
+    ),
+    Fault(
+        "a spike of an input",
+        "unbalanced-disc",
+        _spike("sines3", "voltage", 200, 400.0),
+        ("spike",),
+        ("sines3",),
+        ("voltage",),
+    ),
+    Fault(
+        "lost counts",
+        "reaction-wheel",
+        _shift_from("sines1", "pendulum_counts", 400, 150.0),
+        ("jump",),
+        ("sines1",),
+        ("pendulum",),
+    ),
     # velocity columns
-    Fault("a velocity of the opposite sign", "double-pendulum",
-          _edit_velocity(lambda v, _: -v, "lower_rate"), ("velocity",), channels=("lower",)),
-    Fault("a velocity in deg/s", "reaction-wheel",
-          _edit_velocity(lambda v, _: np.rad2deg(v), "pendulum_rate"), ("velocity",),
-          channels=("pendulum",)),
-    Fault("a velocity that is late", "gantry-crane", _edit_velocity(_late(3), "trolley_rate"),
-          ("velocity",), channels=("trolley",)),
-    Fault("a velocity behind a filter", "cart-pole", _edit_velocity(_low_pass(0.05), "cart_rate"),
-          ("velocity",), channels=("cart",)),
-    Fault("velocities that are swapped", "double-pendulum",
-          _swap_velocities("upper_rate", "lower_rate"), ("velocity",), channels=("upper", "lower")),
-    Fault("measured velocities that are padded", "unbalanced-disc",
-          _edit_velocity(_pad, "disc_rate"), ("padded velocity",)),
+    Fault(
+        "a velocity of the opposite sign",
+        "double-pendulum",
+        _edit_velocity(lambda v, _: -v, "lower_rate"),
+        ("velocity",),
+        channels=("lower",),
+    ),
+    Fault(
+        "a velocity in deg/s",
+        "reaction-wheel",
+        _edit_velocity(lambda v, _: np.rad2deg(v), "pendulum_rate"),
+        ("velocity",),
+        channels=("pendulum",),
+    ),
+    Fault(
+        "a velocity that is late",
+        "gantry-crane",
+        _edit_velocity(_late(3), "trolley_rate"),
+        ("velocity",),
+        channels=("trolley",),
+    ),
+    Fault(
+        "a velocity behind a filter",
+        "cart-pole",
+        _edit_velocity(_low_pass(0.05), "cart_rate"),
+        ("velocity",),
+        channels=("cart",),
+    ),
+    Fault(
+        "velocities that are swapped",
+        "double-pendulum",
+        _swap_velocities("upper_rate", "lower_rate"),
+        ("velocity",),
+        channels=("upper", "lower"),
+    ),
+    Fault(
+        "measured velocities that are padded",
+        "unbalanced-disc",
+        _edit_velocity(_pad, "disc_rate"),
+        ("padded velocity",),
+    ),
     # inputs
-    Fault("an input beyond its limits", "unbalanced-disc",
-          lambda logs: logs.add_key("voltage", "limits = [-3.0, 3.0]"), ("limits",),
-          channels=("voltage",)),
-    Fault("an input that moves in no record", "propeller-pendulum",
-          lambda logs: _still_input(logs.machine.actuators[0].name)(logs), ("still input",),
-          channels=("command",)),
+    Fault(
+        "an input beyond its limits",
+        "unbalanced-disc",
+        lambda logs: logs.add_key("voltage", "limits = [-3.0, 3.0]"),
+        ("limits",),
+        channels=("voltage",),
+    ),
+    Fault(
+        "an input that moves in no record",
+        "propeller-pendulum",
+        lambda logs: _still_input(logs.machine.actuators[0].name)(logs),
+        ("still input",),
+        channels=("command",),
+    ),
     # records against one another
-    Fault("a reversed sensor", "cart-pole", _reverse("moves1", "pole_counts"), ("sign",),
-          ("moves1",), ("pole",)),
-    Fault("a reversed sensor of a free swing", "double-pendulum", _reverse("fall4", "upper_counts"),
-          ("sign",), ("fall4",), ("upper", "lower")),
-    Fault("a reversed input", "unbalanced-disc", _reverse("sines2", "voltage"), ("sign",),
-          ("sines2",), ("voltage", "disc")),
-    Fault("a reversed input under control", "cart-pole", _reverse("sines0", "voltage"), ("sign",),
-          ("sines0",), ("voltage",)),
-    Fault("an input of another gain", "gantry-crane", _gain("travel3", "voltage", 1.5), ("gain",),
-          ("travel3",), ("voltage",)),
-    Fault("a sensor of another gain", "double-pendulum", _gain("fall1", "lower_counts", 0.8),
-          ("gain", "encoder count"), ("fall1",), ("lower",)),
-    Fault("degrees in one record", "reaction-wheel",
-          _gain("levels2", "pendulum_counts", 180 / np.pi), ("gain", "angle unit"), ("levels2",),
-          ("pendulum",)),
-    Fault("another zero", "unbalanced-disc", _offset("sines1", _deg, 20.0), ("offset",),
-          ("sines1",), ("disc",)),
-    Fault("another zero of a pole", "cart-pole", _offset("moves1", "pole_counts", 60.0),
-          ("offset",), ("moves1",), ("pole",)),
-    Fault("an input that is logged late", "reaction-wheel", _lag("sines1", "current", 5), ("lag",),
-          ("sines1",), ("current",)),
-    Fault("a sensor that is late", "gantry-crane", _lag("sines0", "load_deg", 4), ("lag",),
-          ("sines0",), ("load", "trolley")),
-    Fault("swapped sensors", "two-mass-drive",
-          _swap_columns("motor_counts", "load_counts", "sines1"),
-          ("swap", "gain"), ("sines1",), ("motor", "load")),
-    Fault("swapped inputs", "planar-arm", _swap_columns("torque1", "torque2", "moves2"), ("swap",),
-          ("moves2",), ("torque1", "torque2")),
-    Fault("another payload", "unbalanced-disc",
-          _other_machine("sines4", _multiply(gravity=1.5, gain=0.7)), ("payload", "gain"),
-          ("sines4",)),
-    Fault("another friction", "reaction-wheel",
-          _other_machine("levels3", _multiply(pivot=12.0, bearing=4.0)), ("friction", "payload"),
-          ("levels3",)),
-    Fault("a record of another period without times", "ball-on-beam", without_time(2, "moves1"),
-          ("record period",), ("moves1",)),
+    Fault(
+        "a reversed sensor",
+        "cart-pole",
+        _reverse("moves1", "pole_counts"),
+        ("sign",),
+        ("moves1",),
+        ("pole",),
+    ),
+    Fault(
+        "a reversed sensor of a free swing",
+        "double-pendulum",
+        _reverse("fall4", "upper_counts"),
+        ("sign",),
+        ("fall4",),
+        ("upper", "lower"),
+    ),
+    Fault(
+        "a reversed input",
+        "unbalanced-disc",
+        _reverse("sines2", "voltage"),
+        ("sign",),
+        ("sines2",),
+        ("voltage", "disc"),
+    ),
+    Fault(
+        "a reversed input under control",
+        "cart-pole",
+        _reverse("sines0", "voltage"),
+        ("sign",),
+        ("sines0",),
+        ("voltage",),
+    ),
+    Fault(
+        "an input of another gain",
+        "gantry-crane",
+        _gain("travel3", "voltage", 1.5),
+        ("gain",),
+        ("travel3",),
+        ("voltage",),
+    ),
+    Fault(
+        "a sensor of another gain",
+        "double-pendulum",
+        _gain("fall1", "lower_counts", 0.8),
+        ("gain", "encoder count"),
+        ("fall1",),
+        ("lower",),
+    ),
+    Fault(
+        "degrees in one record",
+        "reaction-wheel",
+        _gain("levels2", "pendulum_counts", 180 / np.pi),
+        ("gain", "angle unit"),
+        ("levels2",),
+        ("pendulum",),
+    ),
+    Fault(
+        "another zero",
+        "unbalanced-disc",
+        _offset("sines1", _deg, 20.0),
+        ("offset",),
+        ("sines1",),
+        ("disc",),
+    ),
+    Fault(
+        "another zero of a pole",
+        "cart-pole",
+        _offset("moves1", "pole_counts", 60.0),
+        ("offset",),
+        ("moves1",),
+        ("pole",),
+    ),
+    Fault(
+        "an input that is logged late",
+        "reaction-wheel",
+        _lag("sines1", "current", 5),
+        ("lag",),
+        ("sines1",),
+        ("current",),
+    ),
+    Fault(
+        "a sensor that is late",
+        "gantry-crane",
+        _lag("sines0", "load_deg", 4),
+        ("lag",),
+        ("sines0",),
+        ("load", "trolley"),
+    ),
+    Fault(
+        "swapped sensors",
+        "two-mass-drive",
+        _swap_columns("motor_counts", "load_counts", "sines1"),
+        ("swap", "gain"),
+        ("sines1",),
+        ("motor", "load"),
+    ),
+    Fault(
+        "swapped inputs",
+        "planar-arm",
+        _swap_columns("torque1", "torque2", "moves2"),
+        ("swap",),
+        ("moves2",),
+        ("torque1", "torque2"),
+    ),
+    Fault(
+        "another payload",
+        "unbalanced-disc",
+        _other_machine("sines4", _multiply(gravity=1.5, gain=0.7)),
+        ("payload", "gain"),
+        ("sines4",),
+    ),
+    Fault(
+        "another friction",
+        "reaction-wheel",
+        _other_machine("levels3", _multiply(pivot=12.0, bearing=4.0)),
+        ("friction", "payload"),
+        ("levels3",),
+    ),
+    Fault(
+        "a record of another period without times",
+        "ball-on-beam",
+        without_time(2, "moves1"),
+        ("record period",),
+        ("moves1",),
+    ),
     # splits
-    Fault("a copy of a training record in the test", "cart-pole",
-          _copy_log("moves0", "fresh", "test"), ("copy",), ("moves0", "fresh")),
-    Fault("a copy with other line ends and fewer digits", "positioning-axis",
-          _copy_log("moves0", "fresh", "test", newline="\r\n", digits=6), ("copy",),
-          ("moves0", "fresh")),
-    Fault("a part of a record under another name, later", "reaction-wheel",
-          _copy_log("sines0", "fresh", "test", first=200, later=100.0), ("copy",),
-          ("sines0", "fresh")),
-    Fault("rows in two splits", "gantry-crane",
-          _entries(train='{ file = "travel0.csv", name = "head", rows = [0, 300] }, "travel1.csv", '
-                        '"travel2.csv", "travel3.csv"',
-                  test='{ file = "travel0.csv", name = "tail", rows = [250, 401] }'),
-          ("overlap",), ("head", "tail")),
-    Fault("two columns of one sensor", "two-mass-drive",
-          lambda logs: (_same_column("load", "motor_counts")(logs),
-                        logs.edit_card("counts_per_revolution = 2400",
-                                       "counts_per_revolution = 4096"))[0],
-          ("same sensor",), channels=("load",)),
-)  # fmt: skip
+    Fault(
+        "a copy of a training record in the test",
+        "cart-pole",
+        _copy_log("moves0", "fresh", "test"),
+        ("copy",),
+        ("moves0", "fresh"),
+    ),
+    Fault(
+        "a copy with other line ends and fewer digits",
+        "positioning-axis",
+        _copy_log("moves0", "fresh", "test", newline="\r\n", digits=6),
+        ("copy",),
+        ("moves0", "fresh"),
+    ),
+    Fault(
+        "a part of a record under another name, later",
+        "reaction-wheel",
+        _copy_log("sines0", "fresh", "test", first=200, later=100.0),
+        ("copy",),
+        ("sines0", "fresh"),
+    ),
+    Fault(
+        "rows in two splits",
+        "gantry-crane",
+        _entries(
+            train='{ file = "travel0.csv", name = "head", rows = [0, 300] }, "travel1.csv", '
+            '"travel2.csv", "travel3.csv"',
+            test='{ file = "travel0.csv", name = "tail", rows = [250, 401] }',
+        ),
+        ("overlap",),
+        ("head", "tail"),
+    ),
+    Fault(
+        "two columns of one sensor",
+        "two-mass-drive",
+        lambda logs: (
+            _same_column("load", "motor_counts")(logs),
+            logs.edit_card("counts_per_revolution = 2400", "counts_per_revolution = 4096"),
+        )[0],
+        ("same sensor",),
+        channels=("load",),
+    ),
+)
 
 
 def _fastest(logs: Logs, log: str, column: str) -> int:
@@ -619,24 +899,75 @@ def _fastest(logs: Logs, log: str, column: str) -> int:
 
 
 LATE_FAULTS: tuple[Fault, ...] = (
-    Fault("a reversed sensor of a crane", "gantry-crane", _reverse("travel1", "load_deg"),
-          ("sign",), ("travel1",), ("load",)),
-    Fault("a reversed input of a wheel", "reaction-wheel", _reverse("levels0", "current"),
-          ("sign",), ("levels0",), ("current",)),
-    Fault("a load that is read in radians", "gantry-crane", _gain("travel2", "load_deg",
-          np.pi / 180), ("gain", "encoder count"), ("travel2",), ("load",)),
-    Fault("an input of half the gain", "cart-pole", _gain("moves1", "voltage", 0.5), ("gain",),
-          ("moves1",), ("voltage",)),
-    Fault("another zero of a ball", "ball-on-beam", _offset("sines2", "beam_counts", 150.0),
-          ("offset",), ("sines2",), ("beam",)),
+    Fault(
+        "a reversed sensor of a crane",
+        "gantry-crane",
+        _reverse("travel1", "load_deg"),
+        ("sign",),
+        ("travel1",),
+        ("load",),
+    ),
+    Fault(
+        "a reversed input of a wheel",
+        "reaction-wheel",
+        _reverse("levels0", "current"),
+        ("sign",),
+        ("levels0",),
+        ("current",),
+    ),
+    Fault(
+        "a load that is read in radians",
+        "gantry-crane",
+        _gain("travel2", "load_deg", np.pi / 180),
+        ("gain", "encoder count"),
+        ("travel2",),
+        ("load",),
+    ),
+    Fault(
+        "an input of half the gain",
+        "cart-pole",
+        _gain("moves1", "voltage", 0.5),
+        ("gain",),
+        ("moves1",),
+        ("voltage",),
+    ),
+    Fault(
+        "another zero of a ball",
+        "ball-on-beam",
+        _offset("sines2", "beam_counts", 150.0),
+        ("offset",),
+        ("sines2",),
+        ("beam",),
+    ),
     Fault("a log at 9.6 ms", "reaction-wheel", _stretch_time(0.96), ("period",)),
-    Fault("a frozen load", "two-mass-drive", _freeze("moves2", "motor_counts", 600, 680),
-          ("frozen sensor", "jump"), ("moves2",), ("motor",)),
-    Fault("a velocity in rpm", "cart-pole",
-          _edit_velocity(lambda v, _: v * 30 / np.pi, "pole_rate"), ("velocity",),
-          channels=("pole",)),
-    Fault("a rounded copy in the test", "ball-on-beam",
-          _copy_log("moves1", "fresh", "test", digits=4), ("copy",), ("moves1", "fresh")),
-    Fault("swapped torques", "planar-arm", _swap_columns("torque3", "torque4", "moves1"),
-          ("swap",), ("moves1",), ("torque3", "torque4")),
-)  # fmt: skip
+    Fault(
+        "a frozen load",
+        "two-mass-drive",
+        _freeze("moves2", "motor_counts", 600, 680),
+        ("frozen sensor", "jump"),
+        ("moves2",),
+        ("motor",),
+    ),
+    Fault(
+        "a velocity in rpm",
+        "cart-pole",
+        _edit_velocity(lambda v, _: v * 30 / np.pi, "pole_rate"),
+        ("velocity",),
+        channels=("pole",),
+    ),
+    Fault(
+        "a rounded copy in the test",
+        "ball-on-beam",
+        _copy_log("moves1", "fresh", "test", digits=4),
+        ("copy",),
+        ("moves1", "fresh"),
+    ),
+    Fault(
+        "swapped torques",
+        "planar-arm",
+        _swap_columns("torque3", "torque4", "moves1"),
+        ("swap",),
+        ("moves1",),
+        ("torque3", "torque4"),
+    ),
+)

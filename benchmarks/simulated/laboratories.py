@@ -112,8 +112,11 @@ def noise(rng: np.random.Generator, records: int, samples: int, size: float) -> 
 
 def simulate(
     acceleration: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    u: Signal, dt: float, q: np.ndarray, steps: int = 2,
-) -> tuple[Signal, Signal]:  # fmt: skip
+    u: Signal,
+    dt: float,
+    q: np.ndarray,
+    steps: int = 2,
+) -> tuple[Signal, Signal]:
     """Positions and velocities of records side by side, (records, samples, coordinates)."""
     u = u[..., None] if u.ndim == 2 else u
     q, v = np.array(q, float), np.zeros_like(q, float)
@@ -239,9 +242,14 @@ def without_header(folder: Path) -> Truth:
         np.savetxt(folder / name, table, "%.9g", ",")
     rad = ("angular", "rad")
     return Truth(
-        "4", dt, {"2": rad, "3": rad}, {"1": "1"}, {"2": "5", "3": "6"}, records=8,
+        "4",
+        dt,
+        {"2": rad, "3": rad},
+        {"1": "1"},
+        {"2": "5", "3": "6"},
+        records=8,
         kinds=("fall", "wN"),
-    )  # fmt: skip
+    )
 
 
 def arduino(folder: Path) -> Truth:
@@ -272,16 +280,28 @@ def plc(folder: Path) -> Truth:
     t_on = np.ones((4, n))
     t_on[:, :40] = 0
     write(
-        folder, [f"Verfahrprofil_{k}.csv" for k in range(1, 5)],
-        {"Zeit [ms]": 1000 * t, "Lage_Soll [mm]": soll, "Lage_Ist [mm]": np.round(ist, 3),
-         "Geschw_Ist [mm/s]": np.round(v, 2), "Schleppfehler [mm]": soll - np.round(ist, 3),
-         "Strom_Soll [A]": strom, "Strom_Ist [A]": strom + rng.normal(0, 0.03, strom.shape),
-         "Freigabe": t_on},
-    )  # fmt: skip
+        folder,
+        [f"Verfahrprofil_{k}.csv" for k in range(1, 5)],
+        {
+            "Zeit [ms]": 1000 * t,
+            "Lage_Soll [mm]": soll,
+            "Lage_Ist [mm]": np.round(ist, 3),
+            "Geschw_Ist [mm/s]": np.round(v, 2),
+            "Schleppfehler [mm]": soll - np.round(ist, 3),
+            "Strom_Soll [A]": strom,
+            "Strom_Ist [A]": strom + rng.normal(0, 0.03, strom.shape),
+            "Freigabe": t_on,
+        },
+    )
     return Truth(
-        "Zeit [ms]", dt, {"Lage_Ist [mm]": ("linear", "mm")}, {"Strom_Soll [A]": "A"},
-        {"Lage_Ist [mm]": "Geschw_Ist [mm/s]"}, time_unit="ms", records=4,
-    )  # fmt: skip
+        "Zeit [ms]",
+        dt,
+        {"Lage_Ist [mm]": ("linear", "mm")},
+        {"Strom_Soll [A]": "A"},
+        {"Lage_Ist [mm]": "Geschw_Ist [mm/s]"},
+        time_unit="ms",
+        records=4,
+    )
 
 
 def ros(folder: Path) -> Truth:
@@ -298,10 +318,13 @@ def ros(folder: Path) -> Truth:
     write(folder, [f"sines_{k}.csv" for k in range(6)], columns, digits=14)
     path = "/joint_states/{}/{}".format
     return Truth(
-        "__time", dt, {path("position", j): ("angular", "rad") for j in ("shoulder", "elbow")},
+        "__time",
+        dt,
+        {path("position", j): ("angular", "rad") for j in ("shoulder", "elbow")},
         {path("effort", j): "N m" for j in ("shoulder", "elbow")},
-        {path("position", j): path("velocity", j) for j in ("shoulder", "elbow")}, records=6,
-    )  # fmt: skip
+        {path("position", j): path("velocity", j) for j in ("shoulder", "elbow")},
+        records=6,
+    )
 
 
 def matlab(folder: Path) -> Truth:
@@ -313,9 +336,13 @@ def matlab(folder: Path) -> Truth:
         content = {"t": dt * np.arange(n)[:, None], "q": q[k], "dq": v[k], "tau": 8 * u[k]}
         scipy.io.savemat(folder / f"exp{k + 1}.mat", {**content, "Kp": 40.0, "comment": "ok"})
     return Truth(
-        "t", dt, {"q[1]": ("angular", "rad"), "q[2]": ("angular", "rad")},
-        {"tau[1]": "N m", "tau[2]": "N m"}, {"q[1]": "dq[1]", "q[2]": "dq[2]"}, records=3,
-    )  # fmt: skip
+        "t",
+        dt,
+        {"q[1]": ("angular", "rad"), "q[2]": ("angular", "rad")},
+        {"tau[1]": "N m", "tau[2]": "N m"},
+        {"q[1]": "dq[1]", "q[2]": "dq[2]"},
+        records=3,
+    )
 
 
 def matlab_cells(folder: Path) -> Truth:
@@ -341,10 +368,15 @@ def wrapped_counter(folder: Path) -> Truth:
     q, _ = simulate(wheel, u * 3, dt, rng.uniform(0, 50, (5, 1)))
     counts = np.round(q[..., 0] * 4096 / (2 * np.pi)) % 65536
     write(
-        folder, [f"run{k}.csv" for k in range(1, 6)],
-        {"t_ms": 10 * np.arange(n), "cnt": counts, "u_V": np.round(u, 3),
-         "status": np.full((5, n), 3)},
-    )  # fmt: skip
+        folder,
+        [f"run{k}.csv" for k in range(1, 6)],
+        {
+            "t_ms": 10 * np.arange(n),
+            "cnt": counts,
+            "u_V": np.round(u, 3),
+            "status": np.full((5, n), 3),
+        },
+    )
     return Truth(
         "t_ms", dt, {"cnt": ("angular", "counts")}, {"u_V": "V"}, time_unit="ms", records=5
     )
@@ -359,9 +391,13 @@ def german_disc(folder: Path) -> Truth:
     names = [f"sprung{k}.csv" for k in range(1, 5)] + [f"frei{k}.csv" for k in range(1, 4)]
     write(folder, names, {"zeit_s": dt * np.arange(n), "winkel_deg": angle, "spannung_V": u})
     return Truth(
-        "zeit_s", dt, {"winkel_deg": ("angular", "deg")}, {"spannung_V": "V"}, records=7,
+        "zeit_s",
+        dt,
+        {"winkel_deg": ("angular", "deg")},
+        {"spannung_V": "V"},
+        records=7,
         kinds=("sprung", "frei"),
-    )  # fmt: skip
+    )
 
 
 def cart_pole(folder: Path) -> Truth:
@@ -373,15 +409,26 @@ def cart_pole(folder: Path) -> Truth:
     q, v = simulate(cart_and_pole, force, dt, start)
     names = [f"sweep{a}_rep{b}.csv" for a in (1, 2, 3) for b in (1, 2)]
     write(
-        folder, names,
-        {"time": dt * np.arange(n), "x": q[..., 0], "x_dot": v[..., 0], "theta": q[..., 1],
-         "theta_dot": v[..., 1], "force": force},
-    )  # fmt: skip
+        folder,
+        names,
+        {
+            "time": dt * np.arange(n),
+            "x": q[..., 0],
+            "x_dot": v[..., 0],
+            "theta": q[..., 1],
+            "theta_dot": v[..., 1],
+            "force": force,
+        },
+    )
     return Truth(
-        "time", dt, {"x": ("linear", "m"), "theta": ("angular", "rad")}, {"force": "N"},
-        {"x": "x_dot", "theta": "theta_dot"}, records=6,
+        "time",
+        dt,
+        {"x": ("linear", "m"), "theta": ("angular", "rad")},
+        {"force": "N"},
+        {"x": "x_dot", "theta": "theta_dot"},
+        records=6,
         together=[frozenset({f"sweep{a}_rep1", f"sweep{a}_rep2"}) for a in (1, 2, 3)],
-    )  # fmt: skip
+    )
 
 
 def gantry(folder: Path) -> Truth:
@@ -390,15 +437,23 @@ def gantry(folder: Path) -> Truth:
     u = levels(rng, 4, n, 2.5, 55)
     q, _ = simulate(cart_and_pole, u, dt, np.zeros((4, 2)))
     write(
-        folder, [f"Fahrt{k}.csv" for k in range(1, 5)],
-        {"t [s]": dt * np.arange(n), "x_Katze [m]": np.round(q[..., 0], 4),
-         "phi [°]": np.round(np.degrees(q[..., 1]), 2), "F_Antrieb [N]": 20 * u,
-         "Temperatur [°C]": 21 + 0.001 * np.arange(n)},
-    )  # fmt: skip
+        folder,
+        [f"Fahrt{k}.csv" for k in range(1, 5)],
+        {
+            "t [s]": dt * np.arange(n),
+            "x_Katze [m]": np.round(q[..., 0], 4),
+            "phi [°]": np.round(np.degrees(q[..., 1]), 2),
+            "F_Antrieb [N]": 20 * u,
+            "Temperatur [°C]": 21 + 0.001 * np.arange(n),
+        },
+    )
     return Truth(
-        "t [s]", dt, {"x_Katze [m]": ("linear", "m"), "phi [°]": ("angular", "deg")},
-        {"F_Antrieb [N]": "N"}, records=4,
-    )  # fmt: skip
+        "t [s]",
+        dt,
+        {"x_Katze [m]": ("linear", "m"), "phi [°]": ("angular", "deg")},
+        {"F_Antrieb [N]": "N"},
+        records=4,
+    )
 
 
 def propeller(folder: Path) -> Truth:
@@ -410,18 +465,27 @@ def propeller(folder: Path) -> Truth:
     )
     t = np.round(1e6 * (stamps(rng, 5, n, dt, 1e-4) + 55.0))
     write(
-        folder, [f"flight_{k}.csv" for k in range(1, 6)],
-        {"timestamp_us": t, "pitch_deg": np.degrees(q[..., 0]) + rng.normal(0, 0.02, (5, n)),
-         "gyro_y_dps": np.degrees(v[..., 0]) + rng.normal(0, 0.8, (5, n)),
-         "acc_x": rng.normal(0, 0.3, (5, n)) + 9.81 * np.sin(q[..., 0]),
-         "throttle": np.round(u, 3),
-         "vbat": 11.8 - 1e-4 * np.arange(n) + rng.normal(0, 0.01, (5, n)),
-         "armed_flag": np.ones((5, n))},
-    )  # fmt: skip
+        folder,
+        [f"flight_{k}.csv" for k in range(1, 6)],
+        {
+            "timestamp_us": t,
+            "pitch_deg": np.degrees(q[..., 0]) + rng.normal(0, 0.02, (5, n)),
+            "gyro_y_dps": np.degrees(v[..., 0]) + rng.normal(0, 0.8, (5, n)),
+            "acc_x": rng.normal(0, 0.3, (5, n)) + 9.81 * np.sin(q[..., 0]),
+            "throttle": np.round(u, 3),
+            "vbat": 11.8 - 1e-4 * np.arange(n) + rng.normal(0, 0.01, (5, n)),
+            "armed_flag": np.ones((5, n)),
+        },
+    )
     return Truth(
-        "timestamp_us", dt, {"pitch_deg": ("angular", "deg")}, {"throttle": "1"},
-        {"pitch_deg": "gyro_y_dps"}, time_unit="us", records=5,
-    )  # fmt: skip
+        "timestamp_us",
+        dt,
+        {"pitch_deg": ("angular", "deg")},
+        {"throttle": "1"},
+        {"pitch_deg": "gyro_y_dps"},
+        time_unit="us",
+        records=5,
+    )
 
 
 def servo_axis(folder: Path) -> Truth:
@@ -433,11 +497,16 @@ def servo_axis(folder: Path) -> Truth:
     v = np.gradient(q, dt, axis=1)
     current = np.gradient(v, dt, axis=1) / 3 + 5 * v + 0.5 * np.tanh(v / 0.005)
     write(
-        folder, ["axis.csv"],
-        {"Time (s)": t, "Position Reference (m)": reference,
-         "Velocity Reference (m/s)": np.gradient(reference, dt, axis=1),
-         "Position (m)": rounded(q, 5e-6), "Current (A)": current},
-    )  # fmt: skip
+        folder,
+        ["axis.csv"],
+        {
+            "Time (s)": t,
+            "Position Reference (m)": reference,
+            "Velocity Reference (m/s)": np.gradient(reference, dt, axis=1),
+            "Position (m)": rounded(q, 5e-6),
+            "Current (A)": current,
+        },
+    )
     return Truth(
         "Time (s)", dt, {"Position (m)": ("linear", "m")}, {"Current (A)": "A"}, records=-2
     )
@@ -449,8 +518,11 @@ def capital_names(folder: Path) -> Truth:
     u = sines(rng, 5, dt * np.arange(n), 4.0, 1.2)
     q, _ = simulate(arm, u, dt, np.zeros((5, 1)), 6)
     angle = (q[..., 0] + np.pi) % (2 * np.pi) - np.pi
-    write(folder, [f"Test{k}.csv" for k in range(1, 6)],
-          {"Time": dt * np.arange(n), "Angle": angle, "Voltage": u})  # fmt: skip
+    write(
+        folder,
+        [f"Test{k}.csv" for k in range(1, 6)],
+        {"Time": dt * np.arange(n), "Angle": angle, "Voltage": u},
+    )
     return Truth("Time", dt, {"Angle": ("angular", "rad")}, {"Voltage": "V"}, records=5)
 
 
@@ -461,23 +533,33 @@ def three_joints(folder: Path) -> Truth:
     q, v = simulate(joints, u, dt, np.zeros((6, 3)))
     columns = {"timestamp": dt * np.arange(n) + 12.5}
     for j in range(3):
-        columns |= {f"q{j + 1}": q[..., j], f"dq{j + 1}": v[..., j] + rng.normal(0, 0.004, (6, n)),
-                    f"tau{j + 1}_cmd": 20 * u[..., j],
-                    f"tau{j + 1}_meas": 20 * u[..., j] + rng.normal(0, 0.4, (6, n))}  # fmt: skip
+        columns |= {
+            f"q{j + 1}": q[..., j],
+            f"dq{j + 1}": v[..., j] + rng.normal(0, 0.004, (6, n)),
+            f"tau{j + 1}_cmd": 20 * u[..., j],
+            f"tau{j + 1}_meas": 20 * u[..., j] + rng.normal(0, 0.4, (6, n)),
+        }
     write(folder, [f"traj_{k}.parquet" for k in range(6)], columns)
     return Truth(
-        "timestamp", dt, {f"q{j}": ("angular", "rad") for j in (1, 2, 3)},
-        {f"tau{j}_cmd": "N m" for j in (1, 2, 3)}, {f"q{j}": f"dq{j}" for j in (1, 2, 3)},
+        "timestamp",
+        dt,
+        {f"q{j}": ("angular", "rad") for j in (1, 2, 3)},
+        {f"tau{j}_cmd": "N m" for j in (1, 2, 3)},
+        {f"q{j}": f"dq{j}" for j in (1, 2, 3)},
         records=6,
-    )  # fmt: skip
+    )
 
 
 def free_double_pendulum(folder: Path) -> Truth:
     """A double pendulum without inputs."""
     rng, dt, n = np.random.default_rng(15), 0.01, 900
     q, _ = simulate(chain, np.zeros((6, n)), dt, rng.uniform(-1.6, 1.6, (6, 2)), 3)
-    write(folder, [f"release_{k}.csv" for k in range(1, 7)],
-          {"t": dt * np.arange(n), "theta1": q[..., 0], "theta2": q[..., 1]}, digits=7)  # fmt: skip
+    write(
+        folder,
+        [f"release_{k}.csv" for k in range(1, 7)],
+        {"t": dt * np.arange(n), "theta1": q[..., 0], "theta2": q[..., 1]},
+        digits=7,
+    )
     rad = ("angular", "rad")
     return Truth("t", dt, {"theta1": rad, "theta2": rad}, records=6)
 
@@ -487,9 +569,11 @@ def tachometer(folder: Path) -> Truth:
     rng, dt, n = np.random.default_rng(16), 0.01, 900
     u = levels(rng, 5, n, 12, 70)
     _, v = simulate(wheel, u * 2, dt, np.zeros((5, 1)))
-    write(folder, [f"hochlauf{k}.csv" for k in range(1, 6)],
-          {"Zeit/s": dt * np.arange(n), "n_ist [1/min]": v[..., 0] * 30 / np.pi,
-           "u_a [V]": u})  # fmt: skip
+    write(
+        folder,
+        [f"hochlauf{k}.csv" for k in range(1, 6)],
+        {"Zeit/s": dt * np.arange(n), "n_ist [1/min]": v[..., 0] * 30 / np.pi, "u_a [V]": u},
+    )
     return Truth("Zeit/s", dt, {"n_ist [1/min]": ("linear", "rpm")}, {"u_a [V]": "V"}, records=5)
 
 
@@ -502,20 +586,25 @@ def episodes(folder: Path) -> Truth:
     whole = {
         "observation.state.shoulder_pan": state[..., 0],
         "observation.state.elbow_flex": state[..., 1],
-        "action.shoulder_pan": action[..., 0], "action.elbow_flex": action[..., 1],
-        "timestamp": np.tile(t, (6, 1)), "frame_index": np.tile(np.arange(n), (6, 1)),
+        "action.shoulder_pan": action[..., 0],
+        "action.elbow_flex": action[..., 1],
+        "timestamp": np.tile(t, (6, 1)),
+        "frame_index": np.tile(np.arange(n), (6, 1)),
         "episode_index": np.repeat(np.arange(6)[:, None], n, axis=1),
-        "index": np.arange(6 * n).reshape(6, n), "task_index": np.zeros((6, n)),
-    }  # fmt: skip
+        "index": np.arange(6 * n).reshape(6, n),
+        "task_index": np.zeros((6, n)),
+    }
     write(
         folder, ["episodes.csv"], {name: values.reshape(1, -1) for name, values in whole.items()}, 8
     )
     state_of = "observation.state.{}".format
     return Truth(
-        "timestamp", dt,
+        "timestamp",
+        dt,
         {state_of("shoulder_pan"): ("angular", "deg"), state_of("elbow_flex"): ("angular", "deg")},
-        {"action.shoulder_pan": "1", "action.elbow_flex": "1"}, records=6,
-    )  # fmt: skip
+        {"action.shoulder_pan": "1", "action.elbow_flex": "1"},
+        records=6,
+    )
 
 
 def long_with_rests(folder: Path) -> Truth:
@@ -527,8 +616,15 @@ def long_with_rests(folder: Path) -> Truth:
         bursts += [sines(rng, 1, t, 4.0, 2.0)[0], np.zeros(600)]
     u = np.concatenate(bursts)[None]
     q, _ = simulate(arm, u, dt, np.zeros((1, 1)))
-    write(folder, ["day.csv"], {"time": dt * np.arange(u.shape[1]),
-          "motor_cnt": np.round(q[..., 0] * 4096 / 2 / np.pi), "volts": u})  # fmt: skip
+    write(
+        folder,
+        ["day.csv"],
+        {
+            "time": dt * np.arange(u.shape[1]),
+            "motor_cnt": np.round(q[..., 0] * 4096 / 2 / np.pi),
+            "volts": u,
+        },
+    )
     return Truth("time", dt, {"motor_cnt": ("angular", "counts")}, {"volts": "V"}, records=6)
 
 
@@ -541,16 +637,25 @@ def elastic_drive(folder: Path) -> Truth:
     names = [f"steps_{k}.csv" for k in range(4)] + [f"multisine_{k}.csv" for k in range(4)]
     lagged = np.apply_along_axis(lambda row: np.convolve(row, np.full(5, 0.2))[:n], 1, u)
     write(
-        folder, names,
-        {"t": t, "motor_pos": rounded(q[..., 0], 2 * np.pi / 8192),
-         "motor_vel": v[..., 0] + rng.normal(0, 0.02, (8, n)),
-         "load_pos": rounded(q[..., 1], 2 * np.pi / 8192), "torque_cmd": u,
-         "torque_act": lagged + rng.normal(0, 0.02, (8, n))},
-    )  # fmt: skip
+        folder,
+        names,
+        {
+            "t": t,
+            "motor_pos": rounded(q[..., 0], 2 * np.pi / 8192),
+            "motor_vel": v[..., 0] + rng.normal(0, 0.02, (8, n)),
+            "load_pos": rounded(q[..., 1], 2 * np.pi / 8192),
+            "torque_cmd": u,
+            "torque_act": lagged + rng.normal(0, 0.02, (8, n)),
+        },
+    )
     return Truth(
-        "t", dt, {"motor_pos": ("angular", "rad"), "load_pos": ("angular", "rad")},
-        {"torque_cmd": "N m"}, records=8, kinds=("steps", "multisine"),
-    )  # fmt: skip
+        "t",
+        dt,
+        {"motor_pos": ("angular", "rad"), "load_pos": ("angular", "rad")},
+        {"torque_cmd": "N m"},
+        records=8,
+        kinds=("steps", "multisine"),
+    )
 
 
 def labview(folder: Path) -> Truth:
@@ -559,17 +664,36 @@ def labview(folder: Path) -> Truth:
     u = levels(rng, 5, n, 2.0, 130)
     q, _ = simulate(slide, u, dt, np.zeros((5, 1)))
     poti = 5 + 8 * q[..., 0] + rng.normal(0, 0.002, (5, n))
-    write(folder, [f"meas_{k}.tsv" for k in range(1, 6)],
-          {"X_Value": dt * np.arange(n), "Poti (V)": np.round(poti, 4),
-           "Drive (V)": np.round(u, 3)})  # fmt: skip
+    write(
+        folder,
+        [f"meas_{k}.tsv" for k in range(1, 6)],
+        {"X_Value": dt * np.arange(n), "Poti (V)": np.round(poti, 4), "Drive (V)": np.round(u, 3)},
+    )
     return Truth("X_Value", dt, {"Poti (V)": ("linear", "V")}, {"Drive (V)": "V"}, records=5)
 
 
 LABORATORIES: tuple[Callable[[Path], Truth], ...] = (
-    without_header, arduino, plc, ros, matlab, matlab_cells, wrapped_counter, german_disc,
-    cart_pole, gantry, propeller, servo_axis, capital_names, three_joints, free_double_pendulum,
-    tachometer, episodes, long_with_rests, elastic_drive, labview,
-)  # fmt: skip
+    without_header,
+    arduino,
+    plc,
+    ros,
+    matlab,
+    matlab_cells,
+    wrapped_counter,
+    german_disc,
+    cart_pole,
+    gantry,
+    propeller,
+    servo_axis,
+    capital_names,
+    three_joints,
+    free_double_pendulum,
+    tachometer,
+    episodes,
+    long_with_rests,
+    elastic_drive,
+    labview,
+)
 
 
 # --- eight more, written when the drafts of those above were right, and not looked at before ---
@@ -582,11 +706,16 @@ def hydraulics(folder: Path) -> Truth:
     q, v = simulate(slide, u * 0.5, dt, np.zeros((5, 1)))
     pressure = 60 + 8 * np.gradient(v[..., 0], dt, axis=1)
     write(
-        folder, [f"Zylinder_{k}.csv" for k in range(1, 6)],
-        {"Zeit [s]": dt * np.arange(n), "Kolbenweg [mm]": np.round(1000 * q[..., 0] + 200, 2),
-         "Druck A [bar]": pressure + rng.normal(0, 0.4, (5, n)),
-         "Druck B [bar]": 110 - pressure + rng.normal(0, 0.4, (5, n)), "Ventilspannung [V]": u},
-    )  # fmt: skip
+        folder,
+        [f"Zylinder_{k}.csv" for k in range(1, 6)],
+        {
+            "Zeit [s]": dt * np.arange(n),
+            "Kolbenweg [mm]": np.round(1000 * q[..., 0] + 200, 2),
+            "Druck A [bar]": pressure + rng.normal(0, 0.4, (5, n)),
+            "Druck B [bar]": 110 - pressure + rng.normal(0, 0.4, (5, n)),
+            "Ventilspannung [V]": u,
+        },
+    )
     return Truth(
         "Zeit [s]", dt, {"Kolbenweg [mm]": ("linear", "mm")}, {"Ventilspannung [V]": "V"}, records=5
     )
@@ -602,16 +731,29 @@ def field_oriented(folder: Path) -> Truth:
         lambda row: np.convolve(row, np.full(12, 1 / 12))[:n], 1, v[..., 0] * 30 / np.pi
     )
     write(
-        folder, [f"{kind}_{k}.csv" for kind in ("step", "chirp") for k in range(3)],
-        {"t_us": np.round(1e6 * t), "mech_angle_rad": q[..., 0] % (2 * np.pi),
-         "speed_rpm": rpm + rng.normal(0, 1, rpm.shape), "iq_ref_A": u,
-         "iq_A": u + rng.normal(0, 0.1, u.shape), "id_A": rng.normal(0, 0.1, u.shape),
-         "vbus_V": 48 + rng.normal(0, 0.05, u.shape), "temp_C": np.tile(31 + 0.001 * t, (6, 1))},
-    )  # fmt: skip
+        folder,
+        [f"{kind}_{k}.csv" for kind in ("step", "chirp") for k in range(3)],
+        {
+            "t_us": np.round(1e6 * t),
+            "mech_angle_rad": q[..., 0] % (2 * np.pi),
+            "speed_rpm": rpm + rng.normal(0, 1, rpm.shape),
+            "iq_ref_A": u,
+            "iq_A": u + rng.normal(0, 0.1, u.shape),
+            "id_A": rng.normal(0, 0.1, u.shape),
+            "vbus_V": 48 + rng.normal(0, 0.05, u.shape),
+            "temp_C": np.tile(31 + 0.001 * t, (6, 1)),
+        },
+    )
     return Truth(
-        "t_us", dt, {"mech_angle_rad": ("angular", "rad")}, {"iq_ref_A": "A"},
-        {"mech_angle_rad": "speed_rpm"}, time_unit="us", records=6, kinds=("step", "chirp"),
-    )  # fmt: skip
+        "t_us",
+        dt,
+        {"mech_angle_rad": ("angular", "rad")},
+        {"iq_ref_A": "A"},
+        {"mech_angle_rad": "speed_rpm"},
+        time_unit="us",
+        records=6,
+        kinds=("step", "chirp"),
+    )
 
 
 def simulink(folder: Path) -> Truth:
@@ -623,14 +765,24 @@ def simulink(folder: Path) -> Truth:
     dot = np.gradient(theta, dt, axis=1)
     volts = np.gradient(dot, dt, axis=1) / 12 + dot / 8 + 2 * np.sin(theta)
     write(
-        folder, [f"exp_{k}.parquet" for k in range(4)],
-        {"Time": t, "Theta_rad": theta, "ThetaDot_rad_s": dot, "ThetaRef_rad": reference,
-         "MotorVoltage_V": volts},
-    )  # fmt: skip
+        folder,
+        [f"exp_{k}.parquet" for k in range(4)],
+        {
+            "Time": t,
+            "Theta_rad": theta,
+            "ThetaDot_rad_s": dot,
+            "ThetaRef_rad": reference,
+            "MotorVoltage_V": volts,
+        },
+    )
     return Truth(
-        "Time", dt, {"Theta_rad": ("angular", "rad")}, {"MotorVoltage_V": "V"},
-        {"Theta_rad": "ThetaDot_rad_s"}, records=4,
-    )  # fmt: skip
+        "Time",
+        dt,
+        {"Theta_rad": ("angular", "rad")},
+        {"MotorVoltage_V": "V"},
+        {"Theta_rad": "ThetaDot_rad_s"},
+        records=4,
+    )
 
 
 def ball_on_plate(folder: Path) -> Truth:
@@ -640,14 +792,23 @@ def ball_on_plate(folder: Path) -> Truth:
     q, _ = simulate(lambda q, v, u: 7 * np.radians(u) - 0.6 * v - 2 * q, u, dt, np.zeros((5, 2)))
     q = 1000 * q + rng.normal(0, 0.3, q.shape)
     write(
-        folder, [f"ball{k}.csv" for k in range(5)],
-        {"t": dt * np.arange(n), "ball_x_mm": q[..., 0], "ball_y_mm": q[..., 1],
-         "servo_x_deg": u[..., 0], "servo_y_deg": u[..., 1]},
-    )  # fmt: skip
+        folder,
+        [f"ball{k}.csv" for k in range(5)],
+        {
+            "t": dt * np.arange(n),
+            "ball_x_mm": q[..., 0],
+            "ball_y_mm": q[..., 1],
+            "servo_x_deg": u[..., 0],
+            "servo_y_deg": u[..., 1],
+        },
+    )
     return Truth(
-        "t", dt, {"ball_x_mm": ("linear", "mm"), "ball_y_mm": ("linear", "mm")},
-        {"servo_x_deg": "deg", "servo_y_deg": "deg"}, records=5,
-    )  # fmt: skip
+        "t",
+        dt,
+        {"ball_x_mm": ("linear", "mm"), "ball_y_mm": ("linear", "mm")},
+        {"servo_x_deg": "deg", "servo_y_deg": "deg"},
+        records=5,
+    )
 
 
 def furuta(folder: Path) -> Truth:
@@ -658,16 +819,23 @@ def furuta(folder: Path) -> Truth:
     degrees = np.degrees(q)
     names = [f"train/swing{k}.csv" for k in range(1, 5)] + [f"val/swing{k}.csv" for k in (5, 6)]
     write(
-        folder, names,
-        {"time": dt * np.arange(n),
-         "theta_deg": np.round(degrees[..., 0] / 0.17578125) * 0.17578125,
-         "alpha_deg": np.round(degrees[..., 1] / 0.17578125) * 0.17578125 % 360,
-         "motor_pwm": np.round(u * 40)},
-    )  # fmt: skip
+        folder,
+        names,
+        {
+            "time": dt * np.arange(n),
+            "theta_deg": np.round(degrees[..., 0] / 0.17578125) * 0.17578125,
+            "alpha_deg": np.round(degrees[..., 1] / 0.17578125) * 0.17578125 % 360,
+            "motor_pwm": np.round(u * 40),
+        },
+    )
     return Truth(
-        "time", dt, {"theta_deg": ("angular", "deg"), "alpha_deg": ("angular", "deg")},
-        {"motor_pwm": "1"}, counts={"theta_deg": 2048, "alpha_deg": 2048}, records=6,
-    )  # fmt: skip
+        "time",
+        dt,
+        {"theta_deg": ("angular", "deg"), "alpha_deg": ("angular", "deg")},
+        {"motor_pwm": "1"},
+        counts={"theta_deg": 2048, "alpha_deg": 2048},
+        records=6,
+    )
 
 
 def industrial_robot(folder: Path) -> Truth:
@@ -682,13 +850,19 @@ def industrial_robot(folder: Path) -> Truth:
         strom = (
             np.gradient(v, dt, axis=1) / 400 + v / 60 + 0.5 * np.tanh(v) + np.sin(np.radians(ist))
         )
-        columns |= {f"{axis}_Soll_Grad": soll, f"{axis}_Ist_Grad": np.round(ist, 3),
-                    f"{axis}_Strom_A": strom + rng.normal(0, 0.05, strom.shape)}  # fmt: skip
+        columns |= {
+            f"{axis}_Soll_Grad": soll,
+            f"{axis}_Ist_Grad": np.round(ist, 3),
+            f"{axis}_Strom_A": strom + rng.normal(0, 0.05, strom.shape),
+        }
     write(folder, [f"Bahn{k}.csv" for k in range(1, 6)], columns)
     return Truth(
-        None, dt, {f"{a}_Ist_Grad": ("angular", "deg") for a in ("A1", "A2")},
-        {f"{a}_Strom_A": "A" for a in ("A1", "A2")}, records=5,
-    )  # fmt: skip
+        None,
+        dt,
+        {f"{a}_Ist_Grad": ("angular", "deg") for a in ("A1", "A2")},
+        {f"{a}_Strom_A": "A" for a in ("A1", "A2")},
+        records=5,
+    )
 
 
 def exoskeleton(folder: Path) -> Truth:
@@ -698,16 +872,25 @@ def exoskeleton(folder: Path) -> Truth:
     u = sines(rng, 4, t, 1.5, 1.4)
     q, v = simulate(arm, u, dt, np.zeros((4, 1)))
     write(
-        folder, [f"subject1_walk{k}.csv" for k in range(1, 5)],
-        {"Time [s]": t, "Knee angle [°]": np.degrees(q[..., 0]),
-         "Knee velocity [°/s]": np.degrees(v[..., 0]) + rng.normal(0, 1, (4, n)),
-         "Knee torque [Nm]": 10 * u, "EMG_1 [mV]": rng.normal(0, 0.2, (4, n)),
-         "Gait phase": np.tile((t % 1.2) / 1.2, (4, 1))},
-    )  # fmt: skip
+        folder,
+        [f"subject1_walk{k}.csv" for k in range(1, 5)],
+        {
+            "Time [s]": t,
+            "Knee angle [°]": np.degrees(q[..., 0]),
+            "Knee velocity [°/s]": np.degrees(v[..., 0]) + rng.normal(0, 1, (4, n)),
+            "Knee torque [Nm]": 10 * u,
+            "EMG_1 [mV]": rng.normal(0, 0.2, (4, n)),
+            "Gait phase": np.tile((t % 1.2) / 1.2, (4, 1)),
+        },
+    )
     return Truth(
-        "Time [s]", dt, {"Knee angle [°]": ("angular", "deg")}, {"Knee torque [Nm]": "N m"},
-        {"Knee angle [°]": "Knee velocity [°/s]"}, records=4,
-    )  # fmt: skip
+        "Time [s]",
+        dt,
+        {"Knee angle [°]": ("angular", "deg")},
+        {"Knee torque [Nm]": "N m"},
+        {"Knee angle [°]": "Knee velocity [°/s]"},
+        records=4,
+    )
 
 
 def lift(folder: Path) -> Truth:
@@ -720,10 +903,16 @@ def lift(folder: Path) -> Truth:
         t[begin:] += 4000
     height = np.round(100 * q[..., 0] + 120, 1)
     write(
-        folder, ["lift_log.csv"],
-        {"millis": t[None], "height_cm": height, "motor_duty": np.round(u, 3),
-         "limit_sw": (height > 140).astype(float), "load_kg": np.full((1, n), 12.5)},
-    )  # fmt: skip
+        folder,
+        ["lift_log.csv"],
+        {
+            "millis": t[None],
+            "height_cm": height,
+            "motor_duty": np.round(u, 3),
+            "limit_sw": (height > 140).astype(float),
+            "load_kg": np.full((1, n), 12.5),
+        },
+    )
     return Truth(
         "millis",
         dt,
@@ -735,7 +924,13 @@ def lift(folder: Path) -> Truth:
 
 
 FURTHER: tuple[Callable[[Path], Truth], ...] = (
-    hydraulics, field_oriented, simulink, ball_on_plate, furuta, industrial_robot, exoskeleton,
+    hydraulics,
+    field_oriented,
+    simulink,
+    ball_on_plate,
+    furuta,
+    industrial_robot,
+    exoskeleton,
     lift,
-)  # fmt: skip
+)
 EVERY = (*LABORATORIES, *FURTHER)

@@ -52,8 +52,17 @@ def chain_acceleration(
 
 def double_pendulum(effects: bool = True) -> Machine:
     """A free double pendulum: no inputs, encoders in both joints, a clock that jitters."""
-    p = {"inertia1": 0.021, "moment1": 0.11, "mass2": 0.25, "inertia2": 0.0055, "centre2": 0.13,
-         "viscous1": 4e-3, "viscous2": 8e-4, "dry1": 6e-3, "dry2": 1.5e-3}  # fmt: skip
+    p = {
+        "inertia1": 0.021,
+        "moment1": 0.11,
+        "mass2": 0.25,
+        "inertia2": 0.0055,
+        "centre2": 0.13,
+        "viscous1": 4e-3,
+        "viscous2": 8e-4,
+        "dry1": 6e-3,
+        "dry2": 1.5e-3,
+    }
     length, drag = 0.24, effects * np.array([[6e-4], [1.5e-4]])
     cross = p["mass2"] * length * p["centre2"]
     coupling = np.array([[p["inertia1"] + p["mass2"] * length**2, cross], [cross, p["inertia2"]]])
@@ -71,22 +80,47 @@ def double_pendulum(effects: bool = True) -> Machine:
             first, second = rng.uniform(0.4, 1, 2) * largest * rng.choice([-1, 1], 2)
             return Run(name, 12.0, (first, second / 2))
 
-        return ([fall(f"fall{i}", 1.0 + 0.15 * i) for i in range(9)],
-                [fall(f"drop{i}", 0.7 + 0.35 * i) for i in range(4)])  # fmt: skip
+        return (
+            [fall(f"fall{i}", 1.0 + 0.15 * i) for i in range(9)],
+            [fall(f"drop{i}", 0.7 + 0.35 * i) for i in range(4)],
+        )
 
     return Machine(
-        name="double-pendulum", dt=0.01, substeps=10, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("upper", "angular", "upper_counts", "counts", counts=4096, wraps=True,
-                        eccentricity=effects * 0.003),
-                 Sensor("lower", "angular", "lower_counts", "counts", counts=2400, wraps=True)),
+        name="double-pendulum",
+        dt=0.01,
+        substeps=10,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor(
+                "upper",
+                "angular",
+                "upper_counts",
+                "counts",
+                counts=4096,
+                wraps=True,
+                eccentricity=effects * 0.003,
+            ),
+            Sensor("lower", "angular", "lower_counts", "counts", counts=2400, wraps=True),
+        ),
         jitter=3e-4,
-    )  # fmt: skip
+    )
 
 
 def cart_pole(effects: bool = True) -> Machine:
     """A cart that balances a pole; references and a dither excite it."""
-    p = {"cart": 0.62, "pole": 0.14, "length": 0.26, "inertia": 0.0042, "gain": 1.7,
-         "viscous": 5.2, "dry": 0.5, "pivot": 6e-4}  # fmt: skip
+    p = {
+        "cart": 0.62,
+        "pole": 0.14,
+        "length": 0.26,
+        "inertia": 0.0042,
+        "gain": 1.7,
+        "viscous": 5.2,
+        "dry": 0.5,
+        "pivot": 6e-4,
+    }
     m, ml = p["cart"] + p["pole"], p["pole"] * p["length"]
     about = p["inertia"] + ml * p["length"]
 
@@ -112,17 +146,28 @@ def cart_pole(effects: bool = True) -> Machine:
 
         fit = [balance(f"sines{i}", multisine(rng, 0.1, 1.0, 0.06, 10)) for i in range(4)]
         fit += [balance(f"moves{i}", moves(rng, 3.0, 0.2, 15, 0.8)) for i in range(4)]
-        return fit, [balance("jumps", steps(rng, 2.5, 0.12, 15)),
-                     balance("slow", moves(rng, 5.0, 0.25, 15, 2.0)),
-                     balance("quiet", constant())]  # fmt: skip
+        return fit, [
+            balance("jumps", steps(rng, 2.5, 0.12, 15)),
+            balance("slow", moves(rng, 5.0, 0.25, 15, 2.0)),
+            balance("quiet", constant()),
+        ]
 
     return Machine(
-        name="cart-pole", dt=0.01, substeps=10, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("cart", "linear", "cart_mm", "mm", step=0.0227),
-                 Sensor("pole", "angular", "pole_counts", "counts", counts=4096, wraps=True)),
+        name="cart-pole",
+        dt=0.01,
+        substeps=10,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("cart", "linear", "cart_mm", "mm", step=0.0227),
+            Sensor("pole", "angular", "pole_counts", "counts", counts=4096, wraps=True),
+        ),
         actuators=(Actuator("voltage", "V"),),
-        make_controller=lambda: StateFeedback(gain, 0.01, 10.0, 0.5, target), comparable=0.8,
-    )  # fmt: skip
+        make_controller=lambda: StateFeedback(gain, 0.01, 10.0, 0.5, target),
+        comparable=0.8,
+    )
 
 
 def unbalanced_disc(effects: bool = True) -> Machine:
@@ -141,22 +186,49 @@ def unbalanced_disc(effects: bool = True) -> Machine:
 
         fit = [run(f"sines{i}", multisine(rng, 0.2, 3.0, 1.0 + 0.3 * i)) for i in range(5)]
         fit += [run(f"levels{i}", steps(rng, 0.6, 5.0, 12)) for i in range(4)]
-        return fit, [run("sweep", chirp(0.3, 3.0, 3.0, 12)), run("slow", steps(rng, 1.5, 4.0, 12)),
-                     run("wide", multisine(rng, 0.1, 5.0, 2.0))]  # fmt: skip
+        return fit, [
+            run("sweep", chirp(0.3, 3.0, 3.0, 12)),
+            run("slow", steps(rng, 1.5, 4.0, 12)),
+            run("wide", multisine(rng, 0.1, 5.0, 2.0)),
+        ]
 
     return Machine(
-        name="unbalanced-disc", dt=0.02, substeps=20, states=2, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("disc", "angular", "disc_deg", "deg", step=0.15, wraps=True,
-                        eccentricity=effects * 0.004),),
-        actuators=(Actuator("voltage", "V", noise=effects * 0.01),), delay=int(effects),
-        jitter=1e-4, comparable=3.0,
-    )  # fmt: skip
+        name="unbalanced-disc",
+        dt=0.02,
+        substeps=20,
+        states=2,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor(
+                "disc",
+                "angular",
+                "disc_deg",
+                "deg",
+                step=0.15,
+                wraps=True,
+                eccentricity=effects * 0.004,
+            ),
+        ),
+        actuators=(Actuator("voltage", "V", noise=effects * 0.01),),
+        delay=int(effects),
+        jitter=1e-4,
+        comparable=3.0,
+    )
 
 
 def gantry_crane(effects: bool = True) -> Machine:
     """A crane's trolley under position control, and the angle of the load on its rope."""
-    p = {"trolley": 4.2, "load": 1.4, "length": 0.72, "gain": 9.5, "viscous": 24.0, "dry": 5.0,
-         "air": 0.02}  # fmt: skip
+    p = {
+        "trolley": 4.2,
+        "load": 1.4,
+        "length": 0.72,
+        "gain": 9.5,
+        "viscous": 24.0,
+        "dry": 5.0,
+        "air": 0.02,
+    }
 
     def rate(t, x, u, warmth):
         _, angle, v, w = x
@@ -180,23 +252,42 @@ def gantry_crane(effects: bool = True) -> Machine:
 
         fit = [run(f"travel{i}", moves(rng, 4.0, 0.5, 16, 0.8 + 0.2 * i)) for i in range(5)]
         fit += [run(f"sines{i}", multisine(rng, 0.1, 1.2, 0.12, 12)) for i in range(3)]
-        return fit, [run("jumps", steps(rng, 4.0, 0.3, 16)), run("sweep", chirp(0.1, 1.5, 0.2, 16)),
-                     run("shunting", moves(rng, 2.0, 0.3, 16, 1.0))]  # fmt: skip
+        return fit, [
+            run("jumps", steps(rng, 4.0, 0.3, 16)),
+            run("sweep", chirp(0.1, 1.5, 0.2, 16)),
+            run("shunting", moves(rng, 2.0, 0.3, 16, 1.0)),
+        ]
 
     return Machine(
-        name="gantry-crane", dt=0.02, substeps=20, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("trolley", "linear", "trolley_mm", "mm", step=0.1),
-                 Sensor("load", "angular", "load_deg", "deg", step=0.05, noise=0.04 * effects)),
+        name="gantry-crane",
+        dt=0.02,
+        substeps=20,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("trolley", "linear", "trolley_mm", "mm", step=0.1),
+            Sensor("load", "angular", "load_deg", "deg", step=0.05, noise=0.04 * effects),
+        ),
         actuators=(Actuator("voltage", "V", noise=0.01 * effects),),
         make_controller=lambda: StateFeedback(gain, 0.02, 10.0, 0.6, np.array([[1.0], [0.0]])),
         jitter=1.5e-4,
-    )  # fmt: skip
+    )
 
 
 def two_mass_drive(effects: bool = True) -> Machine:
     """A motor that turns a load through an elastic shaft with backlash, under position control."""
-    p = {"motor": 6e-4, "load": 1.1e-3, "stiffness": 0.9, "shaft": 1.5e-3, "viscous1": 1.2e-3,
-         "viscous2": 8e-4, "dry1": 0.012, "dry2": 0.008}  # fmt: skip
+    p = {
+        "motor": 6e-4,
+        "load": 1.1e-3,
+        "stiffness": 0.9,
+        "shaft": 1.5e-3,
+        "viscous1": 1.2e-3,
+        "viscous2": 8e-4,
+        "dry1": 0.012,
+        "dry2": 0.008,
+    }
 
     def rate(t, x, u, warmth):
         motor, load, v, w = x
@@ -216,17 +307,28 @@ def two_mass_drive(effects: bool = True) -> Machine:
 
         fit = [run(f"moves{i}", moves(rng, 1.6, 3.0, 8, 0.6)) for i in range(4)]
         fit += [run(f"sines{i}", multisine(rng, 0.3, 3.0, 0.5, 15)) for i in range(4)]
-        return fit, [run("jumps", steps(rng, 2.0, 1.5, 8)), run("sweep", chirp(0.5, 8.0, 0.5, 8)),
-                     run("slow", moves(rng, 2.5, 4.0, 8, 1.5), 0.015)]  # fmt: skip
+        return fit, [
+            run("jumps", steps(rng, 2.0, 1.5, 8)),
+            run("sweep", chirp(0.5, 8.0, 0.5, 8)),
+            run("slow", moves(rng, 2.5, 4.0, 8, 1.5), 0.015),
+        ]
 
     return Machine(
-        name="two-mass-drive", dt=0.005, substeps=10, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("motor", "angular", "motor_counts", "counts", counts=4096, wraps=True),
-                 Sensor("load", "angular", "load_counts", "counts", counts=2400, wraps=True)),
+        name="two-mass-drive",
+        dt=0.005,
+        substeps=10,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("motor", "angular", "motor_counts", "counts", counts=4096, wraps=True),
+            Sensor("load", "angular", "load_counts", "counts", counts=2400, wraps=True),
+        ),
         actuators=(Actuator("torque", "N m", noise=0.001 * effects),),
         make_controller=lambda: StateFeedback(gain, 0.005, 0.4, 0.5, np.array([[1.0], [0.0]])),
         comparable=1.5,
-    )  # fmt: skip
+    )
 
 
 def duffing(effects: bool = True) -> Machine:
@@ -245,23 +347,38 @@ def duffing(effects: bool = True) -> Machine:
             return Run(name, seconds, (), (signal,))
 
         fit = [run(f"sines{i}", multisine(rng, 3, 150, 0.02 + 0.01 * i, 160)) for i in range(6)]
-        return fit, [run("sweep", chirp(5, 120, 0.08, 3)),
-                     run("narrow", multisine(rng, 40, 90, 0.05, 60)),
-                     run("small", multisine(rng, 3, 150, 0.025, 160))]  # fmt: skip
+        return fit, [
+            run("sweep", chirp(5, 120, 0.08, 3)),
+            run("narrow", multisine(rng, 40, 90, 0.05, 60)),
+            run("small", multisine(rng, 3, 150, 0.025, 160)),
+        ]
 
     return Machine(
-        name="duffing", dt=1 / rating, substeps=8, states=2, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("deflection", "linear", "deflection_mm", "mm", step=0.05,
-                        noise=0.1 * effects),),
+        name="duffing",
+        dt=1 / rating,
+        substeps=8,
+        states=2,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("deflection", "linear", "deflection_mm", "mm", step=0.05, noise=0.1 * effects),
+        ),
         actuators=(Actuator("voltage", "V", noise=3e-4 * effects, hold="band-limited"),),
         comparable=0.5,
-    )  # fmt: skip
+    )
 
 
 def ball_on_beam(effects: bool = True) -> Machine:
     """A ball that a controller keeps on a beam by the motor in the beam's pivot."""
-    p = {"ball": 0.11, "rolling": 1.4, "beam": 0.021, "gain": 0.16, "damping": 0.05,
-         "friction": 0.012}  # fmt: skip
+    p = {
+        "ball": 0.11,
+        "rolling": 1.4,
+        "beam": 0.021,
+        "gain": 0.16,
+        "damping": 0.05,
+        "friction": 0.012,
+    }
     m = p["ball"]
 
     def rate(t, x, u, warmth):
@@ -281,17 +398,28 @@ def ball_on_beam(effects: bool = True) -> Machine:
 
         fit = [run(f"sines{i}", multisine(rng, 0.07, 0.5, 0.06, 8)) for i in range(4)]
         fit += [run(f"moves{i}", moves(rng, 4.0, 0.15, 15, 1.0)) for i in range(4)]
-        return fit, [run("jumps", steps(rng, 4.0, 0.12, 15)), run("quiet", constant(), 0.6),
-                     run("slow", moves(rng, 5.0, 0.18, 15, 2.5))]  # fmt: skip
+        return fit, [
+            run("jumps", steps(rng, 4.0, 0.12, 15)),
+            run("quiet", constant(), 0.6),
+            run("slow", moves(rng, 5.0, 0.18, 15, 2.5)),
+        ]
 
     return Machine(
-        name="ball-on-beam", dt=0.02, substeps=20, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("ball", "linear", "ball_mm", "mm", step=0.1, noise=0.5 * effects),
-                 Sensor("beam", "angular", "beam_counts", "counts", counts=4096)),
+        name="ball-on-beam",
+        dt=0.02,
+        substeps=20,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("ball", "linear", "ball_mm", "mm", step=0.1, noise=0.5 * effects),
+            Sensor("beam", "angular", "beam_counts", "counts", counts=4096),
+        ),
         actuators=(Actuator("voltage", "V"),),
         make_controller=lambda: StateFeedback(gain, 0.02, 8.0, 0.4, np.array([[1.0], [0.0]])),
         comparable=0.8,
-    )  # fmt: skip
+    )
 
 
 def propeller_pendulum(effects: bool = True) -> Machine:
@@ -312,23 +440,39 @@ def propeller_pendulum(effects: bool = True) -> Machine:
 
         offset = constant(0.55)
         fit = [run(f"levels{i}", steps(rng, 1.5, 1.0, 15)) for i in range(4)]
-        fit += [run(f"sines{i}", total(offset, multisine(rng, 0.1, 2.5, 0.3, 20)))
-                for i in range(4)]  # fmt: skip
-        return fit, [run("sweep", total(offset, chirp(0.1, 2.0, 0.4, 15))),
-                     run("slow", steps(rng, 3.0, 0.9, 15)),
-                     run("two-sided", multisine(rng, 0.1, 2.5, 0.5, 20))]  # fmt: skip
+        fit += [
+            run(f"sines{i}", total(offset, multisine(rng, 0.1, 2.5, 0.3, 20))) for i in range(4)
+        ]
+        return fit, [
+            run("sweep", total(offset, chirp(0.1, 2.0, 0.4, 15))),
+            run("slow", steps(rng, 3.0, 0.9, 15)),
+            run("two-sided", multisine(rng, 0.1, 2.5, 0.5, 20)),
+        ]
 
     return Machine(
-        name="propeller-pendulum", dt=0.02, substeps=20, states=3, rate=rate, runs=runs, truth=p,
+        name="propeller-pendulum",
+        dt=0.02,
+        substeps=20,
+        states=3,
+        rate=rate,
+        runs=runs,
+        truth=p,
         sensors=(Sensor("arm", "angular", "arm_deg", "deg", step=0.15, noise=0.05 * effects),),
-        actuators=(Actuator("command", "1"),), jitter=1.5e-4,
-    )  # fmt: skip
+        actuators=(Actuator("command", "1"),),
+        jitter=1.5e-4,
+    )
 
 
 def positioning_axis(effects: bool = True) -> Machine:
     """A carriage on a screw in a position loop; what is logged is not yet saturated."""
-    p = {"mass": 28.0, "viscous": 90.0, "level": 32.0, "breakaway": 46.0, "slowing": 0.02,
-         "gain": 30.0}  # fmt: skip
+    p = {
+        "mass": 28.0,
+        "viscous": 90.0,
+        "level": 32.0,
+        "breakaway": 46.0,
+        "slowing": 0.02,
+        "gain": 30.0,
+    }
 
     def rate(t, x, u, warmth):
         q, v = x
@@ -347,21 +491,38 @@ def positioning_axis(effects: bool = True) -> Machine:
 
         fit = [run(f"moves{i}", moves(rng, 2.0, 0.12, 10, 0.5 + 0.2 * i)) for i in range(5)]
         fit += [run(f"sines{i}", multisine(rng, 0.2, 2.5, 0.035, 12)) for i in range(3)]
-        return fit, [run("jumps", steps(rng, 2.5, 0.06, 10)), run("sweep", chirp(0.2, 3, 0.04, 10)),
-                     run("creep", moves(rng, 5.0, 0.15, 10, 4.0))]  # fmt: skip
+        return fit, [
+            run("jumps", steps(rng, 2.5, 0.06, 10)),
+            run("sweep", chirp(0.2, 3, 0.04, 10)),
+            run("creep", moves(rng, 5.0, 0.15, 10, 4.0)),
+        ]
 
     return Machine(
-        name="positioning-axis", dt=0.005, substeps=10, states=2, rate=rate, runs=runs, truth=p,
+        name="positioning-axis",
+        dt=0.005,
+        substeps=10,
+        states=2,
+        rate=rate,
+        runs=runs,
+        truth=p,
         sensors=(Sensor("carriage", "linear", "carriage_mm", "mm", step=0.005),),
-        actuators=(Actuator("control", "V"),), comparable=2.0,
+        actuators=(Actuator("control", "V"),),
+        comparable=2.0,
         make_controller=lambda: StateFeedback(gain, 0.005, 10.0, 0.5, np.array([[1.0]])),
-    )  # fmt: skip
+    )
 
 
 def reaction_wheel(effects: bool = True) -> Machine:
     """A pendulum that hangs and swings by the reaction of a wheel, whose counter wraps."""
-    p = {"pendulum": 0.0105, "wheel": 3.2e-4, "gravity": 0.58, "pivot": 9e-4, "bearing": 1.4e-4,
-         "gain": 0.021, "dry": 2e-3}  # fmt: skip
+    p = {
+        "pendulum": 0.0105,
+        "wheel": 3.2e-4,
+        "gravity": 0.58,
+        "pivot": 9e-4,
+        "bearing": 1.4e-4,
+        "gain": 0.021,
+        "dry": 2e-3,
+    }
 
     def rate(t, x, u, warmth):
         angle, _, v, spin = x  # spin: of the wheel relative to the pendulum
@@ -378,16 +539,35 @@ def reaction_wheel(effects: bool = True) -> Machine:
         fit = [run(f"levels{i}", steps(rng, 0.5, 1.2, 12)) for i in range(4)]
         fit += [run(f"sines{i}", multisine(rng, 0.2, 3.0, 0.5)) for i in range(4)]
         fit += [run(f"release{i}", constant(), 2.2) for i in range(2)]
-        return fit, [run("sweep", chirp(0.3, 3.0, 0.8, 12)), run("slow", steps(rng, 1.5, 0.8, 12)),
-                     run("wide", multisine(rng, 0.2, 5.0, 0.6), 1.8)]  # fmt: skip
+        return fit, [
+            run("sweep", chirp(0.3, 3.0, 0.8, 12)),
+            run("slow", steps(rng, 1.5, 0.8, 12)),
+            run("wide", multisine(rng, 0.2, 5.0, 0.6), 1.8),
+        ]
 
     return Machine(
-        name="reaction-wheel", dt=0.01, substeps=10, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("pendulum", "angular", "pendulum_counts", "counts", counts=4096,
-                        eccentricity=effects * 0.002),
-                 Sensor("wheel", "angular", "wheel_counts", "counts", counts=2400, wraps=True)),
-        actuators=(Actuator("current", "A", noise=0.01 * effects),), jitter=8e-5, comparable=3.0,
-    )  # fmt: skip
+        name="reaction-wheel",
+        dt=0.01,
+        substeps=10,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor(
+                "pendulum",
+                "angular",
+                "pendulum_counts",
+                "counts",
+                counts=4096,
+                eccentricity=effects * 0.002,
+            ),
+            Sensor("wheel", "angular", "wheel_counts", "counts", counts=2400, wraps=True),
+        ),
+        actuators=(Actuator("current", "A", noise=0.01 * effects),),
+        jitter=8e-5,
+        comparable=3.0,
+    )
 
 
 def planar_arm(effects: bool = True) -> Machine:
@@ -422,25 +602,43 @@ def planar_arm(effects: bool = True) -> Machine:
             return Run(name, 10.0, (), tuple(soft_start(r) for r in references))
 
         fit = [run(f"moves{i}", [moves(rng, 2.0, a, 10, 0.9) for a in sizes]) for i in range(6)]
-        fit += [run(f"sines{i}", [multisine(rng, 0.1, 1.0, a / 3, 8) for a in sizes])
-                for i in range(4)]  # fmt: skip
-        return fit, [run("jumps", [steps(rng, 2.5, a / 2, 10) for a in sizes]),
-                     run("slow", [moves(rng, 5.0, a, 10, 3.0) for a in sizes]),
-                     run("wave", [chirp(0.1, 0.9, a / 2, 10) for a in sizes])]  # fmt: skip
+        fit += [
+            run(f"sines{i}", [multisine(rng, 0.1, 1.0, a / 3, 8) for a in sizes]) for i in range(4)
+        ]
+        return fit, [
+            run("jumps", [steps(rng, 2.5, a / 2, 10) for a in sizes]),
+            run("slow", [moves(rng, 5.0, a, 10, 3.0) for a in sizes]),
+            run("wave", [chirp(0.1, 0.9, a / 2, 10) for a in sizes]),
+        ]
 
     return Machine(
-        name="planar-arm", dt=0.01, substeps=10, states=8, rate=rate, runs=runs, truth=p,
-        sensors=tuple(Sensor(f"joint{i}", "angular", f"q{i}", "rad", step=2 * np.pi / 4096)
-                      for i in range(1, 5)),
+        name="planar-arm",
+        dt=0.01,
+        substeps=10,
+        states=8,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=tuple(
+            Sensor(f"joint{i}", "angular", f"q{i}", "rad", step=2 * np.pi / 4096)
+            for i in range(1, 5)
+        ),
         actuators=tuple(Actuator(f"torque{i}", "N m", noise=0.01 * effects) for i in range(1, 5)),
-        make_controller=lambda: StateFeedback(gain, 0.01, 30.0, 0.5, np.eye(4)), comparable=2.0,
-    )  # fmt: skip
+        make_controller=lambda: StateFeedback(gain, 0.01, 30.0, 0.5, np.eye(4)),
+        comparable=2.0,
+    )
 
 
 def flexible_beam(effects: bool = True) -> Machine:
     """A clamped beam with two modes; one sensor and one shaker near its middle."""
-    p = {"mass": 0.4, "stiffness": 420.0, "damping": 0.25, "tip": 0.16, "bend": 260.0,
-         "inner": 0.06}  # fmt: skip
+    p = {
+        "mass": 0.4,
+        "stiffness": 420.0,
+        "damping": 0.25,
+        "tip": 0.16,
+        "bend": 260.0,
+        "inner": 0.06,
+    }
 
     def rate(t, x, u, warmth):
         q, v, tip, w = x
@@ -456,22 +654,41 @@ def flexible_beam(effects: bool = True) -> Machine:
 
         fit = [run(f"sines{i}", multisine(rng, 0.5, 15.0, 0.8 + 0.4 * i)) for i in range(4)]
         fit += [run(f"levels{i}", steps(rng, 0.4, 3.0, 8)) for i in range(4)]
-        return fit, [run("sweep", chirp(0.5, 15.0, 2.0, 8)), run("slow", steps(rng, 1.0, 3.5, 8)),
-                     run("small", multisine(rng, 0.5, 15.0, 0.6))]  # fmt: skip
+        return fit, [
+            run("sweep", chirp(0.5, 15.0, 2.0, 8)),
+            run("slow", steps(rng, 1.0, 3.5, 8)),
+            run("small", multisine(rng, 0.5, 15.0, 0.6)),
+        ]
 
     return Machine(
-        name="flexible-beam", dt=0.005, substeps=10, states=4, rate=rate, runs=runs, truth=p,
-        sensors=(Sensor("deflection", "linear", "deflection_mm", "mm", step=0.002,
-                        noise=0.01 * effects),),
+        name="flexible-beam",
+        dt=0.005,
+        substeps=10,
+        states=4,
+        rate=rate,
+        runs=runs,
+        truth=p,
+        sensors=(
+            Sensor("deflection", "linear", "deflection_mm", "mm", step=0.002, noise=0.01 * effects),
+        ),
         actuators=(Actuator("force", "N", noise=0.005 * effects),),
-    )  # fmt: skip
+    )
 
 
 MACHINES: dict[str, Callable[[bool], Machine]] = {
     make().name: make
     for make in (
-        double_pendulum, cart_pole, unbalanced_disc, gantry_crane, two_mass_drive, duffing,
-        ball_on_beam, propeller_pendulum, positioning_axis, reaction_wheel, planar_arm,
+        double_pendulum,
+        cart_pole,
+        unbalanced_disc,
+        gantry_crane,
+        two_mass_drive,
+        duffing,
+        ball_on_beam,
+        propeller_pendulum,
+        positioning_axis,
+        reaction_wheel,
+        planar_arm,
         flexible_beam,
     )
-}  # fmt: skip
+}

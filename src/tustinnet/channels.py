@@ -56,8 +56,11 @@ class Coordinate:
                 f"coordinate '{self.name}'", f"kind '{self.kind}'", "'angular' or 'linear'"
             )
         if self.resolution is not None and not 0 < self.resolution < np.inf:
-            raise InputError(f"coordinate '{self.name}'", f"resolution {self.resolution}",
-                             "a positive number, or None")  # fmt: skip
+            raise InputError(
+                f"coordinate '{self.name}'",
+                f"resolution {self.resolution}",
+                "a positive number, or None",
+            )
         default = _default_unit(self.kind)
         require_text(self.unit, f"unit of coordinate '{self.name}'")
         if (self.unit or default) != default and "rad" in (self.unit, default):
@@ -101,8 +104,11 @@ class Input:
                 f"input '{self.name}'", f"hold '{self.hold}'", f"one of {', '.join(get_args(Hold))}"
             )
         if self.limits is not None and not -np.inf < self.limits[0] < self.limits[1] < np.inf:
-            raise InputError(f"input '{self.name}'", f"limits {list(self.limits)}",
-                             "two numbers, the smaller one first")  # fmt: skip
+            raise InputError(
+                f"input '{self.name}'",
+                f"limits {list(self.limits)}",
+                "two numbers, the smaller one first",
+            )
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
@@ -190,16 +196,20 @@ class PDController:
         for loop in self.loops:
             if not 0 <= loop.velocity_filter < np.inf or not 0 <= loop.delay <= MOST_DELAY:
                 raise InputError(
-                    where, f"velocity_filter {loop.velocity_filter:g}, delay {loop.delay} of the "
-                    f"loop of '{loop.input}'", f"0 s or more, 0 to {MOST_DELAY} samples",
-                )  # fmt: skip
+                    where,
+                    f"velocity_filter {loop.velocity_filter:g}, delay {loop.delay} of the "
+                    f"loop of '{loop.input}'",
+                    f"0 s or more, 0 to {MOST_DELAY} samples",
+                )
             for gain in loop.gains:
                 value = getattr(loop, gain)
                 if value is not None and not 0 <= value < np.inf:
                     raise InputError(
-                        where, f"{gain} = {value:g} of the loop of '{loop.input}'", "0 or more",
+                        where,
+                        f"{gain} = {value:g} of the loop of '{loop.input}'",
+                        "0 or more",
                         "the sign of an input, or of a coordinate, is set by its key `sign`",
-                    )  # fmt: skip
+                    )
 
 
 def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Input, ...]:
@@ -339,9 +349,8 @@ class Channels:
             if self.controller is None:
                 problem, expected = "a controller in the loop", f"none, as in {own_name}"
             raise InputError(
-                other_name, problem, expected,
-                "check the table [controller] of the data card",
-            )  # fmt: skip
+                other_name, problem, expected, "check the table [controller] of the data card"
+            )
         for noun, actual, expected in (
             ("coordinates", _describe_coordinates(other), _describe_coordinates(self)),
             ("inputs", *_describe_inputs(other, self, open_holds=open_holds)),

@@ -97,9 +97,11 @@ def require_package(package: str, extra: str, where: object, alternative: str = 
     """
     if find_spec(package) is None:
         raise InputError(
-            where, f"the package {package} is not installed", package,
+            where,
+            f"the package {package} is not installed",
+            package,
             f"pip install 'tustinnet[{extra}]'{alternative}",
-        )  # fmt: skip
+        )
 
 
 def require_name(name: str, where: object) -> None:

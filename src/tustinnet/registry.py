@@ -67,9 +67,11 @@ class Registry(Generic[Item]):
             if entry.name != name:
                 continue
             with convert_errors(
-                f"{self.noun} '{name}'", f"{entry.value} cannot be loaded",
-                "a package for this version of tustinnet", "update or uninstall the package",
-            ):  # fmt: skip
+                f"{self.noun} '{name}'",
+                f"{entry.value} cannot be loaded",
+                "a package for this version of tustinnet",
+                "update or uninstall the package",
+            ):
                 return cast(Item, entry.load())
         raise InputError(
             f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"

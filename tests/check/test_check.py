@@ -98,9 +98,8 @@ def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
     flicker = np.cumsum(np.random.default_rng(1).uniform(size=800) < 0.02) % 2
     q = np.stack([swing(), COUNT * flicker], axis=1)
     e = tn.from_arrays(
-        q, dt=DT,
-        coordinates=[tn.Coordinate(n, "angular", COUNT) for n in ("arm", "other")],
-    )  # fmt: skip
+        q, dt=DT, coordinates=[tn.Coordinate(n, "angular", COUNT) for n in ("arm", "other")]
+    )
     (finding,) = [f for f in check_record(e) if f.is_serious]
     assert (finding.check, finding.channel) == ("dead sensor", "other")
     assert "more than one count" in finding.what
@@ -391,6 +390,9 @@ def test_a_draft_takes_the_unit_that_the_motion_shows(tmp_path: Path) -> None:
     scales = find_scales(draft, tmp_path)
     corrected = draft_card(tmp_path, files, by_motion=scales).choice.coordinates
     assert [c.unit for c in corrected] == ["rad", "rad"]
-    assert all("in rad as gravity shows" in c.because for c in corrected if c.name in
-               {w.name for w in wrong})  # fmt: skip
+    assert all(
+        "in rad as gravity shows" in c.because
+        for c in corrected
+        if c.name in {w.name for w in wrong}
+    )
     assert not [c for c in corrected if c.column in scales and "unit" in c.assumed]

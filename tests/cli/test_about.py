@@ -72,6 +72,8 @@ def test_a_shell_completes(typed, completed):
     done = subprocess.run(
         [sys.executable, "-c", _COMMAND],
         env=os.environ | asked | {"_TUSTINNET_COMPLETE": "complete_bash"},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout.split() == [completed], done.stderr

@@ -23,9 +23,16 @@ LEVELS = {
     "records": (1, 2, 5, 30),
     "hold": ("zero-order", "first-order", "band-limited", "unknown", "undeclared"),
     "is_delay_unknown": (False, True),
-    "trait": ("plain", "stiff", "lightly damped", "unstable", "at rest", "still coordinate",
-              "still input"),
-}  # fmt: skip
+    "trait": (
+        "plain",
+        "stiff",
+        "lightly damped",
+        "unstable",
+        "at rest",
+        "still coordinate",
+        "still input",
+    ),
+}
 _SAMPLES = {1: 700, 2: 400, 5: 200, 30: 60}  # by the number of records: all take as long
 _MOST = 6  # machines: a dozen would take more than a minute and a half
 _BUDGET = "15s"

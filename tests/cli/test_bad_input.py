@@ -30,28 +30,33 @@ def replace_column(path: Path, column: int, change: Callable[[np.ndarray], np.nd
 # what is done to the folder, and what the one line then names
 FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "a missing file": (
-        lambda f: (f / "fall2.csv").unlink(), ("fall2.csv", "no such file", "[splits]"),
+        lambda f: (f / "fall2.csv").unlink(),
+        ("fall2.csv", "no such file", "[splits]"),
     ),
     "an empty file": (lambda f: (f / "fall2.csv").write_text(""), ("fall2.csv", "empty")),
     "a header alone": (
-        lambda f: (f / "fall2.csv").write_text("time,angle,torque\n"), ("fall2.csv", "no samples"),
+        lambda f: (f / "fall2.csv").write_text("time,angle,torque\n"),
+        ("fall2.csv", "no samples"),
     ),
     "another number of columns": (
         lambda f: edit(f / "dataset.toml", "[time]", "[format]\ncolumns = 4\n[time]"),
         ("fall1.csv", "3 columns", "expected 4"),
     ),
     "a row of another length": (
-        lambda f: set_cell(f / "fall1.csv", 7, 1, "1.0,2.0"), ("fall1.csv", "row 8 has 4 cells"),
+        lambda f: set_cell(f / "fall1.csv", 7, 1, "1.0,2.0"),
+        ("fall1.csv", "row 8 has 4 cells"),
     ),
     "text in a column of numbers": (
         lambda f: set_cell(f / "noise1.csv", 5, 1, "open"),
         ("noise1.csv row 6, angle", "'open'", "a number"),
     ),
     "nan": (
-        lambda f: set_cell(f / "noise1.csv", 5, 2, "nan"), ("noise1.csv, row 6", "torque", "nan"),
+        lambda f: set_cell(f / "noise1.csv", 5, 2, "nan"),
+        ("noise1.csv, row 6", "torque", "nan"),
     ),
     "inf": (
-        lambda f: set_cell(f / "noise1.csv", 5, 2, "inf"), ("noise1.csv, row 6", "torque", "inf"),
+        lambda f: set_cell(f / "noise1.csv", 5, 2, "inf"),
+        ("noise1.csv, row 6", "torque", "inf"),
     ),
     "a timestamp twice": (
         lambda f: set_cell(f / "fall1.csv", 4, 0, "0.04"),
@@ -77,7 +82,7 @@ FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
         lambda f: edit(f / "dataset.toml", "counts_per_revolution", "count_per_revolution"),
         ("dataset.toml", "did you mean 'counts_per_revolution'?"),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", FOLDERS)
@@ -95,9 +100,14 @@ def test_a_record_shorter_than_a_window(folder, small_recipe, tmp_path, refused)
     lines = (folder / "fall2.csv").read_text().splitlines()
     (folder / "fall2.csv").write_text("\n".join(lines[:9]) + "\n")
     refused(
-        "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
+        "fit",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--out",
+        tmp_path / "run",
         names=("fall2", "8 samples", "window of 10 steps"),
-    )  # fmt: skip
+    )
     assert not list((tmp_path / "run").rglob("*.safetensors"))
 
 
@@ -159,9 +169,14 @@ def test_unknown_names(folder, model, tmp_path, refused):
 
 def test_a_run_that_is_there_already(model, folder, small_recipe, refused):
     refused(
-        "fit", folder, "--recipe", small_recipe, "--out", model.parent,
+        "fit",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--out",
+        model.parent,
         names=("holds an earlier run", "--resume", "--overwrite"),
-    )  # fmt: skip
+    )
 
 
 def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
@@ -173,9 +188,14 @@ def test_the_data_variable_points_nowhere(tmp_path, monkeypatch, refused):
 def test_a_network_is_no_physics_to_correct(folder, run_folder, tmp_path, refused):
     out = tmp_path / "corrected"
     refused(
-        "fit", folder, "--physics", run_folder / "model.safetensors", "--out", out,
+        "fit",
+        folder,
+        "--physics",
+        run_folder / "model.safetensors",
+        "--out",
+        out,
         names=("--physics", "'tustin-net'", "trained already", "--system first"),
-    )  # fmt: skip
+    )
     assert not out.exists()
 
 
@@ -186,29 +206,37 @@ SEEDS = ("", "0", "-1", "x", "2.5", "1,1", "0,x", ",", "9" * 12, "9" * 12 + ",1"
 @pytest.mark.parametrize(
     ("options", "names"),
     [
-        *((["--set", f"rates={r}"], ("`rates` was removed", "--set stages.*.rate=RATE"))
-          for r in RATES),
+        *(
+            (["--set", f"rates={r}"], ("`rates` was removed", "--set stages.*.rate=RATE"))
+            for r in RATES
+        ),
         *(([f"--seeds={s}"], ("--seeds", "different seeds", "--seeds 3")) for s in SEEDS),
         (["--set", "epochs"], ("--set", "'epochs'", "KEY=VALUE")),
         (["--set", "search.loss=state"], ("small.toml, search", "unknown key", "stages")),
         (["--set", "model.hiden=[4]"], ("small.toml, model.hiden", "did you mean 'hidden'?")),
         (["--set", "model.correction.hidden=[4]"], ("small.toml, model.correction", "unknown key")),
-        (["--set", "model.kind=lstm"],
-         ("small.toml, model.kind", "'lstm'", "tustin-net, euler-lagrange")),
+        (
+            ["--set", "model.kind=lstm"],
+            ("small.toml, model.kind", "'lstm'", "tustin-net, euler-lagrange"),
+        ),
         (["--set", "stages.*.epoch=3"], ("small.toml, stages.0.epoch", "did you mean 'epochs'?")),
         (["--set", "stages.1.penalty=1"], ("small.toml, stages.1", "`penalty` was removed")),
         (["--set", "stages.7.epochs=3"], ("--set", "no place '7' in a list of 2", "0 to 1")),
         (["--set", "stages.0.epochs=many"], ("small.toml, stages.0.epochs", "integer", "'many'")),
         (["--set", "stages.0.epochs=0"], ("small.toml, stages.0.epochs", "greater than 0")),
-        (["--set", "stages.0.frozen_layers=3"],
-         ("small.toml", "stage 'first' freezes 3 of 2 hidden")),
-        (["--set", "model.hidden=[4]", "--set", "model.hidden=[5]"],
-         ("--set", "'model.hidden' twice")),
+        (
+            ["--set", "stages.0.frozen_layers=3"],
+            ("small.toml", "stage 'first' freezes 3 of 2 hidden"),
+        ),
+        (
+            ["--set", "model.hidden=[4]", "--set", "model.hidden=[5]"],
+            ("--set", "'model.hidden' twice"),
+        ),
         (["--resume", "--overwrite"], ("--resume, --overwrite", "both", "one of them")),
         (["--device", "gpu"], ("--device gpu", "JAX sees none")),
     ],
     ids=lambda part: " ".join(part)[:40] if isinstance(part, list) else "",
-)  # fmt: skip
+)
 def test_options_that_a_fit_does_not_take(options, names, folder, small_recipe, tmp_path, refused):
     out = tmp_path / "run"
     refused("fit", folder, "--recipe", small_recipe, "--out", out, *options, names=names)
@@ -222,7 +250,12 @@ def test_what_a_network_has_no_use_for(folder, run_folder, small_recipe, tmp_pat
     model = run_folder / "model.safetensors"
     refused(*fit, "--physics", model, names=("--physics", "'tustin-net'", "best-hybrid"))
     refused(
-        "fit", folder, "--recipe", "best-hybrid", "--out", out,
+        "fit",
+        folder,
+        "--recipe",
+        "best-hybrid",
+        "--out",
+        out,
         names=("recipe 'best-hybrid'", "no physics", "--physics"),
-    )  # fmt: skip
+    )
     assert not out.exists()

@@ -24,8 +24,17 @@ class Place(NamedTuple):
 def place(identified, folder, system, tmp_path, capsys) -> Place:
     """An identified model, and its copy with bands."""
     file = tmp_path / "banded" / "model.safetensors"
-    asked = ("calibrate", identified / "model.safetensors", folder, "--split", "validation",
-             "--system", system, "--out", file)  # fmt: skip
+    asked = (
+        "calibrate",
+        identified / "model.safetensors",
+        folder,
+        "--split",
+        "validation",
+        "--system",
+        system,
+        "--out",
+        file,
+    )
     code, out, err = tustinnet(capsys, *asked)
     assert (code, out) == (0, "")
     assert "bands from 2 records, start 'derived-6'; their highest level is 66.7 %" in err
@@ -77,24 +86,71 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     given = ("--system", file)
     refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", names="fall1")
     refused("calibrate", plain, folder, *given, "--out", plain, names="what the command reads")
-    refused("calibrate", plain, folder, *given, "--out", banded, "--split", "validation",
-            names="there already")  # fmt: skip
-    refused("calibrate", net, folder, "--out", out, "--split", "validation",
-            names="nothing says how sure it is")  # fmt: skip
+    refused(
+        "calibrate",
+        plain,
+        folder,
+        *given,
+        "--out",
+        banded,
+        "--split",
+        "validation",
+        names="there already",
+    )
+    refused(
+        "calibrate",
+        net,
+        folder,
+        "--out",
+        out,
+        "--split",
+        "validation",
+        names="nothing says how sure it is",
+    )
     for option in ("--card", "--split"):
         refused(
             "calibrate", plain, folder, *given, "--out", out, option, "nowhere", names="nowhere"
         )
-    refused("calibrate", plain, folder, *given, "--out", out, "--split", "validation",
-            "--start", "nowhere", names="nowhere")  # fmt: skip
+    refused(
+        "calibrate",
+        plain,
+        folder,
+        *given,
+        "--out",
+        out,
+        "--split",
+        "validation",
+        "--start",
+        "nowhere",
+        names="nowhere",
+    )
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
     start = ("--start", "derived-6")
-    refused("simulate", banded, folder, *given, *start, *sim, "--band", 0.9,
-            names="which cannot promise more than 66.7 %; expected 9 records")  # fmt: skip
+    refused(
+        "simulate",
+        banded,
+        folder,
+        *given,
+        *start,
+        *sim,
+        "--band",
+        0.9,
+        names="which cannot promise more than 66.7 %; expected 9 records",
+    )
     refused("simulate", banded, folder, *given, *start, *sim, "--band", 90, names="between 0 and 1")
-    refused("simulate", banded, folder, *given, *sim, "--band", 0.6, "--start", "model-20",
-            names="'derived-6', whole records, as the model was calibrated")  # fmt: skip
+    refused(
+        "simulate",
+        banded,
+        folder,
+        *given,
+        *sim,
+        "--band",
+        0.6,
+        "--start",
+        "model-20",
+        names="'derived-6', whole records, as the model was calibrated",
+    )
     refused("simulate", plain, folder, *given, *sim, "--band", 0.6, names="without bands")
     refused("simulate", net, folder, *sim, "--band", 0.6, names="nothing says how sure it is")
     refused("simulate", banded, folder, *given, *sim, "--whole-records", names="add --band")

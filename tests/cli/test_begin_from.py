@@ -68,8 +68,17 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     assert (out / "model.safetensors").read_bytes() == kept
     for path in out.rglob("log.jsonl"):
         assert path.read_text().count("\n") == 2
-    refused("fit", folder, "--recipe", small_recipe, "--out", out, *STILL, "--resume",
-            names="with another from")  # fmt: skip
+    refused(
+        "fit",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--out",
+        out,
+        *STILL,
+        "--resume",
+        names="with another from",
+    )
 
 
 def test_a_correction_goes_on_with_its_physics_or_with_another(grey, folder, tmp_path, capsys):
@@ -126,8 +135,14 @@ def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_pat
     for name, value in TRUTH.items():
         assert begun[name] == pytest.approx(known[name])
         assert found[name] == pytest.approx(value, rel=0.02)
-    refused(*fit, "--out", tmp_path / "no", "--set", "model.begin.gain=3",
-            names="--from sets the same initial values")  # fmt: skip
+    refused(
+        *fit,
+        "--out",
+        tmp_path / "no",
+        "--set",
+        "model.begin.gain=3",
+        names="--from sets the same initial values",
+    )
 
 
 def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsys, refused):
@@ -135,11 +150,27 @@ def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsy
     fit, out = ("fit", folder, "--from", model), ("--out", tmp_path / "out")
     refused(*fit, *out, "--set", "model.hidden=[8]", names="hidden [8, 6]; expected hidden [8]")
     refused(*fit, *out, "--recipe", "gru", names="kind 'tustin-net'; expected one of kind 'gru'")
-    refused(*fit, *out, "--recipe", "grey", "--system", grey.system,
-            names="not applicable to a model of kind 'tustin-net'")  # fmt: skip
-    refused("fit", folder, "--from", grey.model, "--system", grey.system, *out,
-            "--recipe", "standard",
-            names="kind 'euler-lagrange'; expected one of kind 'tustin-net'")  # fmt: skip
+    refused(
+        *fit,
+        *out,
+        "--recipe",
+        "grey",
+        "--system",
+        grey.system,
+        names="not applicable to a model of kind 'tustin-net'",
+    )
+    refused(
+        "fit",
+        folder,
+        "--from",
+        grey.model,
+        "--system",
+        grey.system,
+        *out,
+        "--recipe",
+        "standard",
+        names="kind 'euler-lagrange'; expected one of kind 'tustin-net'",
+    )
     refused(*fit, *out, "--physics", grey.model, names="--physics")
     refused(*fit, *out, "--budget", "1min", names="--budget: not applicable")
     refused("fit", folder, "--from", folder / "fall1.csv", *out, names="not a safetensors file")

@@ -44,8 +44,11 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
     figures = sorted(path.stem for path in (out / "figures").iterdir())
     assert figures == ["candidates", "fall1", "fall2", "fall3", "noise1", "noise2"]
     # the system that was kept serves the model, and those of the folds
-    for model in ("model.safetensors", "candidates/grey/model.safetensors",
-                  "candidates/grey/fold-1-seeds-0/fold-1-seed-0/model.safetensors"):  # fmt: skip
+    for model in (
+        "model.safetensors",
+        "candidates/grey/model.safetensors",
+        "candidates/grey/fold-1-seeds-0/fold-1-seed-0/model.safetensors",
+    ):
         code, printed, err = tustinnet(
             capsys, "evaluate", out / model, folder, "--start", "derived-6", "--json"
         )

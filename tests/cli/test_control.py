@@ -30,8 +30,16 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     nominal = next(line for line in text.splitlines() if line.strip().startswith("nominal"))
     assert "5 of 5" in nominal
     names = {path.name for path in out.iterdir()}
-    assert {"controller.c", "estimator.c", "model.c", "main.c", "controller.json", "design.json",
-            "closed_loop.png", "robustness.png"} <= names  # fmt: skip
+    assert {
+        "controller.c",
+        "estimator.c",
+        "model.c",
+        "main.c",
+        "controller.json",
+        "design.json",
+        "closed_loop.png",
+        "robustness.png",
+    } <= names
     design = json.loads((out / "design.json").read_text())
     assert design["motion"] is None
     # the model's own balance of torques there
@@ -41,12 +49,40 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
 def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, tmp_path, capsys):
     out = tmp_path / "swung"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", "angle=180deg", "--swing-up", "--seconds", 4, *LIMITS,
-        "--data", folder, "--card", folder / "dataset.toml", "--follow-links", "--weight",
-        "angle=20deg", "--weight", "torque=3", "--within", "der_angle=-20:20rad/s", "--delay", 1,
-        "--trust-beyond", "--system", system, "--plant", system, "--json", "--quiet", "--starts", 3,
-        "--out", out,
-    )  # fmt: skip
+        capsys,
+        "control",
+        model,
+        "--at",
+        "angle=180deg",
+        "--swing-up",
+        "--seconds",
+        4,
+        *LIMITS,
+        "--data",
+        folder,
+        "--card",
+        folder / "dataset.toml",
+        "--follow-links",
+        "--weight",
+        "angle=20deg",
+        "--weight",
+        "torque=3",
+        "--within",
+        "der_angle=-20:20rad/s",
+        "--delay",
+        1,
+        "--trust-beyond",
+        "--system",
+        system,
+        "--plant",
+        system,
+        "--json",
+        "--quiet",
+        "--starts",
+        3,
+        "--out",
+        out,
+    )
     assert code == 0, messages
     assert "designing" not in messages
     design = json.loads(text)
@@ -99,9 +135,20 @@ def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_p
 def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     out = tmp_path / "moved"
     code, text, messages = tustinnet(
-        capsys, "control", model, "--at", "angle=0", "--to", "angle=0.4rad", *LIMITS, "--out", out,
-        "--trust-beyond", "--starts", 1,
-    )  # fmt: skip
+        capsys,
+        "control",
+        model,
+        "--at",
+        "angle=0",
+        "--to",
+        "angle=0.4rad",
+        *LIMITS,
+        "--out",
+        out,
+        "--trust-beyond",
+        "--starts",
+        1,
+    )
     assert code == 0, messages
     assert "motion:" in text
     assert "after a fall" not in text  # from a stable goal nothing falls
@@ -114,10 +161,23 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
 
 def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
     out = tmp_path / "held"
-    assert tustinnet(
-        capsys, "control", model, "--at", "angle=180deg", *LIMITS, "--starts", 1, "--out", out,
-        "--safe", "torque=0.5",
-    )[0] == 0  # fmt: skip
+    assert (
+        tustinnet(
+            capsys,
+            "control",
+            model,
+            "--at",
+            "angle=180deg",
+            *LIMITS,
+            "--starts",
+            1,
+            "--out",
+            out,
+            "--safe",
+            "torque=0.5",
+        )[0]
+        == 0
+    )
     feedback = tn.control.read_controller(out)
     assert isinstance(feedback, tn.control.Feedback)
     np.testing.assert_array_equal(feedback.safe, [0.5])
@@ -148,10 +208,12 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", *LIMITS, "--safe", "torque=7"), "-6 to 6"),
         (("--at", "angle=0", *LIMITS, "--plant", "nothing.fmu"), "nothing.fmu"),
         (("--at", "angle=0", *LIMITS, "--swing-up", "--to", "angle=1"), "--swing-up"),
-        (("--at", "angle=3.14159rad", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),
-         "reached"),
+        (
+            ("--at", "angle=3.14159rad", *LIMITS, "--swing-up", "--seconds", 0.1, "--trust-beyond"),
+            "reached",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_said_in_a_line_and_nothing_is_written(
     model, tmp_path, capsys, arguments, names
 ):
@@ -176,9 +238,15 @@ def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
 
 def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_path, capsys):
     code, _, messages = tustinnet(
-        capsys, "control", run_folder / "model.safetensors", "--at", "angle=180deg", *LIMITS,
-        "--out", tmp_path / "none",
-    )  # fmt: skip
+        capsys,
+        "control",
+        run_folder / "model.safetensors",
+        "--at",
+        "angle=180deg",
+        *LIMITS,
+        "--out",
+        tmp_path / "none",
+    )
     assert code == 1
     assert "equilibrium" in messages
 
@@ -186,9 +254,19 @@ def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_p
 @pytest.mark.parametrize("text", ["180", "180deg", "180 deg"])
 def test_a_number_alone_is_in_the_unit_of_the_column_and_said_back(text, model, tmp_path, capsys):
     code, _, messages = tustinnet(
-        capsys, "control", model, "--at", f"angle={text}", "--limits", "torque=-6000:6000mN*m",
-        "--starts", 1, "--out", tmp_path / "held", "--quiet",
-    )  # fmt: skip
+        capsys,
+        "control",
+        model,
+        "--at",
+        f"angle={text}",
+        "--limits",
+        "torque=-6000:6000mN*m",
+        "--starts",
+        1,
+        "--out",
+        tmp_path / "held",
+        "--quiet",
+    )
     assert code == 0
     assert "--at: angle = 180 deg (3.142 rad)" in messages
     assert "--limits: torque = -6000:6000 mN*m (-6:6 N m)" in messages

@@ -57,9 +57,17 @@ def test_fit_evaluate_and_simulate_in_the_loop(logs, tmp_path, capsys):
     assert code == 0, err
     assert "whole" not in err
     code, out, err = tustinnet(
-        capsys, "simulate", model, logs, "--split", "validation", "--system", system,
-        "--out", tmp_path / "runs",
-    )  # fmt: skip
+        capsys,
+        "simulate",
+        model,
+        logs,
+        "--split",
+        "validation",
+        "--system",
+        system,
+        "--out",
+        tmp_path / "runs",
+    )
     assert code == 0, err
     # a card without the controller is of another system
     plain = (logs / "dataset.toml").read_text().partition("[controller]")[0]

@@ -50,10 +50,24 @@ def test_a_system_is_identified_anew_in_every_fold(folder, tmp_path, out, capsys
     system = tmp_path / "small_pendulum.py"
     system.write_text(SYSTEM)
     code, printed, err = tustinnet(
-        capsys, "cross-validate", folder, "--recipe", "grey", "--system", system, "--folds", 3,
-        "--set", "search.initial=anchored", "--start", "derived-6", "--quiet", "--json",
-        "--out", out,
-    )  # fmt: skip
+        capsys,
+        "cross-validate",
+        folder,
+        "--recipe",
+        "grey",
+        "--system",
+        system,
+        "--folds",
+        3,
+        "--set",
+        "search.initial=anchored",
+        "--start",
+        "derived-6",
+        "--quiet",
+        "--json",
+        "--out",
+        out,
+    )
     assert code == 0, err
     told = json.loads(printed)
     assert {r["record"] for r in told["records"]} == RECORDS

@@ -26,13 +26,25 @@ def with_data(verb: str, model: Path, data: Path, out: Path) -> list[object]:
     ending = {"report": ".html", "calibrate": ".safetensors"}.get(verb, "")
     writes = verb not in ("inspect", "evaluate", "compare", "residuals")
     return [
-        verb, *(models.get(verb, [model]) if reads_model else []), data,
+        verb,
+        *(models.get(verb, [model]) if reads_model else []),
+        data,
         *(["--out", out.with_suffix(ending)] if writes else []),
-    ]  # fmt: skip
+    ]
 
 
-READING = ("inspect", "fit", "cross-validate", "learning-curve", "simulate", "evaluate", "compare",
-           "residuals", "report", "calibrate")  # fmt: skip
+READING = (
+    "inspect",
+    "fit",
+    "cross-validate",
+    "learning-curve",
+    "simulate",
+    "evaluate",
+    "compare",
+    "residuals",
+    "report",
+    "calibrate",
+)
 
 
 @pytest.mark.parametrize("verb", READING)
@@ -66,10 +78,15 @@ def test_a_folder_that_is_called_like_a_record_is_said_to_be_left_out(folder, tm
 
 
 EMPTY = {
-    "simulate": ("--out",), "committee": ("--out",), "calibrate": ("--out", "--card", "--system"),
-    "report": ("--out",), "fit": ("--out", "--physics", "--from", "--recipe"),
-    "inspect": ("--figure",), "evaluate": ("--figures",), "demo": ("--out",),
-}  # fmt: skip
+    "simulate": ("--out",),
+    "committee": ("--out",),
+    "calibrate": ("--out", "--card", "--system"),
+    "report": ("--out",),
+    "fit": ("--out", "--physics", "--from", "--recipe"),
+    "inspect": ("--figure",),
+    "evaluate": ("--figures",),
+    "demo": ("--out",),
+}
 
 
 @pytest.mark.parametrize(("verb", "option"), [(v, o) for v, names in EMPTY.items() for o in names])
@@ -97,8 +114,18 @@ def test_simulations_are_not_written_where_a_card_would_read_them(
     shutil.copy(folder / "fall1.txt", folder / "other.csv")
     (folder / "dataset.toml").write_text(card + splits)
     before = sorted(folder.iterdir())
-    refused("simulate", model, folder, "--out", folder, "--start", "derived-6", "--experiment",
-            "fall3", names=("fall3.csv would be a record of", "another folder"))  # fmt: skip
+    refused(
+        "simulate",
+        model,
+        folder,
+        "--out",
+        folder,
+        "--start",
+        "derived-6",
+        "--experiment",
+        "fall3",
+        names=("fall3.csv would be a record of", "another folder"),
+    )
     assert sorted(folder.iterdir()) == before
 
 
@@ -134,11 +161,22 @@ def test_another_system_file_beside_the_output_is_never_replaced(
     (out / "system.py").write_text("mine = True")
     file = out / "model.safetensors"
     command = {
-        "fit": ("fit", folder, "--recipe", "grey", "--system", system, "--set",
-                "search.iterations=2", "--no-report", "--out", out),
+        "fit": (
+            "fit",
+            folder,
+            "--recipe",
+            "grey",
+            "--system",
+            system,
+            "--set",
+            "search.iterations=2",
+            "--no-report",
+            "--out",
+            out,
+        ),
         "calibrate": ("calibrate", grey, folder, "--split", "validation", "--out", file),
         "committee": ("committee", grey, "--out", file),
-    }[verb]  # fmt: skip
+    }[verb]
     for more in ((), ("--overwrite",)):
         refused(*command, *more, names=("system.py", "another file than"))
     assert (out / "system.py").read_text() == "mine = True"

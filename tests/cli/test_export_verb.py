@@ -143,9 +143,10 @@ def test_a_model_is_exported_with_a_card(model, out, capsys):
         assert sha256((out / name).read_bytes()).hexdigest() == digest
     assert card["target"] == "plain"
     assert card["model"] == {
-        "file": "model.safetensors", "sha256": sha256(model.read_bytes()).hexdigest(),
+        "file": "model.safetensors",
+        "sha256": sha256(model.read_bytes()).hexdigest(),
         "kind": "tustin-net",
-    }  # fmt: skip
+    }
     assert card["period"] == 0.02
     states, inputs = header["range"]["states"], header["range"]["inputs"]
     assert card["states"] == [
@@ -153,9 +154,15 @@ def test_a_model_is_exported_with_a_card(model, out, capsys):
         {"name": "der_angle", "unit": "rad/s", "range": states[1]},
     ]
     assert card["inputs"] == [
-        {"name": "torque", "unit": "N m", "hold": "zero-order", "delay": 0.0, "limits": None,
-         "range": inputs[0]}
-    ]  # fmt: skip
+        {
+            "name": "torque",
+            "unit": "N m",
+            "hold": "zero-order",
+            "delay": 0.0,
+            "limits": None,
+            "range": inputs[0],
+        }
+    ]
     assert (card["samples"], card["warm_up"], card["notes"]) == ([0], 0, [])
     assert card["scores"] == header["scores"]
     assert card["scores"]["start"] == "derived-6"
@@ -177,8 +184,14 @@ def test_several_targets_get_a_folder_each(model, out, capsys):
         "not run here: no reader of texts here; what it is written from was compared"
     )
     found = set(contents(out))
-    assert found == {"plain/card.json", "plain/notes.bin", "plain/step.txt", "other/card.json",
-                     "other/notes.bin", "other/other.txt"}  # fmt: skip
+    assert found == {
+        "plain/card.json",
+        "plain/notes.bin",
+        "plain/step.txt",
+        "other/card.json",
+        "other/notes.bin",
+        "other/other.txt",
+    }
 
 
 def test_all_are_all_that_are_known(model, out, monkeypatch, capsys):
@@ -277,9 +290,14 @@ def test_a_folder_that_holds_something_else_is_left_alone(model, out, refused, t
         before = contents(out)
         for more in ([], ["--overwrite"]):
             refused(
-                model, "--to", "plain", "--out", out, *more,
+                model,
+                "--to",
+                "plain",
+                "--out",
+                out,
+                *more,
                 names="a folder that holds something else; expected an empty folder",
-            )  # fmt: skip
+            )
         assert contents(out) == before
     file = tmp_path / "file"
     file.write_text("a file")
@@ -360,9 +378,15 @@ def test_a_model_with_values_by_group_needs_the_group(loaded, model, out, refuse
     refused(*asked, "--group", "load", names="--group: 'load'; expected NAME=VALUE")
     refused(*asked, "--group", "load=1kg", "--group", "load=2kg", names="each name once")
     refused(
-        model, "--to", "plain", "--out", out, "--group", "load=1kg",
+        model,
+        "--to",
+        "plain",
+        "--out",
+        out,
+        "--group",
+        "load=1kg",
         names="group 'load', which nothing in the model is per",
-    )  # fmt: skip
+    )
     assert not out.exists()
     steps = {}
     for load in ("1kg", "2kg"):

@@ -66,9 +66,13 @@ def test_the_command_chooses_and_judges_on_them(tmp_path, capsys):
     assert {c["name"] for c in found} == {"grey", "network", "both"}
     assert all(len(c["folds"]) == 3 for c in found), err
     model = out / "model.safetensors"
-    for more in (("evaluate", model, logs, "--ahead", "3"), ("residuals", model, logs),
-                 ("compare", model, model, logs), ("show", model),
-                 ("simulate", model, logs, "--out", tmp_path / "simulated"),
-                 ("report", model, logs, "--out", tmp_path / "page.html")):  # fmt: skip
+    for more in (
+        ("evaluate", model, logs, "--ahead", "3"),
+        ("residuals", model, logs),
+        ("compare", model, model, logs),
+        ("show", model),
+        ("simulate", model, logs, "--out", tmp_path / "simulated"),
+        ("report", model, logs, "--out", tmp_path / "page.html"),
+    ):
         code, _, err = tustinnet(capsys, *more)
         assert code == 0, (more, err)

@@ -121,9 +121,17 @@ def test_every_verb_takes_the_model_with_its_system(identified, folder, system, 
     assert code == 0
     assert json.loads(out)["means"]["validation"] < 0.02
     code, _, _ = tustinnet(
-        capsys, "simulate", model, folder, "--system", system, "--split", "all",
-        "--out", tmp_path / "sim",
-    )  # fmt: skip
+        capsys,
+        "simulate",
+        model,
+        folder,
+        "--system",
+        system,
+        "--split",
+        "all",
+        "--out",
+        tmp_path / "sim",
+    )
     assert code == 0
     assert len(list((tmp_path / "sim").glob("*.csv"))) == 5
     code, out, _ = tustinnet(capsys, "show", model)
@@ -242,9 +250,17 @@ def test_compare_puts_families_side_by_side(
 ):
     models = [identified / "model.safetensors", run_folder / "model.safetensors"]
     code, out, _ = tustinnet(
-        capsys, "compare", *models, folder, "--system", system, "--split", "validation",
-        "--figures", tmp_path / "overlay",
-    )  # fmt: skip
+        capsys,
+        "compare",
+        *models,
+        folder,
+        "--system",
+        system,
+        "--split",
+        "validation",
+        "--figures",
+        tmp_path / "overlay",
+    )
     assert code == 0
     assert "grey/model" in out
     assert "run/model" in out
@@ -281,9 +297,18 @@ def test_residuals_tell_a_good_model_from_a_poor_one(
     assert "not white" in out
     assert figure.stat().st_size > 5000
     code, out, _ = tustinnet(
-        capsys, "residuals", identified / "model.safetensors", folder, "--system", system,
-        "--split", "validation", "--lags", 20, "--json",
-    )  # fmt: skip
+        capsys,
+        "residuals",
+        identified / "model.safetensors",
+        folder,
+        "--system",
+        system,
+        "--split",
+        "validation",
+        "--lags",
+        20,
+        "--json",
+    )
     assert code == 0
     (angle,) = json.loads(out)["coordinates"]
     assert len(angle["autocorrelation"]) == 21
@@ -299,9 +324,8 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
         path.write_text("\n".join([head, *turned]) + "\n")
     assert card.is_file()
     code, out, err = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", system,
-        "--out", tmp_path / "turned",
-    )  # fmt: skip
+        capsys, "fit", folder, "--recipe", "grey", "--system", system, "--out", tmp_path / "turned"
+    )
     assert code == 1
     assert "error: the sign of 'angle' or of 'torque' is probably reversed" in err
     assert "the sign of 'angle' or of 'torque' is probably reversed" in out
@@ -312,9 +336,19 @@ def test_a_search_that_reaches_its_limit_keeps_its_model_and_warns_once(
     folder, system, tmp_path, capsys
 ):
     code, out, err = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", system, "--out", tmp_path / "out",
-        "--set", "search.iterations=1", "--no-report",
-    )  # fmt: skip
+        capsys,
+        "fit",
+        folder,
+        "--recipe",
+        "grey",
+        "--system",
+        system,
+        "--out",
+        tmp_path / "out",
+        "--set",
+        "search.iterations=1",
+        "--no-report",
+    )
     assert code == 0
     assert err.count("warning: stopped at the limit of 1 iterations") == 1
     assert "stopped at the limit" not in out
@@ -375,7 +409,7 @@ BROKEN = {
     "null bytes": "x = 1\0\n",
     "broken.py: more than 1 MB": "#" * 1_000_001,
     "nominal value 10": SYSTEM.replace("10.0, 1.0, 100.0", "10.0, 11.0, 100.0"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("told", BROKEN)
@@ -384,9 +418,8 @@ def test_a_broken_system_file_is_one_line(told, folder, tmp_path, capsys):
     path = tmp_path / "broken.py"
     path.write_text(BROKEN[told])
     code, _, err = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", path,
-        "--out", tmp_path / "out",
-    )  # fmt: skip
+        capsys, "fit", folder, "--recipe", "grey", "--system", path, "--out", tmp_path / "out"
+    )
     assert code == 1
     assert told in err
     assert err.count("error: ") == 1
@@ -536,9 +569,8 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
         )
     )
     code, out, err = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", system,
-        "--out", tmp_path / "out",
-    )  # fmt: skip
+        capsys, "fit", folder, "--recipe", "grey", "--system", system, "--out", tmp_path / "out"
+    )
     assert code == 1
     assert "error: " in err
     assert "diverged: the simulations with the estimated values diverge" in out
@@ -547,10 +579,22 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
 
 def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
     code, out, _ = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", system,
-        "--set", "model.fixed.gain=4", "--set", "model.fixed.inertia=nominal",
-        "--json", "--out", tmp_path / "out", "--quiet",
-    )  # fmt: skip
+        capsys,
+        "fit",
+        folder,
+        "--recipe",
+        "grey",
+        "--system",
+        system,
+        "--set",
+        "model.fixed.gain=4",
+        "--set",
+        "model.fixed.inertia=nominal",
+        "--json",
+        "--out",
+        tmp_path / "out",
+        "--quiet",
+    )
     assert code == 0
     assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}
 
@@ -558,10 +602,20 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
 def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, capsys):
     out = tmp_path / "rubbed"
     code, told, _ = tustinnet(
-        capsys, "fit", folder, "--recipe", "grey", "--system", system,
-        "--set", 'model.forces=["coulomb", "maxwell"]',
-        "--set", "model.fixed.angle.relaxation=2.0", "--out", out,
-    )  # fmt: skip
+        capsys,
+        "fit",
+        folder,
+        "--recipe",
+        "grey",
+        "--system",
+        system,
+        "--set",
+        'model.forces=["coulomb", "maxwell"]',
+        "--set",
+        "model.fixed.angle.relaxation=2.0",
+        "--out",
+        out,
+    )
     assert code == 0
     assert "angle.coulomb" in told
     assert "angle.maxwell" in told

@@ -45,9 +45,17 @@ def test_every_system_is_in_the_help(verb):
 def test_every_target_is_in_the_help_of_export():
     listed = help_of("export", "--to").split(";")[0].replace(" or ", ", ")
     assert tuple(listed.split(", ")) == tuple(TARGETS.places)
-    names = {"c": "C", "fmu": "FMU", "casadi": "CasADi", "onnx": "ONNX", "js": "JavaScript",
-             "stablehlo": "StableHLO", "mat": "matrices", "urdf": "URDF",
-             "mjcf": "MJCF"}  # fmt: skip
+    names = {
+        "c": "C",
+        "fmu": "FMU",
+        "casadi": "CasADi",
+        "onnx": "ONNX",
+        "js": "JavaScript",
+        "stablehlo": "StableHLO",
+        "mat": "matrices",
+        "urdf": "URDF",
+        "mjcf": "MJCF",
+    }
     assert names.keys() == TARGETS.places.keys()
     sentence = (export.export.__doc__ or "").rstrip(".").replace(" or ", ", ")
     assert sentence.removeprefix("Write a model as ").split(", ") == list(names.values())

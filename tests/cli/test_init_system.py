@@ -52,14 +52,20 @@ def test_columns_are_matched_with_the_joints_of_a_robot(tmp_path: Path, capsys) 
     loaded = tn.load_system(system)
     assert [*card["coordinates"]] == [c.name for c in loaded.coordinates]
     assert {name: c["column"] for name, c in card["coordinates"].items()} == {
-        "shoulder": "Shoulder Angle", "elbow": "elbow_pos", "lift": "lift_mm", "roll": "Roll [deg]",
-    }  # fmt: skip
+        "shoulder": "Shoulder Angle",
+        "elbow": "elbow_pos",
+        "lift": "lift_mm",
+        "roll": "Roll [deg]",
+    }
     assert card["coordinates"]["lift"]["kind"] == "linear"
     inputs = card["inputs"]
     assert [*inputs] == [i.name for i in loaded.inputs]
     assert {i["column"] for i in inputs.values()} == {
-        "i_shoulder_mA", "elbow tau [mNm]", "lift_N", "roll_effort",
-    }  # fmt: skip
+        "i_shoulder_mA",
+        "elbow tau [mNm]",
+        "lift_N",
+        "roll_effort",
+    }
     elbow = next(i for i in inputs.values() if i["column"] == "elbow tau [mNm]")
     assert (elbow["unit"], elbow["scale"]) == ("N m", 0.001)
     # a current is no torque: the line says what a fit needs
@@ -92,8 +98,11 @@ def test_what_has_no_column_is_one_line_each(tmp_path: Path, capsys) -> None:
     assert code == 0, err
     lines = [line for line in err.splitlines() if line.startswith("not matched:")]
     assert [line.split("for the ")[1] for line in lines] == [
-        "coordinate 'lift'", "coordinate 'roll'", "input 'shoulder_torque'", "input 'roll_torque'",
-    ]  # fmt: skip
+        "coordinate 'lift'",
+        "coordinate 'roll'",
+        "input 'shoulder_torque'",
+        "input 'roll_torque'",
+    ]
     assert "locked={'lift': 0.0, 'roll': 0.0}" in err
 
 

@@ -60,8 +60,15 @@ def test_records_are_those_that_the_model_was_not_fitted_to(model, folder, capsy
 def test_a_copy_of_a_fitted_record_in_another_file_is_named(model, folder, capsys):
     rows = np.loadtxt(folder / "fall1.csv", delimiter=",", skiprows=1)
     rows[:, 0] += 100.0
-    np.savetxt(folder / "fresh.csv", rows, delimiter=",", header="time,angle,torque", comments="",
-               fmt="%.7g", newline="\r\n")  # fmt: skip
+    np.savetxt(
+        folder / "fresh.csv",
+        rows,
+        delimiter=",",
+        header="time,angle,torque",
+        comments="",
+        fmt="%.7g",
+        newline="\r\n",
+    )
     card = folder / "dataset.toml"
     card.write_text(
         card.read_text().replace("validation = [", 'test = ["fresh.csv"]\nvalidation = [')

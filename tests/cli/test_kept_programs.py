@@ -21,8 +21,11 @@ def kept(place, **variables: str) -> list[str]:
     usual = {name: value for name, value in os.environ.items() if name not in names}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
-        env=usual | variables, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=usual | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     return [path.name for path in place.rglob("*") if path.name.endswith("-cache")]
 

@@ -73,10 +73,29 @@ def test_every_way_to_a_model_is_drawn_against_the_number_of_records(
 ):
     system, out = tmp_path / "small_pendulum.py", tmp_path / "curve"
     system.write_text(SYSTEM)
-    command = ("learning-curve", six, "--out", out, "--recipe", recipes.network, "--draws", 2,
-               "--system", system, "--hybrid", recipes.hybrid, "--physics", "best-grey",
-               "--twin", "identified", "--start", "derived-6", "--records", "2,4",
-               "--quiet")  # fmt: skip
+    command = (
+        "learning-curve",
+        six,
+        "--out",
+        out,
+        "--recipe",
+        recipes.network,
+        "--draws",
+        2,
+        "--system",
+        system,
+        "--hybrid",
+        recipes.hybrid,
+        "--physics",
+        "best-grey",
+        "--twin",
+        "identified",
+        "--start",
+        "derived-6",
+        "--records",
+        "2,4",
+        "--quiet",
+    )
     code, told, err = tustinnet(capsys, *command, "--json")
     assert code == 0, err
     curve = json.loads(told)
@@ -193,8 +212,11 @@ def test_records_of_two_devices_may_share_their_names(recipes):
 
 
 def curve_of(*draws) -> LearningCurve:
-    points = [LearningPoint("network", d, n, x, "") for d, of in enumerate(draws)
-              for n, x in zip((2, 4, 8), of, strict=True)]  # fmt: skip
+    points = [
+        LearningPoint("network", d, n, x, "")
+        for d, of in enumerate(draws)
+        for n, x in zip((2, 4, 8), of, strict=True)
+    ]
     return LearningCurve("rad", "file", (2, 4, 8), tuple(points), (3,) * len(draws))
 
 

@@ -105,8 +105,13 @@ def test_what_cannot_be_asked_is_one_line(place, run_folder, tmp_path, capsys):
     given = (place.model, place.proposals)
     table = place.proposals.parent / "driven.csv"
     table.write_text(table.read_text().replace("torque", "voltage"))
-    refuse(capsys, "columns voltage; expected the model's inputs: torque", *given,
-           "--system", place.system)  # fmt: skip
+    refuse(
+        capsys,
+        "columns voltage; expected the model's inputs: torque",
+        *given,
+        "--system",
+        place.system,
+    )
     table.write_text("torque,brake\n1,2\n1,2\n")
     refuse(capsys, "columns torque, brake; expected", *given, "--system", place.system)
     table.write_text("torque\n1\n2\n")
@@ -117,31 +122,55 @@ def test_what_cannot_be_asked_is_one_line(place, run_folder, tmp_path, capsys):
 
 
 ARM = Path(__file__).parents[2] / "examples" / "robots" / "scara.urdf"
-ROLL = (
-    "--within", "roll=-3:3", "--within", "roll_dot=-6:6", "--limits", "roll_torque=-2:2",
-)  # fmt: skip
+ROLL = ("--within", "roll=-3:3", "--within", "roll_dot=-6:6", "--limits", "roll_torque=-2:2")
 QUICK = ("--harmonics", 3, "--seconds", 4, "--starts", 1, "--budget", "2s")
 
 
 def test_a_motion_is_designed_for_the_file_of_a_robot(tmp_path, capsys):
     out = tmp_path / "motion"
     code, printed, progress = tustinnet(
-        capsys, "next-record", "--design", "--system", ARM, "--out", out, "--rate", 100, *ROLL,
-        *QUICK, "--margin", 0.2, "--noise", 0.05, "--seed", 3, "--within", "elbow_ddot=-8:8",
-    )  # fmt: skip
+        capsys,
+        "next-record",
+        "--design",
+        "--system",
+        ARM,
+        "--out",
+        out,
+        "--rate",
+        100,
+        *ROLL,
+        *QUICK,
+        "--margin",
+        0.2,
+        "--noise",
+        0.05,
+        "--seed",
+        3,
+        "--within",
+        "elbow_ddot=-8:8",
+    )
     assert code == 0, progress
     assert {path.name for path in out.iterdir()} == {"motion.csv", "motion.png", "design.json"}
     table = pl.read_csv(out / "motion.csv")
     joints, n = ["shoulder", "elbow", "lift", "roll"], 4 * 100 + 1
     assert table.columns == [
-        "time", *(name + end for name in joints for end in ("", "_dot", "_ddot")),
-        "shoulder_torque", "elbow_torque", "lift_force", "roll_torque",
-    ]  # fmt: skip
+        "time",
+        *(name + end for name in joints for end in ("", "_dot", "_ddot")),
+        "shoulder_torque",
+        "elbow_torque",
+        "lift_force",
+        "roll_torque",
+    ]
     assert len(table) == n
     for name, low, high in (
-        ("shoulder", -2.3, 2.3), ("lift", -0.2, 0.0), ("roll_dot", -6, 6), ("elbow_dot", -6, 6),
-        ("elbow_ddot", -8, 8), ("roll_torque", -2, 2), ("elbow_torque", -40, 40),
-    ):  # fmt: skip
+        ("shoulder", -2.3, 2.3),
+        ("lift", -0.2, 0.0),
+        ("roll_dot", -6, 6),
+        ("elbow_dot", -6, 6),
+        ("elbow_ddot", -8, 8),
+        ("roll_torque", -2, 2),
+        ("elbow_torque", -40, 40),
+    ):
         middle, half = (low + high) / 2, 0.8 * (high - low) / 2  # less the margin
         values = table[name].to_numpy()
         assert np.abs(values - middle).max() <= half * (1 + 1e-9), name
@@ -163,9 +192,26 @@ def test_a_motion_is_designed_for_the_file_of_a_robot(tmp_path, capsys):
 
 def test_a_design_adds_to_the_records_of_a_fit(place, tmp_path, capsys):
     out = tmp_path / "motion"
-    words = ["next-record", place.model, "--system", place.system, "--design", "--out", out,
-             "--within", "angle=-2:2", "--within", "angle_dot=-4:4", "--limits", "torque=-9:9",
-             "--frequency", 0.5, *QUICK, "--json", "--quiet"]  # fmt: skip
+    words = [
+        "next-record",
+        place.model,
+        "--system",
+        place.system,
+        "--design",
+        "--out",
+        out,
+        "--within",
+        "angle=-2:2",
+        "--within",
+        "angle_dot=-4:4",
+        "--limits",
+        "torque=-9:9",
+        "--frequency",
+        0.5,
+        *QUICK,
+        "--json",
+        "--quiet",
+    ]
     code, printed, err = tustinnet(capsys, *words)
     assert code == 0, err
     assert "start" not in err
@@ -202,8 +248,12 @@ def test_a_design_is_for_the_group_that_is_named(tmp_path, capsys):
 def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
     design = ("--design", "--out", tmp_path / "motion")
     robot = (*design, "--system", ARM)
-    refuse(capsys, "no limits of the position of 'roll'; expected limits of every position and "
-           "velocity; for instance --within roll=-1:1", *robot)  # fmt: skip
+    refuse(
+        capsys,
+        "no limits of the position of 'roll'; expected limits of every position and "
+        "velocity; for instance --within roll=-1:1",
+        *robot,
+    )
     refuse(capsys, "velocity of 'roll'", *robot, *ROLL[:2])
     refuse(capsys, "no limits of the input 'roll_torque' at 'roll'", *robot, *ROLL[:4])
     refuse(capsys, "no 'rol'; expected one of shoulder", *robot, "--within", "rol=-1:1")
@@ -236,16 +286,34 @@ def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_p
 @pytest.mark.parametrize(
     "option",
     [
-        ("--out", "motion"), ("--seconds", 5), ("--harmonics", 5), ("--frequency", 1),
-        ("--rate", 100), ("--within", "angle=-1:1"), ("--limits", "torque=-1:1"),
-        ("--margin", 0.1), ("--noise", 0.1), ("--group", "payload=1kg"), ("--starts", 2),
-        ("--seed", 1), ("--budget", "1s"), ("--overwrite",), ("--quiet",),
+        ("--out", "motion"),
+        ("--seconds", 5),
+        ("--harmonics", 5),
+        ("--frequency", 1),
+        ("--rate", 100),
+        ("--within", "angle=-1:1"),
+        ("--limits", "torque=-1:1"),
+        ("--margin", 0.1),
+        ("--noise", 0.1),
+        ("--group", "payload=1kg"),
+        ("--starts", 2),
+        ("--seed", 1),
+        ("--budget", "1s"),
+        ("--overwrite",),
+        ("--quiet",),
     ],
-)  # fmt: skip
+)
 def test_a_ranking_refuses_the_options_of_a_design(option, place, capsys):
     """Given to next-record with proposals."""
-    refuse(capsys, f"{option[0]}: not applicable to a ranking", place.model, place.proposals,
-           "--system", place.system, *option)  # fmt: skip
+    refuse(
+        capsys,
+        f"{option[0]}: not applicable to a ranking",
+        place.model,
+        place.proposals,
+        "--system",
+        place.system,
+        *option,
+    )
 
 
 def test_a_ranking_needs_a_model_and_proposals(place, capsys):

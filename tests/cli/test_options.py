@@ -114,27 +114,52 @@ def test_a_network_has_no_system(verb, model, folder, tmp_path, refused):
 
 def test_a_record_of_another_split_is_refused(model, folder, tmp_path, refused):
     refused(
-        "simulate", model, folder, "--out", tmp_path / "out", "--split", "train",
-        "--experiment", "fall3", names=("'fall3'", "fall1, fall2"),
-    )  # fmt: skip
+        "simulate",
+        model,
+        folder,
+        "--out",
+        tmp_path / "out",
+        "--split",
+        "train",
+        "--experiment",
+        "fall3",
+        names=("'fall3'", "fall1, fall2"),
+    )
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("system", [[], ["--system", "qube-servo2"]])
 def test_physics_without_a_correction_is_refused(system, folder, small_recipe, tmp_path, refused):
     refused(
-        "cross-validate", folder, "--recipe", small_recipe, "--physics", "grey", *system,
-        "--out", tmp_path / "out", names=("--physics", "'tustin-net'"),
-    )  # fmt: skip
+        "cross-validate",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--physics",
+        "grey",
+        *system,
+        "--out",
+        tmp_path / "out",
+        names=("--physics", "'tustin-net'"),
+    )
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("verb", ["fit", "cross-validate"])
 def test_an_identification_has_no_seeds(verb, folder, tmp_path, refused):
     refused(
-        verb, folder, "--recipe", "grey", "--system", "qube-servo2", "--out", tmp_path / "out",
-        "--seeds", 2, names=("--seeds",),
-    )  # fmt: skip
+        verb,
+        folder,
+        "--recipe",
+        "grey",
+        "--system",
+        "qube-servo2",
+        "--out",
+        tmp_path / "out",
+        "--seeds",
+        2,
+        names=("--seeds",),
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -77,9 +77,20 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
         ["fall3.png", "noise2.png"],
     ),
     "next-record": (
-        lambda p, out: ("next-record", "--design", "--system", "duffing", "--out", out,
-                        "--within", "deflection=-1:1", "--within", "deflection_dot=-1:1",
-                        "--limits", "voltage=-5:5"),
+        lambda p, out: (
+            "next-record",
+            "--design",
+            "--system",
+            "duffing",
+            "--out",
+            out,
+            "--within",
+            "deflection=-1:1",
+            "--within",
+            "deflection_dot=-1:1",
+            "--limits",
+            "voltage=-5:5",
+        ),
         ["motion.csv", "design.json"],
     ),
     "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
@@ -89,14 +100,21 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
     ),
     "demo": (
         lambda p, out: ("demo", "--out", out),
-        ["twin_table.md", "twin_table.json", "twin_report.html", "twin_records.png",
-         "twin/dataset.toml", "twin_choice/model.safetensors", "twin_fall_test1.png"],
+        [
+            "twin_table.md",
+            "twin_table.json",
+            "twin_report.html",
+            "twin_records.png",
+            "twin/dataset.toml",
+            "twin_choice/model.safetensors",
+            "twin_fall_test1.png",
+        ],
     ),
     "reproduce": (
         lambda p, out: ("reproduce", "--data", p.logs, "--out", out, "--models", "gru"),
         ["table1.json", "table1.md", "table1.tex", "report.html"],
     ),
-}  # fmt: skip
+}
 
 
 def test_no_verb_that_writes_is_left_out():
@@ -249,8 +267,16 @@ def test_a_drafted_card_replaces_none_of_other_records(place, refused, tmp_path)
 @pytest.mark.parametrize("option", ["--physics", "--from"])
 def test_a_run_is_not_written_over_the_model_that_it_is_made_from(option, place, refused):
     for out in (place.model.parent, place.model.parent.parent):
-        refused("fit", place.logs, option, place.model, "--out", out, "--overwrite",
-                names=f"which {option} names")  # fmt: skip
+        refused(
+            "fit",
+            place.logs,
+            option,
+            place.model,
+            "--out",
+            out,
+            "--overwrite",
+            names=f"which {option} names",
+        )
 
 
 def test_an_export_is_not_written_beside_the_model(place, refused):

@@ -50,8 +50,7 @@ def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, caps
 
 def test_a_system_with_links_draws_a_network(run_folder, folder, tmp_path, capsys, refused):
     drawn, page = tmp_path / "drawn.py", tmp_path / "report.html"
-    command = ("report", run_folder / "model.safetensors", folder, "--out", page,
-               "--system", drawn)  # fmt: skip
+    command = ("report", run_folder / "model.safetensors", folder, "--out", page, "--system", drawn)
     drawn.write_text(LINKED.format(name="elbow"))
     refused(*command, names="error: --system: 'drawn', which is the system of no model")
     drawn.write_text(LINKED.format(name="angle"))
@@ -83,8 +82,20 @@ def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refus
 
 def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811 (the fixture)
     page = tmp_path / "report.html"
-    command = ("report", place.banded, place.plain, place.logs, "--split", "validation",
-               "--start", "derived-6", "--system", place.system, "--out", page)  # fmt: skip
+    command = (
+        "report",
+        place.banded,
+        place.plain,
+        place.logs,
+        "--split",
+        "validation",
+        "--start",
+        "derived-6",
+        "--system",
+        place.system,
+        "--out",
+        page,
+    )
     code, _, err = tustinnet(capsys, *command)
     assert code == 0, err
     text, (record, _) = page.read_text(encoding="utf-8"), numbers_in(page)["records"]

@@ -118,12 +118,14 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "training, card": ("training", another_declaration, "another data (train.fall1, "),
     "selection, plan": ("selection", another_plan, "another plan (start)"),
     "selection, recipe": (
-        "selection", another_recipe, "another plan (candidates.1.recipe.stages.0.rate)",
+        "selection",
+        another_recipe,
+        "another plan (candidates.1.recipe.stages.0.rate)",
     ),
     "selection, record": ("selection", another_record, "another data (fall2)"),
     "selection, fewer": ("selection", fewer_records, "another data (fall2)"),
     "selection, system": ("selection", another_system, "another system"),
-}  # fmt: skip
+}
 
 
 def everything(root: Path) -> dict[str, bytes]:
@@ -173,10 +175,14 @@ def test_a_run_of_another_kind_is_refused(told, place, refused):
         for path in place.root.rglob("question.json"):
             path.unlink()
     recipe, plan = (place.root / name for name in ("small.toml", "plan.toml"))
-    refused(*place.fit("selection", "--recipe", recipe, "--resume"),
-            names="holds a selection by a plan, not a run of a recipe")  # fmt: skip
-    refused(*place.fit("training", "--plan", plan, "--resume"),
-            names="holds a run of a recipe, not a selection by a plan")  # fmt: skip
+    refused(
+        *place.fit("selection", "--recipe", recipe, "--resume"),
+        names="holds a selection by a plan, not a run of a recipe",
+    )
+    refused(
+        *place.fit("training", "--plan", plan, "--resume"),
+        names="holds a run of a recipe, not a selection by a plan",
+    )
     refused(*place.fit("grey", "--plan", plan, "--resume"), names="holds a run of a recipe, not")
     refused(*place.fit("grey", "--recipe", recipe, "--resume"), names="another recipe (")
 

@@ -44,8 +44,9 @@ def logs(tmp_path_factory) -> Path:
     system = tn.load_system(ROBOT)
     for e in record_in_loop(system, true_values(system, 2), count=3, seconds=3.0):
         table = np.column_stack([e.q, e.u])
-        np.savetxt(folder / f"{e.name}.csv", table, delimiter=",", header="slide,pole,force",
-                   comments="")  # fmt: skip
+        np.savetxt(
+            folder / f"{e.name}.csv", table, delimiter=",", header="slide,pole,force", comments=""
+        )
     (folder / "dataset.toml").write_text(CARD)
     return folder
 
@@ -85,10 +86,23 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     # a search by simulation begins with it
     more = tmp_path / "more"
     code, out, err = tustinnet(
-        capsys, "fit", logs, "--recipe", "grey", "--system", robot, "--out", more,
-        "--from", run / "model.safetensors", "--set", "search.horizon=0.5",
-        "--set", "search.iterations=1", "--no-report",
-    )  # fmt: skip
+        capsys,
+        "fit",
+        logs,
+        "--recipe",
+        "grey",
+        "--system",
+        robot,
+        "--out",
+        more,
+        "--from",
+        run / "model.safetensors",
+        "--set",
+        "search.horizon=0.5",
+        "--set",
+        "search.iterations=1",
+        "--no-report",
+    )
     assert code == 0, err
     assert (more / "model.safetensors").exists()
 
@@ -109,9 +123,17 @@ def test_a_python_file_with_options_is_kept_with_its_robot(logs, tmp_path, capsy
     monkeypatch.chdir(tmp_path)
     (code_file.parent / "cart.xml").unlink()
     code, out, err = tustinnet(
-        capsys, "evaluate", run / "model.safetensors", logs, "--split", "validation", "--horizon",
-        "0.25", "--system", run / "system.py",
-    )  # fmt: skip
+        capsys,
+        "evaluate",
+        run / "model.safetensors",
+        logs,
+        "--split",
+        "validation",
+        "--horizon",
+        "0.25",
+        "--system",
+        run / "system.py",
+    )
     assert code == 0, err
     assert "run2" in out
     # code is run where it was run before, or is named

@@ -21,9 +21,12 @@ COMMAND = [sys.executable, "-c", "from tustinnet.cli.entry import run; run()"]
 
 def start(*arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [*COMMAND, *map(str, arguments)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        [*COMMAND, *map(str, arguments)],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
         env={**os.environ, "JAX_PLATFORMS": "cpu"},
-    )  # fmt: skip
+    )
 
 
 def wait_for(log: Path, size: int) -> None:
@@ -138,6 +141,8 @@ def test_ctrl_c_while_modules_load_is_one_line(tmp_path):
     process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=60)
     # the last lines are what was asked for, should the machine be that fast
-    assert told in ("interrupted\n", f"error: {tmp_path}/none.safetensors: no such file; "
-                    "expected a model file (.safetensors)\n")  # fmt: skip
+    assert told in (
+        "interrupted\n",
+        f"error: {tmp_path}/none.safetensors: no such file; expected a model file (.safetensors)\n",
+    )
     assert process.returncode in (130, 1)

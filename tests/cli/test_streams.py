@@ -13,8 +13,10 @@ def run(arguments, shell_tail="", **variables):
     command = " ".join([sys.executable, "-m", "tustinnet", *map(str, arguments), shell_tail])
     return subprocess.run(
         ["bash", "-o", "pipefail", "-c", command],
-        capture_output=True, check=False, env={**os.environ, **variables},
-    )  # fmt: skip
+        capture_output=True,
+        check=False,
+        env={**os.environ, **variables},
+    )
 
 
 @pytest.fixture

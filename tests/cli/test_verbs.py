@@ -40,9 +40,22 @@ def test_help_names_every_verb_and_loads_no_jax():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     for verb in (
-        "demo", "inspect", "fit", "cross-validate", "learning-curve", "next-record", "simulate",
-        "evaluate", "compare", "residuals", "committee", "export", "show", "report", "reproduce",
-    ):  # fmt: skip
+        "demo",
+        "inspect",
+        "fit",
+        "cross-validate",
+        "learning-curve",
+        "next-record",
+        "simulate",
+        "evaluate",
+        "compare",
+        "residuals",
+        "committee",
+        "export",
+        "show",
+        "report",
+        "reproduce",
+    ):
         assert f"\n  {verb} " in done.stdout
 
 
@@ -113,10 +126,22 @@ def test_fit_reports_the_spread_of_several_seeds_and_keeps_model_and_figures(
 
 def test_fit_takes_seeds_by_name_and_changes_of_the_recipe(folder, small_recipe, tmp_path, capsys):
     code, out, _ = tustinnet(
-        capsys, "fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run",
-        "--seeds", "4,7", "--set", "stages.*.epochs=1", "--set", "description=quick",
-        "--json", "--quiet",
-    )  # fmt: skip
+        capsys,
+        "fit",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--out",
+        tmp_path / "run",
+        "--seeds",
+        "4,7",
+        "--set",
+        "stages.*.epochs=1",
+        "--set",
+        "description=quick",
+        "--json",
+        "--quiet",
+    )
     assert code == 0
     told = json.loads(out)
     assert [(s["seed"], s["epochs"]) for s in told["seeds"]] == [(4, [1, 1]), (7, [1, 1])]
@@ -127,9 +152,17 @@ def test_fit_takes_seeds_by_name_and_changes_of_the_recipe(folder, small_recipe,
 def test_fit_resumes_a_finished_run(model, folder, small_recipe, capsys):
     before = model.read_bytes()
     code, out, _ = tustinnet(
-        capsys, "fit", folder, "--recipe", small_recipe, "--out", model.parent, "--resume",
-        "--seeds", 2,
-    )  # fmt: skip
+        capsys,
+        "fit",
+        folder,
+        "--recipe",
+        small_recipe,
+        "--out",
+        model.parent,
+        "--resume",
+        "--seeds",
+        2,
+    )
     assert code == 0
     assert "finished" in out
     assert model.read_bytes() == before
@@ -264,9 +297,10 @@ def test_verbs_leave_out_what_a_fit_leaves_out(folder, model, tmp_path, capsys):
     (folder / "noise9.csv").write_text("\n".join(noise[:5]) + "\n")
     card = folder / "dataset.toml"
     card.write_text(
-        card.read_text().replace('"fall3.csv"', '"fall[39].csv"').replace(
-            '"noise2.csv"', '"noise[29].csv"')
-    )  # fmt: skip
+        card.read_text()
+        .replace('"fall3.csv"', '"fall[39].csv"')
+        .replace('"noise2.csv"', '"noise[29].csv"')
+    )
     for verb in (
         ("evaluate", model, folder, "--start", "derived-6"),
         ("residuals", model, folder, "--start", "derived-6"),
@@ -352,9 +386,18 @@ def test_evaluate_prints_the_scores_with_their_start(model, folder, capsys):
 
 def test_evaluate_as_json_with_steps_ahead_and_figures(model, folder, tmp_path, capsys):
     code, out, _ = tustinnet(
-        capsys, "evaluate", model, folder, "--split", "all", "--json", "--ahead", 20,
-        "--figures", tmp_path / "f",
-    )  # fmt: skip
+        capsys,
+        "evaluate",
+        model,
+        folder,
+        "--split",
+        "all",
+        "--json",
+        "--ahead",
+        20,
+        "--figures",
+        tmp_path / "f",
+    )
     assert code == 0
     told = json.loads(out)
     assert len(told["experiments"]) == 5

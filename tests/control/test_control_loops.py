@@ -99,9 +99,15 @@ def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
         model, np.zeros(4), np.zeros(1), deviations=deviations, limits={"voltage": (-10.0, 10.0)}
     )
     plan = tn.control.ilqr(
-        model, hanging, np.zeros(4), 250, deviations=deviations, limits=limits,
-        within={"theta": (-1.8, 1.8)}, guesses=3,
-    )  # fmt: skip
+        model,
+        hanging,
+        np.zeros(4),
+        250,
+        deviations=deviations,
+        limits=limits,
+        within={"theta": (-1.8, 1.8)},
+        guesses=3,
+    )
     assert plan.reached
     tracking = tn.control.time_varying_lqr(model, plan, feedback, deviations=deviations)
     controller = tn.control.TrackingFeedback(tracking)
@@ -186,10 +192,19 @@ def test_friction_is_multiplied_whatever_its_parameters():
 def estimates() -> dict[str, object]:
     """An identification of two parameters, as a model file has it."""
     rows = [
-        {"name": name, "unit": "", "value": TWIN_VALUES[name], "error": 0.02 * TWIN_VALUES[name],
-         "naive_error": None, "interval": None, "lower": 0.0, "upper": 1.0, "bound": ""}
+        {
+            "name": name,
+            "unit": "",
+            "value": TWIN_VALUES[name],
+            "error": 0.02 * TWIN_VALUES[name],
+            "naive_error": None,
+            "interval": None,
+            "lower": 0.0,
+            "upper": 1.0,
+            "bound": "",
+        }
         for name in ("arm_mass", "pendulum_centre")
-    ]  # fmt: skip
+    ]
     return {"identification": {"estimates": rows, "correlation": [[1.0, 0.5], [0.5, 1.0]]}}
 
 
@@ -197,9 +212,17 @@ def test_a_table_says_over_which_variants_a_controller_works():
     model = grey_box()
     kinds = make_variants(model, NOISE, estimates(), count=3)
     assert [kind.name for kind in kinds] == [
-        "nominal", "parameters", "moved 10 %", "moved 20 %", "friction", "heavier", "delay 1",
-        "delay 2", "noise", "disturbance",
-    ]  # fmt: skip
+        "nominal",
+        "parameters",
+        "moved 10 %",
+        "moved 20 %",
+        "friction",
+        "heavier",
+        "delay 1",
+        "delay 2",
+        "noise",
+        "disturbance",
+    ]
     estimator = ExtendedKalmanFilter(model, NOISE)
     starts = draw_starts([0.0, 0.0], [0.2, 0.1], 3)
     robustness = assess_robustness(kinds, Regulator(model), estimator, starts, UPRIGHT, 250)

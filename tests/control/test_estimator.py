@@ -26,9 +26,13 @@ def quantised(name: str, u: np.ndarray, **values: float) -> tn.Experiment:
     """A run of the swing as an encoder reads it, which declares its counts."""
     record = simulated(name, [0.3, 0.0], u, {"gravity": 1.5, "gain": 0.15, **values})
     return tn.from_arrays(
-        np.round(record.q / COUNT) * COUNT, u[:, None], dt=DT, name=name,
-        coordinates=(tn.Coordinate("angle", "angular", COUNT),), inputs=SWING.inputs,
-    )  # fmt: skip
+        np.round(record.q / COUNT) * COUNT,
+        u[:, None],
+        dt=DT,
+        name=name,
+        coordinates=(tn.Coordinate("angle", "angular", COUNT),),
+        inputs=SWING.inputs,
+    )
 
 
 @pytest.mark.parametrize("name", ["qube memory", "network taps", "hybrid lag", "gru", "linear"])

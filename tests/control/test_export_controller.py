@@ -34,8 +34,14 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 
 COUNT = 2 * np.pi / 2048
 STRICT = [
-    "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror",
-]  # fmt: skip
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Werror",
+]
 SOURCES = ["main.c", "controller.c", "estimator.c", "model.c"]
 DEVIATIONS = {"theta": 1.0, "alpha": 0.3, "der_theta": 10.0, "der_alpha": 10.0, "voltage": 5.0}
 COST = {"deviations": DEVIATIONS, "within": {"theta": (-0.5, 0.4)}}
@@ -91,9 +97,14 @@ def swing_up() -> Tracking:
     """A motion from hanging that begins again after a fall, integrals at its end, commands late."""
     model, hanging = pendulum(), np.array([0.0, np.pi, 0.0, 0.0])
     plan = tn.control.ilqr(
-        model, hanging, UPRIGHT, 200, deviations=DEVIATIONS, limits={"voltage": (-8.0, 8.0)},
+        model,
+        hanging,
+        UPRIGHT,
+        200,
+        deviations=DEVIATIONS,
+        limits={"voltage": (-8.0, 8.0)},
         delay=1,
-    )  # fmt: skip
+    )
     settle = tn.control.lqr(model, hanging, np.zeros(1), deviations=DEVIATIONS, delay=1)
     tracking = tn.control.time_varying_lqr(
         model, plan, balance(1), deviations=DEVIATIONS, settle=settle
@@ -174,8 +185,10 @@ def test_compilers_have_nothing_to_say_of_it(name, precision, exported):
     folder, _ = exported(name)
     done = subprocess.run(
         ["gcc", *STRICT, "-fsyntax-only", precision, *SOURCES],
-        cwd=folder, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -198,9 +211,12 @@ def test_the_program_runs_the_loop_of_python(tmp_path):
     export_controller(model, controller, noise(model), tmp_path, start=START)
     rows = run_main(tmp_path)
     expected = closed_loop(
-        ModelPlant(model), TrackingFeedback(controller), ExtendedKalmanFilter(model, noise(model)),
-        len(rows), START[:2],
-    )  # fmt: skip
+        ModelPlant(model),
+        TrackingFeedback(controller),
+        ExtendedKalmanFilter(model, noise(model)),
+        len(rows),
+        START[:2],
+    )
     assert len(rows) * model.dt > 3
     np.testing.assert_allclose(rows[:, 0], model.dt * np.arange(len(rows)))
     columns = [expected.states[:-1], expected.estimates[:-1], expected.inputs]
@@ -371,9 +387,12 @@ def test_nothing_that_changes_is_kept_outside_of_its_structures(exported):
     subprocess.run(["gcc", "-std=c99", "-c", "-O2", *sources], cwd=folder, check=True)
     for source in sources:
         told = subprocess.run(
-            ["nm", source.replace(".c", ".o")], cwd=folder, capture_output=True, text=True,
+            ["nm", source.replace(".c", ".o")],
+            cwd=folder,
+            capture_output=True,
+            text=True,
             check=True,
-        ).stdout  # fmt: skip
+        ).stdout
         lines = [line.split() for line in told.splitlines()]
         assert {words[-2] for words in lines} <= {"T", "t", "r", "U"}
         assert not {"malloc", "calloc", "free"} & {words[-1] for words in lines}
@@ -586,9 +605,11 @@ def test_a_plan_that_leads_nowhere_is_not_exported(change, told, tmp_path):
 def test_a_loop_that_diverges_is_not_exported(tmp_path):
     cart = example("cart")
     mad = replace(
-        some_feedback(cart), gain=np.full((1, 4), -1e6), lower=np.full(1, -1e12),
+        some_feedback(cart),
+        gain=np.full((1, 4), -1e6),
+        lower=np.full(1, -1e12),
         upper=np.full(1, 1e12),
-    )  # fmt: skip
+    )
     with pytest.raises(tn.InputError, match="closed loop diverges after"):
         export_controller(cart, mad, noise(cart), tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -21,11 +21,15 @@ def quadratic_cost(n_x, n_u, n_z=None):
     generator = np.random.default_rng(1)
     end = generator.normal(size=(n_z or n_x, n_z or n_x))
     return Cost(
-        x=generator.normal(size=n_x), u=generator.normal(size=n_u) / 5,
-        states=generator.uniform(0.5, 2, n_x), inputs=generator.uniform(0.1, 0.5, n_u),
-        end=end @ end.T, lower=np.full(n_x, -np.inf), upper=np.full(n_x, np.inf),
+        x=generator.normal(size=n_x),
+        u=generator.normal(size=n_u) / 5,
+        states=generator.uniform(0.5, 2, n_x),
+        inputs=generator.uniform(0.1, 0.5, n_u),
+        end=end @ end.T,
+        lower=np.full(n_x, -np.inf),
+        upper=np.full(n_x, np.inf),
         penalty=np.zeros(n_x),
-    )  # fmt: skip
+    )
 
 
 def least_squares(model, cost, start, steps, limits):
@@ -40,14 +44,22 @@ def least_squares(model, cost, start, steps, limits):
     root = np.sqrt(cost.states)
     end = np.linalg.cholesky(cost.end).T
     free = np.stack([p @ start for p in powers]) - cost.x
-    rows = [*(root[:, None] * response[k] for k in range(steps)), end @ response[-1],
-            np.diag(np.tile(np.sqrt(cost.inputs), steps))]  # fmt: skip
-    right = [*(root * free[k] for k in range(steps)), end @ free[-1],
-             -np.tile(np.sqrt(cost.inputs) * cost.u, steps)]  # fmt: skip
+    rows = [
+        *(root[:, None] * response[k] for k in range(steps)),
+        end @ response[-1],
+        np.diag(np.tile(np.sqrt(cost.inputs), steps)),
+    ]
+    right = [
+        *(root * free[k] for k in range(steps)),
+        end @ free[-1],
+        -np.tile(np.sqrt(cost.inputs) * cost.u, steps),
+    ]
     found = scipy.optimize.lsq_linear(
-        np.concatenate(rows), -np.concatenate(right), [np.tile(side, steps) for side in limits],
+        np.concatenate(rows),
+        -np.concatenate(right),
+        [np.tile(side, steps) for side in limits],
         tol=1e-14,
-    )  # fmt: skip
+    )
     return found.x.reshape(steps, n_u), found.cost
 
 
@@ -85,9 +97,11 @@ def test_policies_of_machine_code_are_those_of_numpy(monkeypatch):
     motion = solver.begin(np.ones(4), np.zeros((12, 2)))
     derivatives = solver.system.derivatives(motion.z[:-1], motion.u)
     arguments = (
-        derivatives, cost.expand(motion.z, motion.u),
-        (limits.lower - motion.u, limits.upper - motion.u), np.full(2, 1e-3),
-    )  # fmt: skip
+        derivatives,
+        cost.expand(motion.z, motion.u),
+        (limits.lower - motion.u, limits.upper - motion.u),
+        np.full(2, 1e-3),
+    )
     compiled = backward_pass(*arguments)
     monkeypatch.setattr("tustinnet.control.riccati._MOST_COMPILED", 0)
     for found, expected in zip(backward_pass(*arguments), compiled, strict=True):

@@ -41,8 +41,10 @@ def test_gains_are_those_of_scipy_and_python_control(machine):
     deviations = dict(zip(names, np.linspace(0.1, 1.0, n_x), strict=True))
     deviations |= {i.name: 0.5 + j for j, i in enumerate(model.inputs)}
     found = lqr(model, np.zeros(n_x), np.zeros(n_u), deviations=deviations).gain
-    q, r = (np.diag(1 / np.array(list(deviations.values())[part]) ** 2)
-            for part in (slice(0, n_x), slice(n_x, None)))  # fmt: skip
+    q, r = (
+        np.diag(1 / np.array(list(deviations.values())[part]) ** 2)
+        for part in (slice(0, n_x), slice(n_x, None))
+    )
     value = scipy.linalg.solve_discrete_are(model.a, model.b, q, r)
     expected = np.linalg.solve(r + model.b.T @ value @ model.b, model.b.T @ value @ model.a)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
@@ -94,8 +96,9 @@ def test_a_sample_of_delay_is_accounted_for():
     expected = np.linalg.solve(np.eye(1) / 0.09 + b.T @ value @ b, b.T @ value @ a)
     np.testing.assert_allclose(feedback.gain, expected, rtol=1e-6)
     # where the model's input is late, nothing need be said
-    late = lqr(double_integrator(50.0, delay=0.1), np.zeros(2), np.zeros(1),
-               deviations={"force": 0.3})  # fmt: skip
+    late = lqr(
+        double_integrator(50.0, delay=0.1), np.zeros(2), np.zeros(1), deviations={"force": 0.3}
+    )
     np.testing.assert_allclose(late.gain, expected, rtol=1e-6)
     # half a period: half of the latest and half of the command before
     half = lqr(double_integrator(50.0, delay=0.05), np.zeros(2), np.zeros(1))

@@ -15,8 +15,11 @@ from tustinnet.data.file_inspection import inspect_file
 from tustinnet.data.readers import read_columns
 
 FILES = [
-    ("log.bag", ros1_bag), ("log.db3", ros2_bag), ("log.mcap", ros2_bag), ("json.mcap", mcap_file),
-]  # fmt: skip
+    ("log.bag", ros1_bag),
+    ("log.db3", ros2_bag),
+    ("log.mcap", ros2_bag),
+    ("json.mcap", mcap_file),
+]
 
 
 @pytest.mark.parametrize(("name", "write"), FILES)
@@ -25,9 +28,14 @@ def test_numbers_of_topics_are_columns(
 ) -> None:
     columns = read_columns(write(tmp_path / name))
     assert {
-        "joint_states/time", "joint_states/position/elbow", "joint_states/position/shoulder",
-        "joint_states/effort/elbow", "command/time", "command/data[0]", "command/data[1]",
-    } <= {*columns.names}  # fmt: skip
+        "joint_states/time",
+        "joint_states/position/elbow",
+        "joint_states/position/shoulder",
+        "joint_states/effort/elbow",
+        "command/time",
+        "command/data[0]",
+        "command/data[1]",
+    } <= {*columns.names}
     # by the stamps in the headers, not those of reception 3 ms later
     begin = columns["joint_states/time"][0]
     np.testing.assert_allclose(columns["joint_states/time"] - begin, ANGLE_TIMES, atol=1e-9)
@@ -46,9 +54,12 @@ def test_topics_are_brought_onto_the_times_of_the_coordinate(
 ) -> None:
     write(tmp_path / name)
     (tmp_path / "dataset.toml").write_text(
-        CARD.format(time="joint_states/time", position="joint_states/position/elbow",
-                    command="command/data[0]")
-    )  # fmt: skip
+        CARD.format(
+            time="joint_states/time",
+            position="joint_states/position/elbow",
+            command="command/data[0]",
+        )
+    )
     (record,) = tn.load(tmp_path)
     begin = len(ANGLE_TIMES) - len(record)
     assert begin == 6  # the first command comes at 0.055 s
@@ -106,8 +117,12 @@ def test_joints_of_several_publishers_have_times_of_their_own(tmp_path: Path) ->
         for k in range(80):
             joints = ["a", "b"] if k % 4 else ["grip"]
             stamp = 5 if k == 7 else k  # two messages of one time: the later one counts
-            message = {"name": joints, "position": [k + j for j in range(len(joints))],
-                       "wide": [0] * 100, "goal": {"x": k, "on": True}}  # fmt: skip
+            message = {
+                "name": joints,
+                "position": [k + j for j in range(len(joints))],
+                "wide": [0] * 100,
+                "goal": {"x": k, "on": True},
+            }
             writer.add_message(channel, stamp * 10**7, json.dumps(message).encode(), stamp * 10**7)
         writer.finish()
     columns = read_columns(tmp_path / "log.mcap")

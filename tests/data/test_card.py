@@ -34,36 +34,42 @@ def cart(**keys: Any) -> CoordinateCard:
         ({"input": []}, "input", "did you mean 'inputs'"),
         (
             {"coordinates": [{**ANGLE, "resoluton": 1}]},
-            "coordinates.0.resoluton", "did you mean 'resolution'",
+            "coordinates.0.resoluton",
+            "did you mean 'resolution'",
         ),
         (
             {"time": {"column": "t", "tolerence": 0.1}},
-            "time.tolerence", "did you mean 'tolerance'",
+            "time.tolerence",
+            "did you mean 'tolerance'",
         ),
         (
             {"splits": {"train": ["a.csv", {"file": "b.csv", "row": [0, 9]}]}},
-            "splits.train.1.row", "did you mean 'rows'",
+            "splits.train.1.row",
+            "did you mean 'rows'",
         ),
         (
             {"coordinates": [{**ANGLE, "velocity": {"column": "v", "mesured": True}}]},
-            "coordinates.0.velocity.mesured", "did you mean 'measured'",
+            "coordinates.0.velocity.mesured",
+            "did you mean 'measured'",
         ),
         ({"format": {"delimeter": ";"}}, "format.delimeter", "did you mean 'delimiter'"),
         (
             {"splits": {"train": ["a.csv"], "valid": ["b.csv"]}},
-            "splits.valid", "did you mean 'validation'",
+            "splits.valid",
+            "did you mean 'validation'",
         ),
         ({"splits": {"trian": ["a.csv"]}}, "splits.trian", "did you mean 'train'"),
         # keys that are required
         (
             {"coordinates": [{"name": "angle", "kind": "angular", "colunm": "a"}]},
-            "coordinates.0.colunm", "did you mean 'column'",
+            "coordinates.0.colunm",
+            "did you mean 'column'",
         ),
         ({"splits": {"train": [{"flie": "b.csv"}]}}, "splits.train.0.flie", "did you mean 'file'"),
         # far from all
         ({"time": {"column": "t", "zzz": 1}}, "time.zzz", "known keys: assumed, column, irregular"),
     ],
-)  # fmt: skip
+)
 def test_an_unknown_key_is_refused_with_the_nearest_known_one(
     changes: dict[str, Any], key: str, hint: str
 ) -> None:
@@ -219,11 +225,20 @@ def test_velocities_are_converted_to_si(coordinate: Any, unit: str, factor: floa
 @pytest.mark.parametrize(
     ("unit", "factor", "name"),
     [
-        ("mV", 1e-3, "V"), ("V", 1.0, "V"), ("mA", 1e-3, "A"), ("K", 1.0, "K"), ("1", 1.0, "1"),
-        ("%", 1e-2, "1"), ("inch", 0.0254, "m"), ("km", 1e3, "m"), ("psi", 6894.757, "Pa"),
-        ("mN*m", 1e-3, "m*N"), ("mm/s", 1e-3, "m/s"), ("delta_degC", 1.0, "K"),
+        ("mV", 1e-3, "V"),
+        ("V", 1.0, "V"),
+        ("mA", 1e-3, "A"),
+        ("K", 1.0, "K"),
+        ("1", 1.0, "1"),
+        ("%", 1e-2, "1"),
+        ("inch", 0.0254, "m"),
+        ("km", 1e3, "m"),
+        ("psi", 6894.757, "Pa"),
+        ("mN*m", 1e-3, "m*N"),
+        ("mm/s", 1e-3, "m/s"),
+        ("delta_degC", 1.0, "K"),
     ],
-)  # fmt: skip
+)
 def test_a_linear_coordinate_in_any_unit_is_in_si(unit: str, factor: float, name: str) -> None:
     card = cart(unit=unit, velocity=VelocityCard(column="v"))
     assert card.factor() == pytest.approx(factor)
@@ -235,8 +250,10 @@ def test_a_linear_coordinate_in_any_unit_is_in_si(unit: str, factor: float, name
 def test_any_angle_and_any_velocity_of_a_unit_are_converted() -> None:
     of = angle(unit="arcmin", velocity=VelocityCard(column="v", unit="turn/min"))
     assert (of.factor(), of.velocity_factor(), of.coordinate().unit) == (
-        pytest.approx(np.pi / 180 / 60), pytest.approx(2 * np.pi / 60), "rad",
-    )  # fmt: skip
+        pytest.approx(np.pi / 180 / 60),
+        pytest.approx(2 * np.pi / 60),
+        "rad",
+    )
     km = cart(velocity=VelocityCard(column="v", unit="km/h"))
     assert km.velocity_factor() == pytest.approx(1 / 3.6)
     volts = cart(unit="mV", velocity=VelocityCard(column="v", unit="mV/ms"))
@@ -298,19 +315,38 @@ def test_sign_scale_and_offset_apply_in_the_columns_unit() -> None:
     card = {
         **CARD,
         "coordinates": [
-            {**ANGLE, "unit": "deg", "sign": -1, "offset": 90.0,
-             "velocity": {"column": "v", "unit": "rpm"}},
-            {"name": "cart", "kind": "linear", "column": "x", "unit": "counts",
-             "resolution": 1e-4, "offset": 500.0, "velocity": {"column": "w", "unit": "mm/s"}},
+            {
+                **ANGLE,
+                "unit": "deg",
+                "sign": -1,
+                "offset": 90.0,
+                "velocity": {"column": "v", "unit": "rpm"},
+            },
+            {
+                "name": "cart",
+                "kind": "linear",
+                "column": "x",
+                "unit": "counts",
+                "resolution": 1e-4,
+                "offset": 500.0,
+                "velocity": {"column": "w", "unit": "mm/s"},
+            },
         ],
         "inputs": [
             {"name": "u", "column": "u", "unit": "V", "scale": 0.5, "sign": -1, "offset": 2.0}
         ],
-    }  # fmt: skip
+    }
     import pandas as pd
 
-    frame = pd.DataFrame({"a": [90.0, 0, 180], "v": [60.0, 0, -30], "x": [500, 600, 0],
-                          "w": [1000.0, 0, 1], "u": [2.0, 4.0, 0.0]})  # fmt: skip
+    frame = pd.DataFrame(
+        {
+            "a": [90.0, 0, 180],
+            "v": [60.0, 0, -30],
+            "x": [500, 600, 0],
+            "w": [1000.0, 0, 1],
+            "u": [2.0, 4.0, 0.0],
+        }
+    )
     e = tn.from_frame(frame, card)
     np.testing.assert_allclose(e.q, [[0, 0], [np.pi / 2, 0.01], [-np.pi / 2, -0.05]], atol=1e-12)
     assert e.v is not None

@@ -306,14 +306,34 @@ def test_the_measured_data_is_the_published_one(
     train, validation = data.split("train"), data.split("validation")
     assert [e.name for e in train] == [
         *(f"fall{k}" for k in range(1, 11)),
-        "wN_2V_1", "wN_2_5V_1", "wN_3V_1", "wN_3_5V_1", "wN_4V_1",
-    ]  # fmt: skip
+        "wN_2V_1",
+        "wN_2_5V_1",
+        "wN_3V_1",
+        "wN_3_5V_1",
+        "wN_4V_1",
+    ]
     assert [e.name for e in validation] == [
-        *(f"fallVal{k}" for k in range(1, 5)), "wN_2_5V_val", "wN_3_5V_val",
-    ]  # fmt: skip
+        *(f"fallVal{k}" for k in range(1, 5)),
+        "wN_2_5V_val",
+        "wN_3_5V_val",
+    ]
     assert [len(e) for e in train] == [
-        786, 785, 779, 745, 732, 799, 775, 752, 760, 716, 1499, 1500, 1500, 1499, 1500,
-    ]  # fmt: skip
+        786,
+        785,
+        779,
+        745,
+        732,
+        799,
+        775,
+        752,
+        760,
+        716,
+        1499,
+        1500,
+        1500,
+        1499,
+        1500,
+    ]
     assert all(e.sha256 == QUBE_SERVO2.checksums()[e.source] for e in data)
     assert [e.forced for e in data] == [not e.name.startswith("fall") for e in data]
 

@@ -34,10 +34,17 @@ def lists(path: Path) -> Path:
 
 
 WRITERS: dict[str, Callable[[Path], Path]] = {
-    "log.bag": ros1_bag, "log.db3": ros2_bag, "log.mcap": mcap_file, "log.ulg": ulog_file,
-    "log.mf4": mdf_file, "log.mdf": mdf_file, "log.tdms": tdms_file, "log.h5": hdf5_file,
-    "log.xlsx": excel, "file-000.parquet": lists,
-}  # fmt: skip
+    "log.bag": ros1_bag,
+    "log.db3": ros2_bag,
+    "log.mcap": mcap_file,
+    "log.ulg": ulog_file,
+    "log.mf4": mdf_file,
+    "log.mdf": mdf_file,
+    "log.tdms": tdms_file,
+    "log.h5": hdf5_file,
+    "log.xlsx": excel,
+    "file-000.parquet": lists,
+}
 
 
 def attempt(path: Path) -> str:
@@ -97,10 +104,14 @@ def huge_ulog(path: Path) -> None:
     head = b"ULog\x01\x12\x35\x01" + bytes(8)
     subscription = struct.pack("<BH", 0, 0) + b"arm"
     path.write_bytes(
-        head + struct.pack("<HB", len(text), ord("F")) + text
-        + struct.pack("<HB", len(subscription), ord("A")) + subscription
-        + struct.pack("<HB", 14, ord("D")) + bytes(14)
-    )  # fmt: skip
+        head
+        + struct.pack("<HB", len(text), ord("F"))
+        + text
+        + struct.pack("<HB", len(subscription), ord("A"))
+        + subscription
+        + struct.pack("<HB", 14, ord("D"))
+        + bytes(14)
+    )
 
 
 def huge_mcap(path: Path) -> None:
@@ -170,10 +181,14 @@ def bomb(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "write"),
     [
-        ("log.ulg", huge_ulog), ("log.mcap", huge_mcap), ("log.tdms", huge_tdms),
-        ("log.db3", huge_sequence), ("log.mcap", deep_json), ("log.xlsx", bomb),
+        ("log.ulg", huge_ulog),
+        ("log.mcap", huge_mcap),
+        ("log.tdms", huge_tdms),
+        ("log.db3", huge_sequence),
+        ("log.mcap", deep_json),
+        ("log.xlsx", bomb),
     ],
-)  # fmt: skip
+)
 def test_sizes_that_are_declared_are_not_believed(
     tmp_path: Path, name: str, write: Callable[[Path], None]
 ) -> None:

@@ -243,9 +243,7 @@ def test_too_few_names_for_the_columns_are_refused() -> None:
 
 def test_groups_stay_with_a_record_and_are_checked():
     made = {"payload": "1kg", "day": "monday"}
-    e = tn.from_arrays(
-        np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, groups=made
-    )  # fmt: skip
+    e = tn.from_arrays(np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, groups=made)
     assert e.groups == (("day", "monday"), ("payload", "1kg"))
     for part in (e[5:20], e.resample(0.02), e.trim(0.1), *e.exclude(10, 20)):
         assert part.groups == e.groups

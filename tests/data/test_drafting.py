@@ -42,12 +42,15 @@ def turning(turn: float) -> list[np.ndarray]:
 
 
 UNSAID = {
-    "counts": (4096.0, {"unit": "counts", "counts_per_revolution": 4096},
-               ["counts_per_revolution"]),
+    "counts": (
+        4096.0,
+        {"unit": "counts", "counts_per_revolution": 4096},
+        ["counts_per_revolution"],
+    ),
     "turns": (1.0, {"unit": "rev"}, ["unit"]),
     "volts": (5.0, {"unit": "rev", "scale": 0.2}, ["unit", "scale"]),
     "radians": (2 * np.pi, {"unit": "rad"}, None),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", UNSAID)
@@ -107,8 +110,14 @@ def test_other_quantities_on_a_circle_are_no_angle(names: str, tmp_path: Path) -
     for k in range(2):
         angle = (3 + k) * np.sin(1.1 * t)
         table = np.column_stack([t, np.cos(angle), np.sin(angle), angle, np.cos(7 * t)])
-        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header=f"t,{names},phi_rad,torque",
-                   comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv",
+            table,
+            "%.8g",
+            ",",
+            header=f"t,{names},phi_rad,torque",
+            comments="",
+        )
     assert "sine" not in draft_card(tmp_path, ["r0.csv", "r1.csv"]).text
 
 
@@ -117,8 +126,9 @@ def test_of_proportional_inputs_the_one_that_moves_first_stays(tmp_path: Path) -
     for k in range(2):
         volts = np.repeat(np.random.default_rng(k).uniform(-3, 3, 16), 50)
         table = np.column_stack([t, np.sin(2 * t + k), 0.4 * volts, volts])
-        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header="t,phi_rad,i_A,u_V",
-                   comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv", table, "%.8g", ",", header="t,phi_rad,i_A,u_V", comments=""
+        )
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     assert [i.column for i in found.choice.inputs] == ["u_V"]
     assert "proportional to the input 'u_V'" in found.choice.unused["i_A"]
@@ -130,8 +140,14 @@ def test_an_element_of_a_vector_is_no_length(stem: str, tmp_path: Path) -> None:
     for k in range(2):
         columns = [t, np.sin(2 * t + k), np.cos(3 * t) * np.sin(t), np.cos(7 * t)]
         header = ",".join(["t", stem.format(1), stem.format(2), "torque"])
-        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack(columns), "%.8g", ",", header=header,
-                   comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv",
+            np.column_stack(columns),
+            "%.8g",
+            ",",
+            header=header,
+            comments="",
+        )
     card = draft(tmp_path)
     assert [c["kind"] for c in card["coordinates"]] == ["angular", "angular"]
 
@@ -141,8 +157,14 @@ def test_axes_in_which_nothing_moves_are_left_out(tmp_path: Path) -> None:
     for k in range(2):
         noise = rng.normal(0, 0.1, (2, 900))
         table = np.column_stack([t, 30 * np.sin(2 * t + k), *noise, np.cos(7 * t)])
-        np.savetxt(tmp_path / f"r{k}.csv", table, "%.6g", ",",
-                   header="t,yaw_deg,pitch_deg,roll_deg,motor_V", comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv",
+            table,
+            "%.6g",
+            ",",
+            header="t,yaw_deg,pitch_deg,roll_deg,motor_V",
+            comments="",
+        )
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     assert [c.column for c in found.choice.coordinates] == ["yaw_deg"]
     assert "only noise, beside 'yaw_deg'" in found.choice.unused["roll_deg"]
@@ -151,9 +173,14 @@ def test_axes_in_which_nothing_moves_are_left_out(tmp_path: Path) -> None:
 def test_a_draft_takes_the_period_from_the_lines_above_the_table(tmp_path: Path) -> None:
     t = 0.004 * np.arange(900)
     for k in range(2):
-        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([np.sin(2 * t + k), np.cos(7 * t)]),
-                   "%.6g", ",", header="Sample rate: 250 Hz\nangle_rad,motor_V",
-                   comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv",
+            np.column_stack([np.sin(2 * t + k), np.cos(7 * t)]),
+            "%.6g",
+            ",",
+            header="Sample rate: 250 Hz\nangle_rad,motor_V",
+            comments="",
+        )
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     card = tomllib.loads(found.text)
     assert (card["dt"], card.get("assumed"), found.questions) == (0.004, None, ())
@@ -164,8 +191,14 @@ def test_a_velocity_in_raw_units_is_left_out(tmp_path: Path) -> None:
     for k in range(2):
         q = np.round(900 * np.sin(2 * t + k))
         raw = np.round(0.0639 * np.gradient(q, t))
-        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([t, q, raw, np.cos(7 * t)]), "%.6g", ",",
-                   header="t,present_position,present_velocity,goal_pwm", comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv",
+            np.column_stack([t, q, raw, np.cos(7 * t)]),
+            "%.6g",
+            ",",
+            header="t,present_position,present_velocity,goal_pwm",
+            comments="",
+        )
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     assert [c.velocity for c in found.choice.coordinates] == [None]
     assert "in a unit that nothing says" in found.choice.unused["present_velocity"]
@@ -176,11 +209,15 @@ def test_velocities_say_the_period_of_files_without_times(names: str, tmp_path: 
     t = 0.025 * np.arange(900)
     for k in range(2):
         q = 2 * np.sin(2 * t + k) + np.sin(t)
-        columns = {"cos_q,sin_q,qdot": [np.cos(q), np.sin(q)], "q,dq": [q],
-                   "q_deg,dq_rad_s": [np.degrees(q)]}[names]  # fmt: skip
+        columns = {
+            "cos_q,sin_q,qdot": [np.cos(q), np.sin(q)],
+            "q,dq": [q],
+            "q_deg,dq_rad_s": [np.degrees(q)],
+        }[names]
         table = np.column_stack([*columns, np.gradient(q, t), np.cos(7 * t)])
-        np.savetxt(tmp_path / f"r{k}.csv", table, "%.7g", ",", header=f"{names},torque_Nm",
-                   comments="")  # fmt: skip
+        np.savetxt(
+            tmp_path / f"r{k}.csv", table, "%.7g", ",", header=f"{names},torque_Nm", comments=""
+        )
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     card = tomllib.loads(found.text)
     assert (card["dt"], card.get("assumed")) == (0.025, None)
@@ -191,22 +228,52 @@ def test_velocities_say_the_period_of_files_without_times(names: str, tmp_path: 
 
 
 NAMES = [
-    "t", "time", "a", "x", "q1", "dq1", "u", "I", "pos [mm]", "n_ist [1/min]", "soll", "Flag",
-    "index", "episode_index", "theta", "thetadot", "K [°C]", "1", "", "p/bar", "tau_cmd", '"q"',
-    "ä", "a.b.c", "[x]", "/", "_deg", "v_m",
-]  # fmt: skip
+    "t",
+    "time",
+    "a",
+    "x",
+    "q1",
+    "dq1",
+    "u",
+    "I",
+    "pos [mm]",
+    "n_ist [1/min]",
+    "soll",
+    "Flag",
+    "index",
+    "episode_index",
+    "theta",
+    "thetadot",
+    "K [°C]",
+    "1",
+    "",
+    "p/bar",
+    "tau_cmd",
+    '"q"',
+    "ä",
+    "a.b.c",
+    "[x]",
+    "/",
+    "_deg",
+    "v_m",
+]
 
 
 def any_columns(rng: np.random.Generator, samples: int) -> dict[str, np.ndarray]:
     """Columns of any names and numbers, most of which make no sense."""
     k = np.arange(samples)
     courses = [
-        0.01 * k, 0.0 * k, rng.normal(size=samples), rng.normal(size=samples).cumsum(),
-        np.round(10 * rng.normal(size=samples).cumsum()), 1e9 * k + 1.7e18,
-        rng.integers(0, 2, samples).astype(float), 1e99 * rng.normal(size=samples),
+        0.01 * k,
+        0.0 * k,
+        rng.normal(size=samples),
+        rng.normal(size=samples).cumsum(),
+        np.round(10 * rng.normal(size=samples).cumsum()),
+        1e9 * k + 1.7e18,
+        rng.integers(0, 2, samples).astype(float),
+        1e99 * rng.normal(size=samples),
         np.where(rng.random(samples) < 0.1, np.nan, 0.1 * k),
         np.repeat(rng.normal(size=samples), 9),
-    ]  # fmt: skip
+    ]
     names = rng.choice(NAMES, rng.integers(1, 9), replace=False)
     return {str(name): courses[rng.integers(len(courses))][:samples] for name in names}
 

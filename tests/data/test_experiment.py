@@ -246,9 +246,13 @@ def test_resampling_keeps_the_impulse_of_a_held_input() -> None:
 def test_resampling_interpolates_a_first_order_held_input_and_velocities() -> None:
     t = np.arange(50) * DT
     e = tn.from_arrays(
-        np.sin(t), 3 * t, v=2 * t, dt=DT, coordinates={"angle": "angular"},
+        np.sin(t),
+        3 * t,
+        v=2 * t,
+        dt=DT,
+        coordinates={"angle": "angular"},
         inputs=[tn.Input("force", "N", "first-order")],
-    )  # fmt: skip
+    )
     fine = e.resample(DT / 3)
     np.testing.assert_allclose(fine.u[:, 0], 3 * fine.t, atol=1e-12)
     assert fine.v is not None
@@ -281,18 +285,24 @@ def test_resampling_to_a_period_that_does_not_fit_is_refused(dt: float) -> None:
 def test_a_zero_order_hold_applies_the_sample_and_a_first_order_hold_the_mean() -> None:
     u = np.array([[1.0, 1.0], [3.0, 3.0], [0.0, 0.0]])
     e = tn.from_arrays(
-        [1.0, 2, 3], u, dt=DT, coordinates={"angle": "angular"},
+        [1.0, 2, 3],
+        u,
+        dt=DT,
+        coordinates={"angle": "angular"},
         inputs=[tn.Input("held", "V"), tn.Input("ramp", "V", "first-order")],
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(e.held_inputs, [[1.0, 2.0], [3.0, 1.5]])
 
 
 def test_a_period_has_a_slope_where_an_input_follows_a_straight_line() -> None:
     u = np.array([[1.0, 1.0], [3.0, 3.0], [0.0, 0.0]])
     e = tn.from_arrays(
-        [1.0, 2, 3], u, dt=DT, coordinates={"angle": "angular"},
+        [1.0, 2, 3],
+        u,
+        dt=DT,
+        coordinates={"angle": "angular"},
         inputs=[tn.Input("held", "V"), tn.Input("ramp", "V", "first-order")],
-    )  # fmt: skip
+    )
     pieces = e.excitation().pieces
     np.testing.assert_array_equal(pieces, [[[1, 1], [0, 2]], [[3, 3], [0, -3]]])
 

@@ -23,10 +23,15 @@ NOISE = np.random.default_rng(1).normal(size=N)
 def log(path: Path) -> Path:
     pl.DataFrame(
         {
-            "time [ms]": 1000 * T, "arm": COUNTS, "rate": RATE, "a": LEVELS, "b": NOISE,
-            "gain": np.ones(N), "state": ["on"] * N,
+            "time [ms]": 1000 * T,
+            "arm": COUNTS,
+            "rate": RATE,
+            "a": LEVELS,
+            "b": NOISE,
+            "gain": np.ones(N),
+            "state": ["on"] * N,
         }
-    ).write_csv(path)  # fmt: skip
+    ).write_csv(path)
     return path
 
 
@@ -34,9 +39,14 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     found = inspect_file(log(tmp_path / "run 1.csv"))
     roles = {c.name: c.role for c in found.columns}
     assert roles == {
-        "time [ms]": "time", "arm": "position", "rate": "velocity", "a": "input", "b": "input",
-        "gain": "constant", "state": "no numbers",
-    }  # fmt: skip
+        "time [ms]": "time",
+        "arm": "position",
+        "rate": "velocity",
+        "a": "input",
+        "b": "input",
+        "gain": "constant",
+        "state": "no numbers",
+    }
     assert (found.rows, found.time_unit) == (N, "ms")
     assert found.dt == pytest.approx(0.01)
     assert found.jitter == pytest.approx(0, abs=1e-9)
@@ -50,38 +60,66 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
 BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}
 # columns; of each coordinate name, column, unit and velocity column; of each input name and unit
 DRAFTS = [
-    (BELT, [("motor", "motor_cnt", "counts", None), ("carriage", "carriage_mm", "mm", None)],
-     [("voltage", "V")]),
+    (
+        BELT,
+        [("motor", "motor_cnt", "counts", None), ("carriage", "carriage_mm", "mm", None)],
+        [("voltage", "V")],
+    ),
     # a unit says more than words or values
-    ({"motor_deg": LEVELS, "pos_um": NOISE, "encoder_ticks1": ANGLE},
-     [("motor", "motor_deg", "deg", None), ("pos", "pos_um", "um", None),
-      ("encoder", "encoder_ticks1", "counts", None)], []),
+    (
+        {"motor_deg": LEVELS, "pos_um": NOISE, "encoder_ticks1": ANGLE},
+        [
+            ("motor", "motor_deg", "deg", None),
+            ("pos", "pos_um", "um", None),
+            ("encoder", "encoder_ticks1", "counts", None),
+        ],
+        [],
+    ),
     # of a voltage, forces and a current the voltage moves first
-    ({"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS, "coil_a": RATE, "b_volt": COUNTS},
-     [("x", "x", "m", None)], [("b", "V")]),
-    ({"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS}, [("x", "x", "m", None)],
-     [("lift", "N"), ("hub", "N m")]),
-    ({"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
-     [("slide", "slide [cm]", "cm", None), ("motorCnt_1", "motorCnt 1", "counts", None)],
-     [("drive", "mV")]),
+    (
+        {"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS, "coil_a": RATE, "b_volt": COUNTS},
+        [("x", "x", "m", None)],
+        [("b", "V")],
+    ),
+    (
+        {"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS},
+        [("x", "x", "m", None)],
+        [("lift", "N"), ("hub", "N m")],
+    ),
+    (
+        {"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
+        [("slide", "slide [cm]", "cm", None), ("motorCnt_1", "motorCnt 1", "counts", None)],
+        [("drive", "mV")],
+    ),
     # channels of one name keep their units
-    ({"motor_rad": ANGLE, "motor_v": ANGLE}, [("motor_rad", "motor_rad", "rad", None)],
-     [("motor_v", "V")]),
+    (
+        {"motor_rad": ANGLE, "motor_v": ANGLE},
+        [("motor_rad", "motor_rad", "rad", None)],
+        [("motor_v", "V")],
+    ),
     # a command has the unit of what it commands
-    ({"setpoint_mm": ANGLE, "slide_mm": ANGLE}, [("slide", "slide_mm", "mm", None)],
-     [("setpoint", "mm")]),
+    (
+        {"setpoint_mm": ANGLE, "slide_mm": ANGLE},
+        [("slide", "slide_mm", "mm", None)],
+        [("setpoint", "mm")],
+    ),
     # motors have encoders; what counts in equal steps is measured, unless it is named as a drive
     ({"motor": COUNTS, "torque": ANGLE}, [("motor", "motor", "counts", None)], [("torque", "N m")]),
     ({"motor": ANGLE, "x": ANGLE}, [("x", "x", "m", None)], [("motor", "1")]),
-    ({"pwm": COUNTS, "encoder_a": COUNTS}, [("encoder_a", "encoder_a", "counts", None)],
-     [("pwm", "1")]),
+    (
+        {"pwm": COUNTS, "encoder_a": COUNTS},
+        [("encoder_a", "encoder_a", "counts", None)],
+        [("pwm", "1")],
+    ),
     # a slope, unless the unit says that it is something else; velocities of all coordinates or none
-    ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE},
-     [("arm", "arm_rad", "rad", "gyro_deg_per_s")], []),
-    ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE, "tip_deg": RATE},
-     [("arm", "arm_rad", "rad", None), ("tip", "tip_deg", "deg", None)], []),
+    ({"arm_rad": ANGLE, "gyro_deg_per_s": RATE}, [("arm", "arm_rad", "rad", "gyro_deg_per_s")], []),
+    (
+        {"arm_rad": ANGLE, "gyro_deg_per_s": RATE, "tip_deg": RATE},
+        [("arm", "arm_rad", "rad", None), ("tip", "tip_deg", "deg", None)],
+        [],
+    ),
     ({"cart_m": ANGLE, "speed_rad_s": RATE, "w": RATE}, [("cart", "cart_m", "m", "w")], []),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("columns", "coordinates", "inputs"), DRAFTS)

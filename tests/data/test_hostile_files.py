@@ -147,10 +147,12 @@ def mdf_with(folder: Path, conversion: Any, version: str) -> Path:
     path = folder / ("log.mf4" if version >= "4" else "log.mdf")
     with MDF(version=version) as file:
         file.append(
-            [Signal(np.sin(t), t, name="angle", unit="rad"),
-             Signal(raw, t, name="u", unit="V", conversion=conversion)],
+            [
+                Signal(np.sin(t), t, name="angle", unit="rad"),
+                Signal(raw, t, name="u", unit="V", conversion=conversion),
+            ],
             acq_name="motion",
-        )  # fmt: skip
+        )
         file.save(path, overwrite=True)
     return path
 
@@ -194,11 +196,25 @@ def test_formulas_behind_other_conversions_and_of_times_are_not_evaluated(tmp_pa
 CONVERSIONS = {
     "line": {"a": 0.5, "b": -3.0},
     "fraction": {"P1": 0.1, "P2": 2.0, "P3": 1.0, "P4": 0.0, "P5": 0.3, "P6": 4.0},
-    "interpolated": {"raw_0": 0, "raw_1": 50, "raw_2": 80, "phys_0": 1.0, "phys_1": 3.0,
-                     "phys_2": -1.0, "interpolation": True},
-    "nearest": {"raw_0": 0, "raw_1": 50, "raw_2": 80, "phys_0": 1.0, "phys_1": 3.0,
-                "phys_2": -1.0, "interpolation": False},
-}  # fmt: skip
+    "interpolated": {
+        "raw_0": 0,
+        "raw_1": 50,
+        "raw_2": 80,
+        "phys_0": 1.0,
+        "phys_1": 3.0,
+        "phys_2": -1.0,
+        "interpolation": True,
+    },
+    "nearest": {
+        "raw_0": 0,
+        "raw_1": 50,
+        "raw_2": 80,
+        "phys_0": 1.0,
+        "phys_1": 3.0,
+        "phys_2": -1.0,
+        "interpolation": False,
+    },
+}
 
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
@@ -233,8 +249,15 @@ def test_names_of_values_leave_the_other_values_to_their_conversion(tmp_path: Pa
 
 def test_ranges_of_integers_have_both_ends(tmp_path: Path) -> None:
     """As the format says (ASAM MDF 4.1, section 6.17.7); the library leaves the lower ones out."""
-    ranges = {"lower_0": 0, "upper_0": 10, "phys_0": 2.5, "lower_1": 20, "upper_1": 40,
-              "phys_1": 7.5, "default": -1.0}  # fmt: skip
+    ranges = {
+        "lower_0": 0,
+        "upper_0": 10,
+        "phys_0": 2.5,
+        "lower_1": 20,
+        "upper_1": 40,
+        "phys_1": 7.5,
+        "default": -1.0,
+    }
     columns = read_columns(mdf_with(tmp_path, ranges, "4.10"))
     expected = [2.5] * 11 + [-1.0] * 9 + [7.5] * 21 + [-1.0] * 59
     assert columns["motion/u"].tolist() == expected
@@ -319,8 +342,15 @@ def test_hostile_names_make_a_card_of_exactly_these_names(
     text, columns = "", None
     with suppress(InputError):
         columns = read_columns(file)
-        said = [*columns.names, *columns.others, *columns.others.values(), *columns.units.values(),
-                *columns.labels.values(), *columns.notes, *columns.parts]  # fmt: skip
+        said = [
+            *columns.names,
+            *columns.others,
+            *columns.others.values(),
+            *columns.units.values(),
+            *columns.labels.values(),
+            *columns.notes,
+            *columns.parts,
+        ]
         assert all(map(is_plain, said)), said
         text = draft_card(folder, [file.relative_to(folder).as_posix()]).text
     if not text or columns is None:  # refused by a line
@@ -328,7 +358,10 @@ def test_hostile_names_make_a_card_of_exactly_these_names(
     assert is_plain(text.replace("\n", ""))
     card = tomllib.loads(text)
     assert {*card} <= {"name", "dt", "assumed", "time", "coordinates", "inputs", "splits", "format"}
-    used = [card.get("time", {}).get("column"), *(c["column"] for c in card.get("coordinates", ())),
-            *(i["column"] for i in card.get("inputs", ()))]  # fmt: skip
+    used = [
+        card.get("time", {}).get("column"),
+        *(c["column"] for c in card.get("coordinates", ())),
+        *(i["column"] for i in card.get("inputs", ())),
+    ]
     for key in used:
         assert key is None or isinstance(key, int) or key in columns.names

@@ -35,10 +35,13 @@ def record(
     limits: tuple[float, float] | None = None,
 ) -> tn.Experiment:
     return tn.from_arrays(
-        q, u, v=v, dt=DT,
+        q,
+        u,
+        v=v,
+        dt=DT,
         coordinates=[tn.Coordinate("angle", "angular", resolution)],
         inputs=[] if u is None else [tn.Input("torque", "N m", limits=limits)],
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.real

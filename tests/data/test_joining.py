@@ -60,8 +60,14 @@ def test_an_input_of_another_file_is_held_at_the_times_of_the_positions(
     join: str, shift: float, factor: float, tmp_path: Path
 ) -> None:
     folder_with(tmp_path, join)
-    np.savetxt(tmp_path / "mot.csv", np.column_stack([(T[::50] + shift) * factor, VOLTS[::50]]),
-               "%.17g", ",", header="s,volts", comments="")  # fmt: skip
+    np.savetxt(
+        tmp_path / "mot.csv",
+        np.column_stack([(T[::50] + shift) * factor, VOLTS[::50]]),
+        "%.17g",
+        ",",
+        header="s,volts",
+        comments="",
+    )
     (record,) = tn.load(tmp_path)
     np.testing.assert_allclose(record.u[:, 0], VOLTS, rtol=1e-8)
     np.testing.assert_allclose(record.q[:, 0], np.radians(ANGLE), atol=1e-6)
@@ -121,8 +127,14 @@ def test_a_draft_joins_the_files_of_a_record(case: str, tmp_path: Path) -> None:
             (first, "t_s,angle_deg", [t, ANGLE * k]),
             (second, "time_s,U_V", [t[::50] + shift, np.roll(VOLTS[::50], k)]),
         ):
-            np.savetxt(tmp_path / path.format(k), np.column_stack(columns), "%.15g", ",",
-                       header=header, comments="")  # fmt: skip
+            np.savetxt(
+                tmp_path / path.format(k),
+                np.column_stack(columns),
+                "%.15g",
+                ",",
+                header=header,
+                comments="",
+            )
     files = sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.*"))
     draft = draft_card(tmp_path, files)
     (tmp_path / "dataset.toml").write_text(draft.text)

@@ -91,12 +91,15 @@ def test_instances_of_a_topic_are_numbered(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "module", "extra"),
     [
-        ("log.ulg", "pyulog", "ulog"), ("log.mf4", "asammdf", "mdf"),
+        ("log.ulg", "pyulog", "ulog"),
+        ("log.mf4", "asammdf", "mdf"),
         ("log.tdms", "nptdms", "tdms"),
-        ("log.bag", "rosbags", "ros"), ("log.db3", "rosbags", "ros"), ("log.mcap", "mcap", "mcap"),
+        ("log.bag", "rosbags", "ros"),
+        ("log.db3", "rosbags", "ros"),
+        ("log.mcap", "mcap", "mcap"),
         ("log.xlsx", "fastexcel", "excel"),
     ],
-)  # fmt: skip
+)
 def test_a_library_that_is_absent_is_named_with_its_pip_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str, extra: str
 ) -> None:
@@ -191,9 +194,13 @@ def test_episodes_of_a_lerobot_data_set_are_records(tmp_path: Path, version: str
     files = lerobot_data_set(tmp_path, version)
     columns = read_columns(files[0])
     assert {
-        "observation.state.shoulder.pos", "observation.state.elbow.pos", "action.shoulder.pos",
-        "observation.effort[0]", "observation.effort[1]", "timestamp",
-    } <= {*columns.names}  # fmt: skip
+        "observation.state.shoulder.pos",
+        "observation.state.elbow.pos",
+        "action.shoulder.pos",
+        "observation.effort[0]",
+        "observation.effort[1]",
+        "timestamp",
+    } <= {*columns.names}
     assert columns.notes == ("a LeRobot data set, 50 frames a second",)
     (tmp_path / "dataset.toml").write_text(LEROBOT)
     data = tn.load(tmp_path)

@@ -72,11 +72,15 @@ def test_records_of_two_periods_are_refused_with_what_to_write(tmp_path) -> None
 @pytest.mark.parametrize(
     ("clock", "scale", "remedy"),
     [
-        ("time", 1, r"samples 0\.01 s apart: add `dt = 0\.01`, or \[time\] with "
-                    r'`column = "time"`$'),
+        (
+            "time",
+            1,
+            r"samples 0\.01 s apart: add `dt = 0\.01`, or \[time\] with "
+            r'`column = "time"`$',
+        ),
         ("t_ms", 1e3, r'`dt = 0\.01`, or \[time\] with `column = "t_ms"` and `unit = "ms"`$'),
     ],
-)  # fmt: skip
+)
 def test_a_card_without_a_period_is_refused_with_the_line_to_add(
     tmp_path, clock, scale, remedy
 ) -> None:
@@ -142,10 +146,17 @@ def test_records_that_cannot_be_used_are_left_out_where_others_remain(tmp_path: 
         "inputs": [{"name": "u", "unit": "V", "column": "logs.torque"}],
     }
     for splits, keys, omitted in (
-        ({"train": ["run*.csv"]}, {}, ["run2.csv, row 2, angle: nan (40 such)",
-                                       "run3.csv: the file is empty", "run4.csv: nothing moves"]),
+        (
+            {"train": ["run*.csv"]},
+            {},
+            [
+                "run2.csv, row 2, angle: nan (40 such)",
+                "run3.csv: the file is empty",
+                "run4.csv: nothing moves",
+            ],
+        ),
         ({"train": ["logs.mat"]}, columns, ["logs.mat, cell 1, sample 0"]),
-    ):  # fmt: skip
+    ):
         messages: list[str] = []
         data = load_folder(tmp_path, card(splits=splits, **keys), on_message=messages.append)
         assert len(data) == 1
@@ -307,9 +318,11 @@ def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("0.5,1\n0.6,2\n0.8,3\n")
     e = one(
-        path, format={"header": False},
-        coordinates=[{**ANGLE, "column": 1}], inputs=[{**TORQUE, "column": 2}],
-    )  # fmt: skip
+        path,
+        format={"header": False},
+        coordinates=[{**ANGLE, "column": 1}],
+        inputs=[{**TORQUE, "column": 2}],
+    )
     np.testing.assert_array_equal(e.q[:, 0], [0.5, 0.6, 0.8])
     np.testing.assert_array_equal(e.u[:, 0], [1, 2, 3])
 
@@ -387,69 +400,94 @@ CART = {"name": "cart", "kind": "linear", "column": "x"}
     [
         # columns
         (
-            {}, {}, {"coordinates": [{**ANGLE, "column": "phi"}]},
+            {},
+            {},
+            {"coordinates": [{**ANGLE, "column": "phi"}]},
             r"log\.csv: no column 'phi'; expected one of: time, angle, torque",
         ),
         (
-            {}, {}, {"coordinates": [{**ANGLE, "column": 4}]},
+            {},
+            {},
+            {"coordinates": [{**ANGLE, "column": 4}]},
             "3 columns; expected a column 4 .*from 1",
         ),
         (
-            {}, {}, {"format": {"columns": 6}},
+            {},
+            {},
+            {"format": {"columns": 6}},
             r"log\.csv: 3 columns; expected 6 as in the card",
         ),
         ({}, {"cell": 3}, {}, r"log\.csv: no cell or struct arrays; .*a cell 3"),
         (
-            {"speed": TIMES, "x": TIMES}, {}, {"coordinates": [WITH_SPEED, CART]},
+            {"speed": TIMES, "x": TIMES},
+            {},
+            {"coordinates": [WITH_SPEED, CART]},
             "no velocity column for 'cart'",
         ),
         # numbers
         *(
             (
-                {"angle": at(13, value, at(20, value))}, {}, {},
+                {"angle": at(13, value, at(20, value))},
+                {},
+                {},
                 rf"log\.csv, row 15, angle: {value} \(2 such\)",
             )
             for value in (np.nan, np.inf)
         ),
         (
-            {"angle": at(13, 1e200)}, {"rows": [10, 30]}, {},
+            {"angle": at(13, 1e200)},
+            {"rows": [10, 30]},
+            {},
             r"row 15, angle: 1e\+200 .*at most 1e\+100",
         ),
         ({"angle": np.full(40, 0.3)}, {}, {}, r"nothing moves \(angle\)"),
         # parts
         ({}, {"rows": [10, 41]}, {}, "rows 10..41; expected a range within 0..40"),
         (
-            {}, {"seconds": [0.1, 0.5]}, timed(),
+            {},
+            {"seconds": [0.1, 0.5]},
+            timed(),
             r"log\.csv: seconds 0\.1\.\.0\.5; .* the 0\.39 s that the file",
         ),
         ({}, {"seconds": [3, 4]}, timed(), r"log\.csv: seconds 3\.\.4; .*0\.39 s"),
         ({}, {"seconds": [0.2, 0.1]}, timed(), r"splits\.train\.0\.seconds: .*then a later one"),
         ({}, {"seconds": [-1, 0.1]}, timed(), r"splits\.train\.0\.seconds"),
         (
-            {}, {"seconds": [0, 1], "rows": [0, 9]}, timed(),
+            {},
+            {"seconds": [0, 1], "rows": [0, 9]},
+            timed(),
             r"`rows` and `seconds` of 'log\.csv'; give one",
         ),
         ({}, {"seconds": [0.101, 0.102]}, timed(), r"log\.csv: 0 samples; expected at least 2"),
         # times
         (
-            {"time": GAP}, {}, timed(),
+            {"time": GAP},
+            {},
+            timed(),
             r'log\.csv, row 22: interval of 0\.06 s before sample 20 .*within 5%.*"resample"',
         ),
         (
-            {"time": 2 * TIMES}, {}, timed(irregular="keep"),
+            {"time": 2 * TIMES},
+            {},
+            timed(irregular="keep"),
             r"samples 0\.02 s apart; expected 0\.01",
         ),
         (
-            {"time": at(20, TIMES[19], TIMES)}, {}, timed(irregular="keep"),
+            {"time": at(20, TIMES[19], TIMES)},
+            {},
+            timed(irregular="keep"),
             r"log\.csv, row 22, column time: time 0\.19 s repeats 0\.19",
         ),
         (
-            {"time": at(20, TIMES[10], TIMES)}, {}, timed(irregular="keep"),
+            {"time": at(20, TIMES[10], TIMES)},
+            {},
+            timed(irregular="keep"),
             r"log\.csv, row 22, column time: time 0\.1 s goes back from 0\.19",
         ),
         *(
             (
-                {"time": TIMES + wild * np.maximum(np.arange(40) - 29, 0)}, {"rows": [5, 31]},
+                {"time": TIMES + wild * np.maximum(np.arange(40) - 29, 0)},
+                {"rows": [5, 31]},
                 timed(irregular="resample"),
                 r"log\.csv, row 32: a grid of 0\.01 s makes .* of 26",
             )
@@ -457,16 +495,19 @@ CART = {"name": "cart", "kind": "linear", "column": "x"}
         ),
         *(
             (
-                {"time": np.arange(40) * interval}, {}, {**timed(), **period},
+                {"time": np.arange(40) * interval},
+                {},
+                {**timed(), **period},
                 rf"samples .* s apart.*{message}",
             )
             for interval in (1e-320, 1e-12, 1e12)
             for period, message in (
-                ({"dt": None}, "1e-09 to 10000 s"), ({}, r"0\.01 s as in the card"),
+                ({"dt": None}, "1e-09 to 10000 s"),
+                ({}, r"0\.01 s as in the card"),
             )
         ),
     ],
-)  # fmt: skip
+)
 def test_a_log_that_does_not_fit_the_card_is_refused(
     tmp_path: Path,
     columns: dict[str, Any],
@@ -483,20 +524,23 @@ def test_a_log_that_does_not_fit_the_card_is_refused(
     ("files", "changes", "message"),
     [
         (
-            {"a.csv": DT}, {"splits": {"train": ["a.csv", "b.csv"]}},
+            {"a.csv": DT},
+            {"splits": {"train": ["a.csv", "b.csv"]}},
             r"b\.csv: no such file \(1 of the card's train",
         ),
         ({}, {"splits": {"train": ["run*.csv"]}}, r"run\*\.csv: no such file"),
         (
-            {}, {"splits": {"train": ["a.csv"]}, "optional_splits": ["train"]},
+            {},
+            {"splits": {"train": ["a.csv"]}, "optional_splits": ["train"]},
             r"none of the files of the card 'toy'.*a\.csv",
         ),
         (
-            {"a.csv": DT, "b.csv": 0.02}, {"splits": {"train": ["*.csv"]}, "dt": None, **timed()},
+            {"a.csv": DT, "b.csv": 0.02},
+            {"splits": {"train": ["*.csv"]}, "dt": None, **timed()},
             r"'b': samples 0\.02 s apart; .* 0\.01 s as in other .*add `dt = 0\.01`",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_folder_that_does_not_fit_the_card_is_refused(
     tmp_path: Path, files: dict[str, float], changes: dict[str, Any], message: str
 ) -> None:
@@ -713,9 +757,11 @@ def cells(path: Path, count: int = 3) -> Path:
 
 def cell_card(*entries: Any, column: str = "logs.angle") -> Card:
     return card(
-        coordinates=[{**ANGLE, "column": column}], inputs=[{**TORQUE, "column": "logs.torque"}],
-        splits={"train": list(entries)}, time={"column": "logs.time"},
-    )  # fmt: skip
+        coordinates=[{**ANGLE, "column": column}],
+        inputs=[{**TORQUE, "column": "logs.torque"}],
+        splits={"train": list(entries)},
+        time={"column": "logs.time"},
+    )
 
 
 def test_each_cell_of_a_mat_file_is_a_record(tmp_path: Path) -> None:

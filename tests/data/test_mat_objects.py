@@ -30,9 +30,11 @@ def timeseries(t: np.ndarray | None, data: np.ndarray, name: str = "arm", unit: 
 
     info = {"Start_": 0.0, "Increment_": 0.01, "Length": float(len(data)), "Units": "seconds"}
     properties = {
-        "Data_": data[:, None], "Time_": np.zeros((0, 0)) if t is None else t[:, None],
-        "TimeInfo": MatlabOpaque(properties=info, classname="tsdata.timemetadata"), "Name": name,
-    }  # fmt: skip
+        "Data_": data[:, None],
+        "Time_": np.zeros((0, 0)) if t is None else t[:, None],
+        "TimeInfo": MatlabOpaque(properties=info, classname="tsdata.timemetadata"),
+        "Name": name,
+    }
     if unit is not None:
         about = MatlabOpaque(properties={"Units": unit}, classname="tsdata.datametadata")
         properties["DataInfo"] = about
@@ -46,10 +48,12 @@ def objects_file(path: Path, version: str) -> Path:
     index = pd.Index(pd.to_timedelta(T, unit="s").astype("timedelta64[us]"), name="Time")
     table = pd.DataFrame({"q": ANGLE, "u": 2 * ANGLE}, index=index)
     content = {
-        "plain": ANGLE[:, None], "even": timeseries(None, ANGLE),
-        "uneven": timeseries(COMMAND_T, COMMAND), "log": {"inner": timeseries(T, ANGLE)},
+        "plain": ANGLE[:, None],
+        "even": timeseries(None, ANGLE),
+        "uneven": timeseries(COMMAND_T, COMMAND),
+        "log": {"inner": timeseries(T, ANGLE)},
         "tt": table,
-    }  # fmt: skip
+    }
     with warnings.catch_warnings(action="ignore"):
         matio.save_to_mat(str(path), content, version=version)
     return path
@@ -59,10 +63,17 @@ def objects_file(path: Path, version: str) -> Path:
 def test_timeseries_and_timetables_are_columns_with_times(tmp_path: Path, version: str) -> None:
     columns = read_columns(objects_file(tmp_path / "log.mat", version))
     expected = {
-        "plain": ANGLE, "even.Time": T, "even.Data": ANGLE, "uneven.Time": COMMAND_T,
-        "uneven.Data": COMMAND, "log.inner.Time": T, "log.inner.Data": ANGLE, "tt.Time": T,
-        "tt.q": ANGLE, "tt.u": 2 * ANGLE,
-    }  # fmt: skip
+        "plain": ANGLE,
+        "even.Time": T,
+        "even.Data": ANGLE,
+        "uneven.Time": COMMAND_T,
+        "uneven.Data": COMMAND,
+        "log.inner.Time": T,
+        "log.inner.Data": ANGLE,
+        "tt.Time": T,
+        "tt.q": ANGLE,
+        "tt.u": 2 * ANGLE,
+    }
     assert {*columns.names} == {*expected}
     for name, column in expected.items():
         np.testing.assert_allclose(columns[name], column, atol=1e-12, err_msg=name)
@@ -156,8 +167,10 @@ def exported_file(path: Path) -> Path:
         file["exp1/X/Data"] = T[None]
         write_text(file, "exp1/X/Unit", "s")
         write_text(file, "exp1/X/Name", "")
-        signals = [{"Name": "Winkel \u03c6", "Unit": "rad", "Data": ANGLE},
-                   {"Name": "u_cmd", "Unit": "V", "Data": 2 * ANGLE}]  # fmt: skip
+        signals = [
+            {"Name": "Winkel \u03c6", "Unit": "rad", "Data": ANGLE},
+            {"Name": "u_cmd", "Unit": "V", "Data": 2 * ANGLE},
+        ]
         write_struct_array(file.require_group("exp1"), "Y", signals)
         file["ts/Data"], file["ts/Time"] = ANGLE[None], T[None]
         write_text(file, "ts/Name", "theta")
@@ -174,12 +187,17 @@ def exported_file(path: Path) -> Path:
 def test_texts_of_structs_in_7_3_are_names_and_units(tmp_path: Path) -> None:
     columns = read_columns(exported_file(tmp_path / "log.mat"))
     assert columns.labels == {
-        "exp1.Y(1).Data": "Winkel \u03c6", "exp1.Y(2).Data": "u_cmd", "ts.Data": "theta",
+        "exp1.Y(1).Data": "Winkel \u03c6",
+        "exp1.Y(2).Data": "u_cmd",
+        "ts.Data": "theta",
         "out.signals(1).values": "q",
-    }  # fmt: skip
+    }
     assert columns.units == {
-        "exp1.X.Data": "s", "exp1.Y(1).Data": "rad", "exp1.Y(2).Data": "V", "ts.Data": "deg",
-    }  # fmt: skip
+        "exp1.X.Data": "s",
+        "exp1.Y(1).Data": "rad",
+        "exp1.Y(2).Data": "V",
+        "ts.Data": "deg",
+    }
 
 
 def test_elements_of_a_cell_array_keep_names_and_units(tmp_path: Path) -> None:
@@ -220,16 +238,21 @@ def test_names_and_units_of_objects_and_strings(tmp_path: Path, version: str) ->
         properties={"Name": "logsout", "Storage_": storage},
         classname="Simulink.SimulationData.Dataset",
     )
-    strings = {key: np.array([[text]], np.dtypes.StringDType())
-               for key, text in (("Name", "elbow"), ("Unit", "deg"))}  # fmt: skip
+    strings = {
+        key: np.array([[text]], np.dtypes.StringDType())
+        for key, text in (("Name", "elbow"), ("Unit", "deg"))
+    }
     content = {"logsout": data_set, "arm": {"Data": ANGLE[:, None], **strings}}
     path = tmp_path / "log.mat"
     with warnings.catch_warnings(action="ignore"):
         matio.save_to_mat(str(path), content, version=version)
     columns = read_columns(path)
     signal = "logsout.Storage.Elements{{{}}}.Values.Data"
-    expected = {signal.format(1): ("angle", "rad"), signal.format(2): ("motor", "V"),
-                "arm.Data": ("elbow", "deg")}  # fmt: skip
+    expected = {
+        signal.format(1): ("angle", "rad"),
+        signal.format(2): ("motor", "V"),
+        "arm.Data": ("elbow", "deg"),
+    }
     assert {n: (columns.labels[n], columns.units[n]) for n in columns.labels} == expected
     np.testing.assert_allclose(columns[signal.format(2)], 2 * ANGLE)
 
@@ -238,12 +261,18 @@ def test_texts_belong_to_variables_of_their_case_and_columns_of_a_matrix_are_num
     tmp_path: Path,
 ) -> None:
     two = np.stack([ANGLE, 2 * ANGLE], axis=1)
-    scipy.io.savemat(tmp_path / "log.mat", {
-        "U": {"Data": ANGLE, "Name": "voltage"}, "u": {"Data": 2 * ANGLE, "Name": "unnamed"},
-        "arm": {"Data": two, "Name": "joints", "Units": "deg"},
-    })  # fmt: skip
+    scipy.io.savemat(
+        tmp_path / "log.mat",
+        {
+            "U": {"Data": ANGLE, "Name": "voltage"},
+            "u": {"Data": 2 * ANGLE, "Name": "unnamed"},
+            "arm": {"Data": two, "Name": "joints", "Units": "deg"},
+        },
+    )
     columns = read_columns(tmp_path / "log.mat")
     assert columns.labels == {
-        "U.Data": "voltage", "arm.Data[1]": "joints[1]", "arm.Data[2]": "joints[2]",
-    }  # fmt: skip
+        "U.Data": "voltage",
+        "arm.Data[1]": "joints[1]",
+        "arm.Data[2]": "joints[2]",
+    }
     assert columns.units == {"arm.Data[1]": "deg", "arm.Data[2]": "deg"}

@@ -107,11 +107,14 @@ def _write_two_joints(folder: Path, names: Sequence[str]) -> None:
         )
 
 
-@pytest.mark.parametrize("names", [
-    ("t", "rail_m", "yaw_rad", "rail_force", "yaw_amps"),
-    ("t", "x_m", "yaw", "x_force", "yaw_current"),
-    ("t", "q1_rad", "q2_rad", "tau1_Nm", "i2_A"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("t", "rail_m", "yaw_rad", "rail_force", "yaw_amps"),
+        ("t", "x_m", "yaw", "x_force", "yaw_current"),
+        ("t", "q1_rad", "q2_rad", "tau1_Nm", "i2_A"),
+    ],
+)
 def test_a_current_at_one_joint_is_no_effect_of_the_force_at_another(
     names: tuple[str, ...], tmp_path: Path
 ) -> None:

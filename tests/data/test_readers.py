@@ -151,9 +151,14 @@ def test_npz_vectors_and_matrices_are_columns(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     state = np.arange(6.0).reshape(3, 2)
     np.savez(
-        path, angle=ANGLE.astype(np.float64), row=VOLTAGE[None, :], state=state,
-        scalar=np.float64(3), label=np.array(["a", "b", "c"]), cube=np.zeros((2, 2, 2)),
-    )  # fmt: skip
+        path,
+        angle=ANGLE.astype(np.float64),
+        row=VOLTAGE[None, :],
+        state=state,
+        scalar=np.float64(3),
+        label=np.array(["a", "b", "c"]),
+        cube=np.zeros((2, 2, 2)),
+    )
     expected = {"angle": ANGLE, "row": VOLTAGE, "state[1]": [0, 2, 4], "state[2]": [1, 3, 5]}
     assert_columns(read_columns(path), expected)
 

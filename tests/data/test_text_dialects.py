@@ -81,10 +81,16 @@ def test_numbers_of_all_countries_are_read(
         ("t,q\ns,rad\n0,1\n1,2\n", ["t", "q"], {"t": "s", "q": "rad"}),
         ("t;q\n[s];[deg/s]\n0;1,5\n1;2,5\n", ["t", "q"], {"t": "s", "q": "deg/s"}),
         ("t,q,n\n(ms),-,\n0,1,2\n1,2,3\n", ["t", "q", "n"], {"t": "ms"}),
-        ("t,motor,,arm\n,pos,vel,pos\n0,1,2,3\n1,2,3,4\n",
-         ["t", "motor/pos", "motor/vel", "arm/pos"], {}),
-        ("t,motor,\n,pos,vel\ns,rad,rad/s\n0,1,2\n1,2,3\n", ["t", "motor/pos", "motor/vel"],
-         {"t": "s", "motor/pos": "rad", "motor/vel": "rad/s"}),
+        (
+            "t,motor,,arm\n,pos,vel,pos\n0,1,2,3\n1,2,3,4\n",
+            ["t", "motor/pos", "motor/vel", "arm/pos"],
+            {},
+        ),
+        (
+            "t,motor,\n,pos,vel\ns,rad,rad/s\n0,1,2\n1,2,3\n",
+            ["t", "motor/pos", "motor/vel"],
+            {"t": "s", "motor/pos": "rad", "motor/vel": "rad/s"},
+        ),
         ("# a rig\n# t, q\n0,1\n1,2\n", ["t", "q"], {}),
         ("% a rig\n\n// made by hand\nt,q\n0,1\n% pause\n1,2\n", ["t", "q"], {}),
         ("Rig 7\nmade on a Monday, by hand\n\nt;q\n0;1\n1;2\n2;3\n3;4\n4;5\n", ["t", "q"], {}),
@@ -92,7 +98,7 @@ def test_numbers_of_all_countries_are_read(
         ("time [s]  angle [deg]\n0 1\n1 2\n".replace(" [", "["), ["time[s]", "angle[deg]"], {}),
     ],
     ids=lambda value: repr(value)[:40],
-)  # fmt: skip
+)
 def test_rows_of_names_units_and_comments(
     tmp_path: Path, content: str, names: list[str], units: dict[str, str]
 ) -> None:
@@ -104,9 +110,16 @@ def test_rows_of_names_units_and_comments(
 
 @pytest.mark.parametrize(
     ("encoding", "bom"),
-    [("utf-8", "\ufeff"), ("utf-8", ""), ("utf-16", ""), ("utf-16-le", ""), ("utf-16-be", "\ufeff"),
-     ("latin-1", ""), ("cp1252", "")],
-)  # fmt: skip
+    [
+        ("utf-8", "\ufeff"),
+        ("utf-8", ""),
+        ("utf-16", ""),
+        ("utf-16-le", ""),
+        ("utf-16-be", "\ufeff"),
+        ("latin-1", ""),
+        ("cp1252", ""),
+    ],
+)
 def test_texts_in_several_encodings(tmp_path: Path, encoding: str, bom: str) -> None:
     content = bom + "zeit,winkel [\u00b0]\n0,1.5\n1,2.5\n2,3.5\n"
     columns = read(tmp_path, content.encode(encoding))
@@ -138,10 +151,12 @@ def test_a_card_decides_where_a_file_does_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("encoding = 'klingon'", "no encoding 'klingon'"), ("decimal = ';'", "decimal"),
-        ("header = 0", "header"), ("header = 'yes'", "header"),
+        ("encoding = 'klingon'", "no encoding 'klingon'"),
+        ("decimal = ';'", "decimal"),
+        ("header = 0", "header"),
+        ("header = 'yes'", "header"),
     ],
-)  # fmt: skip
+)
 def test_keys_of_the_format_are_checked(tmp_path: Path, key: str, message: str) -> None:
     (tmp_path / "dataset.toml").write_text(
         f'name = "a"\ndt = 0.01\n[format]\n{key}\n'
@@ -185,9 +200,11 @@ def test_units_of_the_file_are_in_the_draft(tmp_path: Path) -> None:
 # --- Excel ---
 
 
-MOTION = [["time", "elbow", "note"], ["s", "rad", None], *(
-    [t, x, "fine"] for t, x in zip(TIME, ANGLE, strict=True)
-)]  # fmt: skip
+MOTION = [
+    ["time", "elbow", "note"],
+    ["s", "rad", None],
+    *([t, x, "fine"] for t, x in zip(TIME, ANGLE, strict=True)),
+]
 
 
 def test_a_sheet_of_excel_is_a_table(tmp_path: Path) -> None:
@@ -261,11 +278,13 @@ def test_columns_in_pairs_have_times_of_their_own(tmp_path: Path) -> None:
 def test_names_of_several_words_stand_far_apart(tmp_path: Path) -> None:
     table = "0.0  1.5\n0.1  2.5\n"
     assert read(tmp_path, f"% time (s)   arm angle (rad)\n{table}").names == (
-        "time (s)", "arm angle (rad)",
-    )  # fmt: skip
+        "time (s)",
+        "arm angle (rad)",
+    )
     assert read(tmp_path, f"time (s)   arm angle (rad)\n{table}").names == (
-        "time_(s)", "arm_angle_(rad)",
-    )  # fmt: skip
+        "time_(s)",
+        "arm_angle_(rad)",
+    )
 
 
 def test_damaged_rows_are_refused_or_skipped_as_the_card_says(tmp_path: Path) -> None:
@@ -330,11 +349,19 @@ def test_hexadecimal_numbers_are_read_and_may_be_names(tmp_path: Path) -> None:
 
 
 RATES = {
-    "Abtastrate: 1000 Hz": 1e-3, "Sampled at 0.5 kHz": 2e-3, "FREQUENCY\t200": 5e-3,
-    "# sampling interval = 5 ms": 5e-3, "SampleTime[ms];2 ms": 2e-3, "dt = 0.01 s": 0.01,
-    "fs = 250": 4e-3, "Frame rate: 29,97 fps": 1 / 29.97, "Position of motor 3": None,
-    "Operator: Sam, 12.03.2024": None, "t,angle,u": None, "Samples: 3000": None,
-}  # fmt: skip
+    "Abtastrate: 1000 Hz": 1e-3,
+    "Sampled at 0.5 kHz": 2e-3,
+    "FREQUENCY\t200": 5e-3,
+    "# sampling interval = 5 ms": 5e-3,
+    "SampleTime[ms];2 ms": 2e-3,
+    "dt = 0.01 s": 0.01,
+    "fs = 250": 4e-3,
+    "Frame rate: 29,97 fps": 1 / 29.97,
+    "Position of motor 3": None,
+    "Operator: Sam, 12.03.2024": None,
+    "t,angle,u": None,
+    "Samples: 3000": None,
+}
 
 
 @pytest.mark.parametrize("line", RATES)

@@ -43,10 +43,14 @@ def test_steps_of_every_family_are_computed(name):
         np.testing.assert_allclose(result[k], expected, rtol=1e-12, atol=1e-12)
 
 
-ANGLES = np.concatenate([
-    np.linspace(-30, 30, 1001), np.geomspace(1e-300, 1e300, 601), -np.geomspace(1e-5, 1e9, 50),
-    [0.0, np.nan, np.inf, -np.inf, np.pi / 2, np.pi, 1e5, 710.0, -745.2, 709.7, -746.0, 20.0],
-])  # fmt: skip
+ANGLES = np.concatenate(
+    [
+        np.linspace(-30, 30, 1001),
+        np.geomspace(1e-300, 1e300, 601),
+        -np.geomspace(1e-5, 1e9, 50),
+        [0.0, np.nan, np.inf, -np.inf, np.pi / 2, np.pi, 1e5, 710.0, -745.2, 709.7, -746.0, 20.0],
+    ]
+)
 
 
 @pytest.mark.parametrize("name", ["sin", "cos", "exp", "tanh", "log1p", "sinh"])

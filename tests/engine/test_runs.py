@@ -28,9 +28,13 @@ DISCRETE = Equations(
     lambda x, u, p, c: x + 0.05 * swing(x, u, p, c), n_x=3, n_u=1, n_p=2, n_c=1, continuous=False
 )
 SAMPLED = Equations(
-    lambda x, u, p, c, held: swing(x, u + held, p, c), n_x=3, n_u=1, n_p=2, n_c=1,
+    lambda x, u, p, c, held: swing(x, u + held, p, c),
+    n_x=3,
+    n_u=1,
+    n_p=2,
+    n_c=1,
     sampled=SampledValues(lambda x, u, p, c: p[1] * (u - x[:1]) - c[0] * x[1:2], 1),
-)  # fmt: skip
+)
 PLAIN = ResidualFormula(lambda error: error, 2)
 PERIODIC = ResidualFormula(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
 
@@ -109,9 +113,13 @@ def test_formulas_and_their_derivatives_are_evaluated_alike():
 def test_a_run_that_diverges_stays_visible_and_spoils_no_other():
     explosive = Equations(lambda x, u, p, c: x**3, n_x=1, n_u=1)
     runs = Runs(
-        start=np.array([[3.0], [0.1]]), parameters=np.zeros((2, 0)), steps=np.array([60, 60]),
-        first=np.zeros(2, int), drive=np.zeros((61, 1, 1)), periods=np.full(61, 0.1),
-    )  # fmt: skip
+        start=np.array([[3.0], [0.1]]),
+        parameters=np.zeros((2, 0)),
+        steps=np.array([60, 60]),
+        first=np.zeros(2, int),
+        drive=np.zeros((61, 1, 1)),
+        periods=np.full(61, 0.1),
+    )
     states = by_machine_code.simulate(explosive, runs, 1).reshape(2, 61)
     assert not np.isfinite(states[0, -1])
     assert np.isfinite(states[1]).all()
@@ -146,9 +154,13 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_says_so_once(recwarn):
 
     equations = Equations(until_small, n_x=1, n_u=1, where="system 'odd'")
     runs = Runs(
-        start=np.array([[3.0]]), parameters=np.zeros((1, 0)), steps=np.array([4]),
-        first=np.zeros(1, int), drive=np.zeros((5, 1, 1)), periods=np.full(5, 0.1),
-    )  # fmt: skip
+        start=np.array([[3.0]]),
+        parameters=np.zeros((1, 0)),
+        steps=np.array([4]),
+        first=np.zeros(1, int),
+        drive=np.zeros((5, 1, 1)),
+        periods=np.full(5, 0.1),
+    )
     first = engine.simulate(equations, runs)
     np.testing.assert_array_equal(engine.simulate(equations, runs), first)
     messages = [str(w.message) for w in recwarn]
@@ -168,9 +180,13 @@ def test_without_llvm_jax_does_it(monkeypatch):
 def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monkeypatch):
     monkeypatch.setattr(engine, "_warned_topics", set())
     runs = Runs(
-        start=np.array([[0.3, 0.1]]), parameters=np.zeros((1, 0)), steps=np.array([4]),
-        first=np.zeros(1, int), drive=np.zeros((5, 1, 1)), periods=np.ones(5),
-    )  # fmt: skip
+        start=np.array([[0.3, 0.1]]),
+        parameters=np.zeros((1, 0)),
+        steps=np.array([4]),
+        first=np.zeros(1, int),
+        drive=np.zeros((5, 1, 1)),
+        periods=np.ones(5),
+    )
     sorting = [
         Equations(lambda x, u, p, c: jnp.sort(0.5 * x), 2, 1, continuous=False, where=where)
         for where in ("one", "another")
@@ -186,8 +202,10 @@ def test_what_no_program_can_hold_is_simulated_by_jax_and_that_is_said_once(monk
 def test_both_engines_linearise_the_same(seed):
     equations = Equations(
         lambda x, u, p, c: x + 0.05 * swing(x, u, jnp.array([1.2, 0.7]), jnp.array([0.4])),
-        n_x=3, n_u=1, continuous=False,
-    )  # fmt: skip
+        n_x=3,
+        n_u=1,
+        continuous=False,
+    )
     generator = np.random.default_rng(seed)
     x, u = generator.normal(size=3), generator.normal(size=1)
     result = by_machine_code.make_linearised_step(equations)(x, u)

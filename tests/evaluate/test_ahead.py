@@ -21,9 +21,13 @@ def network(times: tuple[float, ...] = (), kind: type[TustinNet] = TustinNet) ->
     channels = swing_model().channels
     channels = tn.Channels(channels.coordinates, channels.inputs, DT)
     units = make_scaling(
-        position_offset=np.zeros(0), position_scale=np.zeros(0), velocity=one, input=one,
-        acceleration=20 * one, memory=0.05 * np.ones(len(times)),
-    )  # fmt: skip
+        position_offset=np.zeros(0),
+        position_scale=np.zeros(0),
+        velocity=one,
+        input=one,
+        acceleration=20 * one,
+        memory=0.05 * np.ones(len(times)),
+    )
     net = random_tustin_net(
         channels, units, jax.random.key(3), relaxation_times=times, hidden=(6,), output_bias=True
     )
@@ -38,10 +42,15 @@ def of_network() -> tuple[tn.Model, list[tn.Experiment]]:
         x = np.asarray(tn.rollout(model, np.array([*x0, 0.0, 0.0]), u[:-1, None]))
         records.append(
             tn.from_arrays(
-                x[:, 0], u, v=x[:, 1], dt=DT, name=f"run{k}",
-                coordinates=model.coordinates, inputs=model.inputs,
+                x[:, 0],
+                u,
+                v=x[:, 1],
+                dt=DT,
+                name=f"run{k}",
+                coordinates=model.coordinates,
+                inputs=model.inputs,
             )
-        )  # fmt: skip
+        )
     return model, records
 
 

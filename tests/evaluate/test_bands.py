@@ -132,11 +132,13 @@ def test_rest_has_a_band_of_its_own_where_only_some_records_come_to_rest():
             prediction.spread[~prediction.moving] = 0.0
         still = [
             tn.from_arrays(
-                np.where(g.moving[:, None], e.q, 1e-4 * np.sin(np.arange(N)[:, None])), dt=0.01,
-                coordinates=[TOLD], name=e.name,
+                np.where(g.moving[:, None], e.q, 1e-4 * np.sin(np.arange(N)[:, None])),
+                dt=0.01,
+                coordinates=[TOLD],
+                name=e.name,
             )
             for g, e in pairs
-        ]  # fmt: skip
+        ]
         return [g for g, _ in pairs], still
 
     calibration = calibrate_bands(*of(range(30)), "file")

@@ -19,14 +19,17 @@ from tustinnet.models.motion_limits import MotionLimits
 
 SCARA = Path(__file__).parents[2] / "examples" / "robots" / "scara.urdf"
 NOISE, DT = 0.3, 0.01
-OPTIONS = DesignOptions(seconds=4.0, harmonics=3, dt=DT, noise=0.05, starts=2, iterations=8,
-                        budget=None)  # fmt: skip
+OPTIONS = DesignOptions(
+    seconds=4.0, harmonics=3, dt=DT, noise=0.05, starts=2, iterations=8, budget=None
+)
 
 
 def slider(**changes) -> tn.LagrangianSystem:
     """Two masses on one rail, whose sum is all that the force tells, and a damper."""
-    one, two = (tn.Parameter(name, "kg", 1.0, -50.0, 50.0, prior=p)
-                for name, p in (("cart", 0.5), ("load", 1.0)))  # fmt: skip
+    one, two = (
+        tn.Parameter(name, "kg", 1.0, -50.0, 50.0, prior=p)
+        for name, p in (("cart", 0.5), ("load", 1.0))
+    )
     damper = tn.Parameter("damper", "N s/m", 2.0, -50.0, 50.0, prior=2.0)
     given = {
         "name": "slider",
@@ -92,9 +95,11 @@ def test_a_design_tells_more_than_random_motions_and_keeps_the_limits_of_actuato
 def test_the_derivatives_of_the_search_are_those_of_its_cost():
     system = tn.load_system(SCARA)
     limits = gather_limits(
-        system, {"roll": (-3.0, 3.0), "roll_dot": (-6.0, 6.0)}, {"roll_torque": (-1.0, 1.0)},
+        system,
+        {"roll": (-3.0, 3.0), "roll_dot": (-6.0, 6.0)},
+        {"roll_torque": (-1.0, 1.0)},
         system.channels,
-    )  # fmt: skip
+    )
     dynamics = record_design._Dynamics(system, prior_knowledge(system, {}), {})
     shapes, box = record_design._Shapes(limits, OPTIONS), record_design._Box(limits, 0.1)
     problem = record_design._Problem(
@@ -126,11 +131,13 @@ def test_a_length_between_two_samples_ends_at_rest_at_a_sample():
         ({"input_map": lambda q, v, u, p: 0.0 * u}, "do not drive every coordinate"),
         ({"input_map": lambda q, v, u, p: u + u**3}, "does not act linearly"),
         ({"inputs": ()}, "0 inputs of 1 coordinate"),
-        ({"memory": tn.Memory(("z",), lambda q, v, z, p: -z, lambda q, v, z, p: z)},
-         "internal states"),
+        (
+            {"memory": tn.Memory(("z",), lambda q, v, z, p: -z, lambda q, v, z, p: z)},
+            "internal states",
+        ),
         ({"inputs": (tn.Input("motor", "A"),)}, "no limits of the input 'motor' at 'x'"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_designed_for_is_told(changes, problem):
     if "inputs" in changes and not changes["inputs"]:
         changes = changes | {"input_map": None}
@@ -148,9 +155,8 @@ def test_a_record_of_a_payload_says_which():
     assert "spindle.mass[2kg]" in knowledge.space.names
     limits = gather_limits(system, {}, {}, system.channels)
     design = design_record(
-        system, knowledge, limits, replace(OPTIONS, starts=1, budget=0.1),
-        groups={"payload": "2kg"},
-    )  # fmt: skip
+        system, knowledge, limits, replace(OPTIONS, starts=1, budget=0.1), groups={"payload": "2kg"}
+    )
     assert design.stopped
     names = {b.name for b in design.base_parameters} | {
         name for b in design.base_parameters for name in b.terms

@@ -97,8 +97,14 @@ def test_leaving_out_cuts_stretches_and_drops_records_but_never_those_of_the_tes
     named = replace(stretch, record="run0", is_left_out=False)
     remaining, sentences = leave_out(data, [stretch, whole, on_test, named])
     assert [x.name for x in remaining] == [
-        "run0", "run1", "run2[0:150]", "run2[225:400]", "run3", "run5", "last"
-    ]  # fmt: skip
+        "run0",
+        "run1",
+        "run2[0:150]",
+        "run2[225:400]",
+        "run3",
+        "run5",
+        "last",
+    ]
     assert [s.split(":")[1].strip() for s in sentences] == ["run2, 3 to 4.48 s", "run4"]
     np.testing.assert_array_equal(remaining["run2[225:400]"].q, e.q[225:])
 

@@ -27,9 +27,15 @@ from tustinnet.simulate.filtering import FilterNoise, KalmanFilter, kalman_filte
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
 STRICT = [
-    "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror",
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Werror",
     "-fsyntax-only",
-]  # fmt: skip
+]
 STEADY = ("qube network", "qube hybrid")
 FLOAT_STEP = 1e-6  # of a step in single precision, relative to 1 + the state
 

@@ -20,13 +20,21 @@ def network(coordinates, activation="leaky_relu", **options):
     linear = sum(c.kind == "linear" for c in coordinates)
     n_q = len(coordinates)
     scaling = Scaling(
-        0.3 * jnp.ones(linear), 2.0 * jnp.ones(linear), jnp.arange(1.0, n_q + 1), 3 * jnp.ones(1),
-        jnp.arange(5.0, n_q + 5), 0.5 * jnp.ones(len(options.get("relaxation_times", ())) * n_q),
-    )  # fmt: skip
+        0.3 * jnp.ones(linear),
+        2.0 * jnp.ones(linear),
+        jnp.arange(1.0, n_q + 1),
+        3 * jnp.ones(1),
+        jnp.arange(5.0, n_q + 5),
+        0.5 * jnp.ones(len(options.get("relaxation_times", ())) * n_q),
+    )
     model = random_tustin_net(
-        tn.Channels(coordinates, (tn.Input("voltage", "V"),), 0.02), scaling, jax.random.key(1),
-        hidden=(9, 7), activation=activation, **options,
-    )  # fmt: skip
+        tn.Channels(coordinates, (tn.Input("voltage", "V"),), 0.02),
+        scaling,
+        jax.random.key(1),
+        hidden=(9, 7),
+        activation=activation,
+        **options,
+    )
     return with_dtype(model, np.float64)
 
 
@@ -115,9 +123,12 @@ def test_arrays_of_other_sizes_are_refused(engine, x, u, message, monkeypatch):
 
 def test_a_model_without_inputs_steps():
     system = tn.LagrangianSystem(
-        name="mass", coordinates=(SLIDE,), inputs=(), parameters=(),
+        name="mass",
+        coordinates=(SLIDE,),
+        inputs=(),
+        parameters=(),
         kinetic=lambda q, v, p: v[0] ** 2 / 2,
-    )  # fmt: skip
+    )
     model = tn.LagrangianModel(system, {})
     step = tn.compiled_step(tn.discretise(model, 0.5))
     np.testing.assert_allclose(step(np.array([1.0, 2.0]), np.zeros(0)), [2.0, 2.0])

@@ -93,9 +93,12 @@ def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
     for k, action in enumerate(actions):
         until = np.concatenate([actions[: k + 1], np.full(5, action)])  # as if it stayed
         record = tn.from_arrays(
-            np.zeros(len(until)), until, dt=model.dt, coordinates=model.coordinates,
+            np.zeros(len(until)),
+            until,
+            dt=model.dt,
+            coordinates=model.coordinates,
             inputs=model.inputs,
-        )  # fmt: skip
+        )
         if name == "first-order":
             acting = np.array([[action], [0.0]])  # a straight line without a slope
         else:
@@ -346,13 +349,16 @@ def test_many_have_parameters_of_their_own():
         ({"randomise": True}, "no errors of its parameters"),
         ({"randomise": 1.5}, "randomise: 1.5"),
         (
-            {"randomise": 0.1, "model": example("network taps"),
-             "range": {"states": [[-1.0, 1.0]] * 2, "inputs": [[-1.0, 1.0]]}},
+            {
+                "randomise": 0.1,
+                "model": example("network taps"),
+                "range": {"states": [[-1.0, 1.0]] * 2, "inputs": [[-1.0, 1.0]]},
+            },
             "without physical parameters",
         ),
     ],
     ids=("no errors", "more than all", "network"),
-)  # fmt: skip
+)
 def test_parameters_that_nobody_knows_are_not_drawn(options, told):
     with pytest.raises(tn.InputError, match=told):
         made(**options)
@@ -360,9 +366,13 @@ def test_parameters_that_nobody_knows_are_not_drawn(options, told):
 
 def test_a_linear_system_has_nothing_to_swing_up():
     slide = tn.LagrangianSystem(
-        name="slide", coordinates=(tn.Coordinate("x", "linear"),), inputs=(tn.Input("f", "N"),),
-        parameters=(), kinetic=lambda q, v, p: v[0] ** 2 / 2, input_map=lambda q, v, u, p: u,
-    )  # fmt: skip
+        name="slide",
+        coordinates=(tn.Coordinate("x", "linear"),),
+        inputs=(tn.Input("f", "N"),),
+        parameters=(),
+        kinetic=lambda q, v, p: v[0] ** 2 / 2,
+        input_map=lambda q, v, u, p: u,
+    )
     model = tn.discretise(slide.model({}), 0.01)
     free = {"states": [[-1, 1], [-1, 1]], "inputs": [[-1, 1]]}
     with pytest.raises(tn.InputError, match="'swing-up'; expected a model that has an angle"):

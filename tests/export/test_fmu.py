@@ -83,10 +83,13 @@ def simulated(file: Path, of: Source, u: np.ndarray, every: int = 1) -> np.ndarr
     for i, name in enumerate(("time", *names)):
         signals[name] = np.c_[times, u][:, i]
     found = fmpy.simulate_fmu(
-        str(file), start_values=dict(zip(of.states, start(of), strict=True)), output=of.states,
-        input=signals if names else None, stop_time=times[-1],
+        str(file),
+        start_values=dict(zip(of.states, start(of), strict=True)),
+        output=of.states,
+        input=signals if names else None,
+        stop_time=times[-1],
         output_interval=every * of.channels.dt,
-    )  # fmt: skip
+    )
     return np.stack([found[name] for name in of.states], axis=1)
 
 
@@ -142,9 +145,11 @@ class Instance:
             fmpy.extract(str(folder / FILES[version]), str(unzipped))
         read = fmpy.read_model_description(str(unzipped))
         self.fmu: Any = (FMU2Slave if version == 2 else FMU3Slave)(
-            guid=token or read.guid, unzipDirectory=str(unzipped), modelIdentifier="model",
+            guid=token or read.guid,
+            unzipDirectory=str(unzipped),
+            modelIdentifier="model",
             instanceName="one",
-        )  # fmt: skip
+        )
         self.version = version
         if version == 2:
             callbacks = fmi2CallbackFunctions()
@@ -187,9 +192,13 @@ def test_what_an_importer_tells_of_later_inputs_is_used(name, written):
     of, u = source(name), inputs(source(name), 60)
     channels = of.channels
     record = tn.from_arrays(
-        np.zeros((60, channels.n_q)), u, dt=channels.dt, coordinates=channels.coordinates,
-        inputs=channels.inputs, name="run",
-    )  # fmt: skip
+        np.zeros((60, channels.n_q)),
+        u,
+        dt=channels.dt,
+        coordinates=channels.coordinates,
+        inputs=channels.inputs,
+        name="run",
+    )
     expected = np.asarray(tn.rollout(of.model, start(of), tn.input_signal(of.model, record)))
     instance = Instance(written(name), of, 2).begin(start(of))
     for k in range(59):
@@ -286,8 +295,10 @@ def test_the_same_model_gives_the_same_bytes(written):
     again = TARGET.files(make_source(example("hybrid")))
     for name, content in again.items():
         assert content == (written("hybrid") / name).read_bytes()
-    token = {name: told(content).get("guid") or told(content).get("instantiationToken")
-             for name, content in again.items()}  # fmt: skip
+    token = {
+        name: told(content).get("guid") or told(content).get("instantiationToken")
+        for name, content in again.items()
+    }
     other = TARGET.files(source("first-order"))["model-fmi2.fmu"]
     assert len(set(token.values())) == 1
     assert told(other).get("guid") not in token.values()

@@ -30,9 +30,15 @@ from tustinnet.simulate.range import Range
 NODE = shutil.which("node")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 QUIET = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 by_node = pytest.mark.skipif(NODE is None, reason="node is not installed")
 
 
@@ -47,8 +53,12 @@ def node(script: str, folder: Path) -> str:
     assert NODE is not None
     done = subprocess.run(
         [NODE, "--input-type=module", "--eval", script],
-        cwd=folder, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
     assert not done.stderr
     return done.stdout
 
@@ -151,8 +161,11 @@ def test_a_browser_makes_the_same_run(tmp_path):
     assert CHROMIUM is not None
     done = subprocess.run(
         [CHROMIUM, *QUIET, f"--user-data-dir={tmp_path}/user", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     found = re.search(r"&lt;(\[.*\])&gt;", done.stdout)
     assert found
     require_same_run(json.loads(found[1]), tn.rollout(source.model, x0, u))
@@ -166,8 +179,9 @@ def test_a_wrong_number_of_numbers_is_told(tmp_path):
     }}"""
     found = node(script, written(example_source("network memory"), tmp_path))
     assert found.splitlines() == [
-        "RangeError: x0 has 1 numbers, not 3", "RangeError: u has 2 numbers, not 1",
-    ]  # fmt: skip
+        "RangeError: x0 has 1 numbers, not 3",
+        "RangeError: u has 2 numbers, not 1",
+    ]
 
 
 @by_node

@@ -46,9 +46,15 @@ def test_an_export_is_compared_with_the_tangent_of_the_model(tmp_path):
     x, u = np.array([0.0, 0.4, -0.2, 0.0]), np.array([1.5])
     expected = tn.linearize(model, x, u)
     for name, value in {
-        "A": expected.a, "B": expected.b, "C": np.eye(4), "D": np.zeros((4, 1)), "dt": [[0.01]],
-        "x": x[:, None], "u": u[:, None], "drift": expected.drift[:, None],
-    }.items():  # fmt: skip
+        "A": expected.a,
+        "B": expected.b,
+        "C": np.eye(4),
+        "D": np.zeros((4, 1)),
+        "dt": [[0.01]],
+        "x": x[:, None],
+        "u": u[:, None],
+        "drift": expected.drift[:, None],
+    }.items():
         np.testing.assert_allclose(read[name], value, rtol=1e-12, atol=1e-14)
     assert names_of(read["states"]) == ["x", "angle", "der_x", "der_angle"]
     assert names_of(read["inputs"]) == ["force"]

@@ -77,9 +77,18 @@ def test_it_does_everything_a_program_may_hold(name, runtime, tmp_path, monkeypa
 
 
 COMPOSED = (
-    jnp.expm1, jnp.log1p, jnp.sinh, jnp.cosh, jnp.arcsinh, jnp.arccosh, jnp.arctanh, jnp.tan,
-    jnp.arcsin, jnp.arccos, jnp.arctan,
-)  # fmt: skip
+    jnp.expm1,
+    jnp.log1p,
+    jnp.sinh,
+    jnp.cosh,
+    jnp.arcsinh,
+    jnp.arccosh,
+    jnp.arctanh,
+    jnp.tan,
+    jnp.arcsin,
+    jnp.arccos,
+    jnp.arctan,
+)
 
 
 @pytest.mark.parametrize("function", COMPOSED)
@@ -124,8 +133,10 @@ def test_a_file_says_names_units_period_and_opset():
     assert told == {
         "states": ["theta", "alpha", "der_theta", "der_alpha"],
         "units": ["rad", "rad", "rad/s", "rad/s"],
-        "inputs": ["voltage"], "samples": [0], "period": 0.01,
-    }  # fmt: skip
+        "inputs": ["voltage"],
+        "samples": [0],
+        "period": 0.01,
+    }
     assert [(o.domain, o.version) for o in model.opset_import] == [("", 17)]
     assert "opset 17" in section("ONNX")
 

@@ -74,8 +74,13 @@ def elsewhere(script: str, folder: Path) -> str:
     known = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     done = subprocess.run(
         [sys.executable, "-c", script],
-        cwd=folder, env=known, capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        cwd=folder,
+        env=known,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert not done.returncode, done.stderr
     return done.stdout
 

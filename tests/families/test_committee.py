@@ -108,9 +108,16 @@ def test_those_alike_run_as_one_and_the_others_beside_them():
 def test_internal_states_have_the_number_of_their_member_and_the_longest_warm_up_counts():
     together = tn.committee(every_family())
     assert together.internal == (
-        "angle, relaxing in 0.5 s 1", "creep 2", "creep 3", "hidden 0 4", "hidden 1 4",
-        "hidden 2 4", "angle, relaxing in 0.5 s 5", "state 0 6", "creep 8",
-    )  # fmt: skip
+        "angle, relaxing in 0.5 s 1",
+        "creep 2",
+        "creep 3",
+        "hidden 0 4",
+        "hidden 1 4",
+        "hidden 2 4",
+        "angle, relaxing in 0.5 s 5",
+        "state 0 6",
+        "creep 8",
+    )
     assert len(set(together.internal)) == together.state_size - 2
     assert together.warm_up == 8
 
@@ -279,7 +286,7 @@ def test_models_that_cannot_be_averaged_are_refused():
         (network(1, delayed), r"delays of the inputs of \[0.003\] s"),
         (tn.committee([network(1)]), "model 2 of the committee: a committee"),
         (swing_model(), "a model that steps from sample to sample"),
-    ]  # fmt: skip
+    ]
     for wrong, told in cases:
         with pytest.raises(tn.InputError, match=told):
             tn.committee([network(0), wrong])

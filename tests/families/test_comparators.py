@@ -17,9 +17,12 @@ from tustinnet.simulate.along import states_along
 from tustinnet.store.run import MODEL, run_task
 
 STAGE = {
-    "name": "one", "windows": {"draw": "strided", "length": 10, "step": 12}, "rate": 5e-3,
-    "epochs": 10, "batch": 32,
-}  # fmt: skip
+    "name": "one",
+    "windows": {"draw": "strided", "length": 10, "step": 12},
+    "rate": 5e-3,
+    "epochs": 10,
+    "batch": 32,
+}
 KINDS = {
     "gru": {"hidden": 6, "warm_up": 8},
     "neural-ode": {"hidden": [8]},
@@ -95,8 +98,10 @@ def test_a_grus_equations_are_those_of_its_docstring():
     model = random_gru(channels, scaling, jax.random.key(1), 2, 6)
     x = jnp.array([0.4, -1.0, 0.3, -0.2], jnp.float32)
     phi, h = np.array([0.4, -0.5]), np.array([0.3, -0.2])
-    by = [np.asarray(model.by_features.weight) @ phi + np.asarray(model.by_features.bias),
-          np.asarray(model.by_hidden.weight) @ h + np.asarray(model.by_hidden.bias)]  # fmt: skip
+    by = [
+        np.asarray(model.by_features.weight) @ phi + np.asarray(model.by_features.bias),
+        np.asarray(model.by_hidden.weight) @ h + np.asarray(model.by_hidden.bias),
+    ]
     reset, gate = (1 / (1 + np.exp(-(by[0][i : i + 2] + by[1][i : i + 2]))) for i in (0, 2))
     new = np.tanh(by[0][4:] + reset * by[1][4:])
     after = gate * h + (1 - gate) * new
@@ -143,10 +148,16 @@ def test_a_linear_model_finds_a_linear_system():
             x[n + 1] = a @ x[n] + [0.0, dt * u[n]]
         records.append(
             tn.from_arrays(
-                x[:, 0], u, v=x[:, 1], dt=dt, coordinates={"s": "linear"}, inputs={"f": "N"},
-                name=f"r{i}", split=split,
+                x[:, 0],
+                u,
+                v=x[:, 1],
+                dt=dt,
+                coordinates={"s": "linear"},
+                inputs={"f": "N"},
+                name=f"r{i}",
+                split=split,
             )
-        )  # fmt: skip
+        )
     data = tn.DataSet("linear", tuple(records))
     plain = {
         "name": "l",

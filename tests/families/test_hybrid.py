@@ -34,9 +34,14 @@ def network(model, seed: int = 0, times: tuple[float, ...] = ()):
         jnp.zeros(0), jnp.zeros(0), 5 * one, one, 0.1 * one, jnp.ones(len(times), jnp.float32)
     )
     return random_tustin_net(
-        model.channels, scaling, jax.random.key(seed), hidden=(6, 5), stem=4, output_bias=True,
+        model.channels,
+        scaling,
+        jax.random.key(seed),
+        hidden=(6, 5),
+        stem=4,
+        output_bias=True,
         relaxation_times=times,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(("name", "fades"), [("swing", False), ("creeping swing", True)])
@@ -134,9 +139,13 @@ def test_internal_states_follow_the_record_they_were_simulated_with():
     u = np.sin(np.arange(61) * 0.2)[:, None]
     states = np.asarray(rollout(model, np.array([2.0, 0.0, 0.0]), u[:-1]))
     whole = tn.from_arrays(
-        states[:, :1], u, v=states[:, 1:2], dt=DT, coordinates=model.coordinates,
+        states[:, :1],
+        u,
+        v=states[:, 1:2],
+        dt=DT,
+        coordinates=model.coordinates,
         inputs=model.inputs,
-    )  # fmt: skip
+    )
     # records of unequal length go side by side
     found, beginning = states_along(model, [whole, whole[:25]], "file")
     np.testing.assert_array_equal(found[:, :2], states[:, :2])
@@ -170,11 +179,15 @@ RECIPE = {
     },
     "stages": [
         {
-            "name": "one", "windows": {"draw": "strided", "length": 10, "count": 60},
-            "rate": 3e-3, "epochs": 10, "batch": 16, "averaging": 0.9,
+            "name": "one",
+            "windows": {"draw": "strided", "length": 10, "count": 60},
+            "rate": 3e-3,
+            "epochs": 10,
+            "batch": 16,
+            "averaging": 0.9,
         }
     ],
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -17,11 +17,16 @@ TAPS = (-1, 0, 2)
 SMALL = {
     "name": "small",
     "model": {"kind": "tustin-net", "hidden": [6], "input_taps": list(TAPS)},
-    "stages": [{
-        "name": "one", "epochs": 1, "batch": 8, "rate": 1e-3,
-        "windows": {"draw": "random", "length": 10, "count": 8},
-    }],
-}  # fmt: skip
+    "stages": [
+        {
+            "name": "one",
+            "epochs": 1,
+            "batch": 8,
+            "rate": 1e-3,
+            "windows": {"draw": "random", "length": 10, "count": 8},
+        }
+    ],
+}
 
 
 @pytest.fixture(scope="module")

@@ -80,11 +80,14 @@ RECIPE = {
     "model": {"kind": "toy"},
     "stages": [
         {
-            "name": "one", "windows": {"draw": "strided", "length": 10, "step": 8}, "rate": 1e-2,
-            "epochs": 10, "batch": 32,
+            "name": "one",
+            "windows": {"draw": "strided", "length": 10, "step": 8},
+            "rate": 1e-2,
+            "epochs": 10,
+            "batch": 32,
         }
     ],
-}  # fmt: skip
+}
 SYSTEM = """
 import jax.numpy as jnp
 import tustinnet as tn
@@ -118,8 +121,17 @@ def place(_registered, pendulum, tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("toy")
     write_folder(pendulum, place / "logs")
     (place / "toy.toml").write_text(TOML)
-    command("fit", place / "logs", "--recipe", place / "toy.toml", "--seeds", 2,
-            "--out", place / "run", "--quiet")  # fmt: skip
+    command(
+        "fit",
+        place / "logs",
+        "--recipe",
+        place / "toy.toml",
+        "--seeds",
+        2,
+        "--out",
+        place / "run",
+        "--quiet",
+    )
     return place
 
 
@@ -263,7 +275,9 @@ class OldModel(Model):
     ("imports", "base", "more", "message"),
     [
         (
-            "Family, Hyper", "Family", HOOKS,
+            "Family, Hyper",
+            "Family",
+            HOOKS,
             r"class outdated\.Old: written for an earlier version: class Family, trainable, begun, "
             r"shown; expected TrainedFamily or IdentifiedFamily, trainable_mask, "
             r"with_weights_from, summarise; adapt it \(docs/how-to/add-a-family.md\), or uninst",
@@ -271,15 +285,19 @@ class OldModel(Model):
         ("Family, Hyper", "Family", "", "expected TrainedFamily or IdentifiedFamily; adapt"),
         ("TrainedFamily, Hyper", "TrainedFamily", HOOKS, "version: trainable, begun, shown; exp"),
         (
-            "TrainedFamily, Hyper", "TrainedFamily", OLD_MODEL,
+            "TrainedFamily, Hyper",
+            "TrainedFamily",
+            OLD_MODEL,
             "class outdated.OldModel: .*: of, seen; expected for_record, step_layout",
         ),
         (
-            "TrainedFamily, Hyper, gone", "TrainedFamily", "",
+            "TrainedFamily, Hyper, gone",
+            "TrainedFamily",
+            "",
             "kind of model 'old': outdated:FAMILY cannot be loaded .*ImportError.*update or uninst",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_family_of_an_earlier_version_is_refused_by_name(
     tmp_path, monkeypatch, imports, base, more, message
 ):

@@ -173,9 +173,12 @@ def test_internal_states_relax_and_follow_the_velocity():
     times = (0.2, 1.0)
     scaling = dataclasses.replace(unit_scaling(MIXED, 1), memory=jnp.ones(4, jnp.float32))
     model = random_tustin_net(
-        tn.Channels(MIXED, FORCE, 0.01), scaling, jax.random.key(0), hidden=(5,),
+        tn.Channels(MIXED, FORCE, 0.01),
+        scaling,
+        jax.random.key(0),
+        hidden=(5,),
         relaxation_times=times,
-    )  # fmt: skip
+    )
     model = with_dtype(model, np.float64)
     assert model.state_size == 8
     assert model.internal[1:3] == ("pole, relaxing in 0.2 s", "cart, relaxing in 1 s")
@@ -209,8 +212,10 @@ def test_relaxation_times_are_positive(time):
 def remembering(**changed) -> TustinNet:
     """Two relaxation times; the cart rests at 1 m, the pole hangs."""
     options = {
-        "relaxation_times": (0.2, 1.0), "remembered": 0.5, "rest": jnp.array([1.0, jnp.pi]),
-    } | changed  # fmt: skip
+        "relaxation_times": (0.2, 1.0),
+        "remembered": 0.5,
+        "rest": jnp.array([1.0, jnp.pi]),
+    } | changed
     own = {key: options.pop(key) for key in ("remembered", "rest")}
     memory = 2 * len(options["relaxation_times"])
     scaling = dataclasses.replace(unit_scaling(MIXED, 1), memory=0.1 * jnp.arange(1.0, memory + 1))
@@ -251,8 +256,10 @@ def test_a_share_needs_memory_and_rest(changed):
 def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
     train = tuple(e[:60] for e in pendulum.split("train"))
     for changes, share in (
-        ([], 0.5), (["model.remembered=0.2"], 0.2), (["model.remembered=0"], 0.0),
-    ):  # fmt: skip
+        ([], 0.5),
+        (["model.remembered=0.2"], 0.2),
+        (["model.remembered=0"], 0.0),
+    ):
         recipe = tn.read_recipe("standard", ["model.memory=[0.2]", "model.hidden=[4]", *changes])
         model = FAMILIES["tustin-net"].builder(recipe.model, train, "stencil", None)(
             jax.random.key(0)

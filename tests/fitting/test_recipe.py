@@ -108,8 +108,12 @@ def test_an_unknown_recipe_is_refused_with_the_known_ones():
     ],
 )
 def test_a_training_asks_validation_records_where_a_stage_does(keep, plateau, asks):
-    stage = {"windows": {"draw": "strided", "length": 5, "count": 9}, "rate": 1e-3, "epochs": 2,
-             "batch": 4}  # fmt: skip
+    stage = {
+        "windows": {"draw": "strided", "length": 5, "count": 9},
+        "rate": 1e-3,
+        "epochs": 2,
+        "batch": 4,
+    }
     rule = {} if plateau is None else {"plateau": {"factor": 0.5, "patience": 2, **plateau}}
     quiet, asked = {**stage, "name": "one", "keep": "last"}, {**stage, "name": "two", "keep": keep}
     recipe = tn.read_recipe({"name": "mine", "model": {}, "stages": [quiet, {**asked, **rule}]})

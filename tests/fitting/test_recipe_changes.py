@@ -12,11 +12,16 @@ SMALL: dict[str, Any] = {
     "name": "small",
     "model": {"hidden": [8, 6]},
     "stages": [
-        {"name": name, "windows": {"draw": "strided", "length": 10, "step": 8}, "rate": 1e-3,
-         "epochs": 5, "batch": 16}
+        {
+            "name": name,
+            "windows": {"draw": "strided", "length": 10, "step": 8},
+            "rate": 1e-3,
+            "epochs": 5,
+            "batch": 16,
+        }
         for name in ("first", "second")
     ],
-}  # fmt: skip
+}
 
 
 def training(*changes: str, which: Any = SMALL) -> TrainingRecipe:
@@ -27,9 +32,12 @@ def training(*changes: str, which: Any = SMALL) -> TrainingRecipe:
 
 def test_keys_reach_into_tables_and_lists():
     recipe = training(
-        "model.activation=tanh", "stages.1.windows.length=20", "stages.0.epochs = 7",
-        "model.hidden=[4]", "name=other",
-    )  # fmt: skip
+        "model.activation=tanh",
+        "stages.1.windows.length=20",
+        "stages.0.epochs = 7",
+        "model.hidden=[4]",
+        "name=other",
+    )
     assert recipe.name == "other"
     assert recipe.model.model_dump()["hidden"] == (4,)
     assert recipe.model.model_dump()["activation"] == "tanh"

@@ -51,10 +51,15 @@ def stretched(factor: float) -> tn.DataSet:
             q[k] = 1.8 * q[k - 1] - 0.9 * q[k - 2] + 0.01 * u[k - 1]
         made.append(
             tn.from_arrays(
-                factor * q, u, dt=0.02, name=f"spring{seed}", split=split,
-                coordinates=[tn.Coordinate("x", "linear")], inputs=[tn.Input("force", "N")],
+                factor * q,
+                u,
+                dt=0.02,
+                name=f"spring{seed}",
+                split=split,
+                coordinates=[tn.Coordinate("x", "linear")],
+                inputs=[tn.Input("force", "N")],
             )
-        )  # fmt: skip
+        )
     return tn.DataSet("spring", tuple(made))
 
 
@@ -65,11 +70,16 @@ def test_a_training_goes_the_same_way_whatever_the_size_of_the_system(scaled):
         "model": {"kind": "tustin-net", "hidden": [8]},
         "stages": [
             {
-                "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5},
-                "rate": 1e-2, "epochs": 5, "batch": 16, "clip": 0.05, "scaled": scaled,
+                "name": "one",
+                "windows": {"draw": "strided", "length": 20, "step": 5},
+                "rate": 1e-2,
+                "epochs": 5,
+                "batch": 16,
+                "clip": 0.05,
+                "scaled": scaled,
             }
         ],
-    }  # fmt: skip
+    }
     # from a stage of metres to one of micrometres; powers of two, so that not even rounding differs
     large, small = (tn.fit(stretched(f), recipe) for f in (1.0, 2.0**-20))
     nets: list[Any] = [of.model for of in (large, small)]
@@ -82,9 +92,12 @@ def test_a_training_counts_lengths_in_their_spread_an_identification_in_metres()
     records = list(stretched(1.0))[:2]
     spread = np.sqrt(np.mean([e.q.var() for e in records]))
     stage = {
-        "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5}, "rate": 1e-2,
-        "epochs": 5, "batch": 16,
-    }  # fmt: skip
+        "name": "one",
+        "windows": {"draw": "strided", "length": 20, "step": 5},
+        "rate": 1e-2,
+        "epochs": 5,
+        "batch": 16,
+    }
     unit = make_residual(StageRecipe.model_validate(stage), records).unit
     assert unit[0] == unit[1] == 2.0 ** round(np.log2(spread))
     assert make_residual(SearchRecipe(), records).unit == (1.0,)
@@ -92,9 +105,13 @@ def test_a_training_counts_lengths_in_their_spread_an_identification_in_metres()
 
 def test_a_scaled_training_has_units_that_are_powers_of_two():
     stage = {
-        "name": "one", "windows": {"draw": "strided", "length": 20, "step": 5}, "rate": 1e-2,
-        "epochs": 5, "batch": 16, "scaled": True,
-    }  # fmt: skip
+        "name": "one",
+        "windows": {"draw": "strided", "length": 20, "step": 5},
+        "rate": 1e-2,
+        "epochs": 5,
+        "batch": 16,
+        "scaled": True,
+    }
     units = make_residual(StageRecipe.model_validate(stage), list(stretched(1.0))[:2]).unit
     assert all(np.log2(units) == np.round(np.log2(units)))
     assert units[0] != units[1]

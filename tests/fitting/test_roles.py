@@ -81,9 +81,11 @@ def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, t
     data, messages = with_short_validation(pendulum), []
     recipe = read_recipe(tiny_recipe, ["start=model-20", "stages.*.epochs=1"])
     run = run_task(
-        make_task(data, recipe), "toy", tmp_path / "run",
+        make_task(data, recipe),
+        "toy",
+        tmp_path / "run",
         make_listener=lambda plan: Listener(on_message=messages.append),
-    )  # fmt: skip
+    )
     assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
     assert [score.experiment for score in run.best.scores] == ["fall3", "noise2"]
     without = tn.fit(pendulum, recipe)
@@ -97,8 +99,10 @@ def test_an_identification_leaves_short_validation_records_out(pendulum):
     messages: list[str] = []
     system = Path(__file__).parents[1] / "torture" / "pendulum.py"
     found = tn.fit(
-        with_short_validation(pendulum), "grey", system=system,
+        with_short_validation(pendulum),
+        "grey",
+        system=system,
         listener=Listener(on_message=messages.append),
-    )  # fmt: skip
+    )
     assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
     assert found.validation_rmse == tn.fit(pendulum, "grey", system=system).validation_rmse

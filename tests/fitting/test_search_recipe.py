@@ -35,11 +35,20 @@ def test_the_packaged_recipes_are_there_and_valid():
 
 def test_a_recipe_gives_the_values_it_names(tmp_path):
     usual: dict[str, Any] = {
-        "initial": "choose", "loss": "position", "periodic": False, "scaled": True,
-        "part": "whole", "method": "levenberg-marquardt", "cutoff": None,
-        "tolerance": 1e-5, "iterations": 50, "substeps": None, "horizon": None,
-        "robust": "none", "refine": "none",
-    }  # fmt: skip
+        "initial": "choose",
+        "loss": "position",
+        "periodic": False,
+        "scaled": True,
+        "part": "whole",
+        "method": "levenberg-marquardt",
+        "cutoff": None,
+        "tolerance": 1e-5,
+        "iterations": 50,
+        "substeps": None,
+        "horizon": None,
+        "robust": "none",
+        "refine": "none",
+    }
     assert search_of("grey").model_dump() == usual
     best = SearchRecipe(loss="state", initial="anchored", refine="model-20")
     assert search_of("best-grey") == best

@@ -44,9 +44,12 @@ def test_its_units_are_one(pendulum: tn.DataSet, kind: Kind, value: float) -> No
         assert scaling.velocity[1] == scaling.acceleration[1] == scaling.memory[1] == 1.0
         assert np.all(scaling.position_scale == 1.0)
         assert scaling.velocity[0] == pytest.approx(
-            float(learn_scaling(list(pendulum), "stencil" if velocity == "file" else velocity)
-                  .velocity[0])
-        )  # fmt: skip
+            float(
+                learn_scaling(
+                    list(pendulum), "stencil" if velocity == "file" else velocity
+                ).velocity[0]
+            )
+        )
     for loss in ("position", "state"):
         unit = make_residual(SearchRecipe(loss=loss), records).unit
         assert unit[1] == 1.0
@@ -57,10 +60,18 @@ def test_its_published_unit_is_one(pendulum: tn.DataSet) -> None:
     records = list(with_still(pendulum, "angular", 0.0))
     assert published_scaling(records).velocity[1] == 1.0
     alone = published_scaling(
-        [tn.from_arrays(e.q[:, :1], e.u, dt=e.dt, coordinates=[e.coordinates[0]],
-                        inputs=list(e.inputs), v=np.asarray(e.velocities("file"))[:, :1])
-         for e in records]
-    )  # fmt: skip
+        [
+            tn.from_arrays(
+                e.q[:, :1],
+                e.u,
+                dt=e.dt,
+                coordinates=[e.coordinates[0]],
+                inputs=list(e.inputs),
+                v=np.asarray(e.velocities("file"))[:, :1],
+            )
+            for e in records
+        ]
+    )
     assert published_scaling(records).velocity[0] == alone.velocity[0]
 
 

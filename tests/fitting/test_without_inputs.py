@@ -22,22 +22,28 @@ TRAINED = {
     "tustin-net": {"kind": "tustin-net", "hidden": [4]},
     "with memory": {"kind": "tustin-net", "hidden": [4], "memory": [0.3]},
     "with taps and a linear map": {
-        "kind": "tustin-net", "hidden": [4], "linear": True, "input_taps": [-1, 0],
+        "kind": "tustin-net",
+        "hidden": [4],
+        "linear": True,
+        "input_taps": [-1, 0],
     },
     "gru": {"kind": "gru", "hidden": 3, "warm_up": 6},
     "neural-ode": {"kind": "neural-ode", "hidden": [4]},
     "linear": {"kind": "linear"},
     "hybrid": {"kind": "hybrid", "correction": {"hidden": [4]}},
-}  # fmt: skip
+}
 
 
 def recipe(model: dict, **keys) -> tn.Recipe:
     """A stage of two epochs, judged by free runs and by windows of the validation records."""
     stage = {
-        "name": "only", "windows": {"draw": "strided", "length": 10, "count": 20}, "epochs": 2,
-        "batch": 10, "rate": 1e-3, "plateau": {"factor": 0.5, "patience": 1,
-                                               "watch": "validation-loss"},
-    }  # fmt: skip
+        "name": "only",
+        "windows": {"draw": "strided", "length": 10, "count": 20},
+        "epochs": 2,
+        "batch": 10,
+        "rate": 1e-3,
+        "plateau": {"factor": 0.5, "patience": 1, "watch": "validation-loss"},
+    }
     return read_recipe({"name": "short", "model": model, "stages": [stage], **keys})
 
 
@@ -63,10 +69,14 @@ def test_every_family_trains_on_them_and_is_judged(of, keys, splits, tmp_path):
     assert np.isfinite(run.best.mean)
     model = tn.load_model(tmp_path / "run" / "model.safetensors", FREE if physics else None)
     assert model.channels.n_u == 0
-    again = tn.mean_rmse(tn.evaluate(
-        model, run.roles.ranking, run.best.result.start,
-        horizon=effective_horizon(run.best.result.horizon, run.roles.ranking),
-    ))  # fmt: skip
+    again = tn.mean_rmse(
+        tn.evaluate(
+            model,
+            run.roles.ranking,
+            run.best.result.start,
+            horizon=effective_horizon(run.best.result.horizon, run.roles.ranking),
+        )
+    )
     assert again == pytest.approx(run.best.mean)
     if splits == WITH_VALIDATION:
         assert run.best.result.validation_rmse == pytest.approx(run.best.mean, rel=1e-2)
@@ -98,9 +108,13 @@ def test_bands_committees_residuals_and_folds_take_them():
     together = tn.committee([free(), free(TRUTH | {"gravity": 1.45})])
     made = predict(together, [free(), free(TRUTH | {"gravity": 1.45})], every, "model-10")
     bands = make_bands(
-        calibrate_bands(made, every, "model-10"), BandOptions(0.5), together,
-        [free(), free(TRUTH | {"gravity": 1.45})], every, tn.evaluate(together, every, "model-10"),
-    )  # fmt: skip
+        calibrate_bands(made, every, "model-10"),
+        BandOptions(0.5),
+        together,
+        [free(), free(TRUTH | {"gravity": 1.45})],
+        every,
+        tn.evaluate(together, every, "model-10"),
+    )
     assert all(isinstance(band, Band) for band in bands)
     assert [len(r.cross) for r in residual_reports(together, every, "model-10")] == [0]
     found = cross_validate(

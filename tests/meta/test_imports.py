@@ -21,8 +21,11 @@ def python(program: str) -> str:
     """What a program prints in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-c", f"import sys\n{program}"],
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -88,9 +91,17 @@ def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tm
     given = {
         "evaluate": (model, folder, "--figures", figures),
         "compare": (model, folder, "--figures", figures),
-        "fit": (folder, "--recipe", "linear", "--set", "stages.*.epochs=2", "--out", tmp_path / "f",
-                "--quiet"),
-    }[verb]  # fmt: skip
+        "fit": (
+            folder,
+            "--recipe",
+            "linear",
+            "--set",
+            "stages.*.epochs=2",
+            "--out",
+            tmp_path / "f",
+            "--quiet",
+        ),
+    }[verb]
     told = python(TELLING + command(verb, *given))
     assert "printed, matplotlib: False" in told
     assert "printed, matplotlib: True" not in told

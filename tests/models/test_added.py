@@ -23,13 +23,28 @@ BARE = LagrangianSystem(
 )
 X, V, U = jnp.array([0.4, 0.9]), jnp.array([0.7, -1.1]), jnp.array([2.0])
 VALUES = {
-    "coulomb": 0.3, "breakaway": 0.5, "stribeck_speed": 0.8, "smooth_speed": 0.1, "viscous": 0.2,
-    "rubbing": 0.7, "spring": 1.5, "cubic": 2.5, "maxwell": 3.0, "relaxation": 4.0, "turned": 0.2,
-    "lag": 0.5, "initial_share": 0.7, "constant": 0.4, "sticking": 0.6, "presliding": 0.4,
-    "bristle_damping": 0.3, "hysteresis_shape": 0.8, "hysteresis_exponent": 2.0,
+    "coulomb": 0.3,
+    "breakaway": 0.5,
+    "stribeck_speed": 0.8,
+    "smooth_speed": 0.1,
+    "viscous": 0.2,
+    "rubbing": 0.7,
+    "spring": 1.5,
+    "cubic": 2.5,
+    "maxwell": 3.0,
+    "relaxation": 4.0,
+    "turned": 0.2,
+    "lag": 0.5,
+    "initial_share": 0.7,
+    "constant": 0.4,
+    "sticking": 0.6,
+    "presliding": 0.4,
+    "bristle_damping": 0.3,
+    "hysteresis_shape": 0.8,
+    "hysteresis_exponent": 2.0,
     "load_friction": 0.2,
     **{f"curve_{kind}{i}": 0.1 * i for kind in ("odd", "even") for i in (1, 2, 3, 4)},
-}  # fmt: skip
+}
 Z = 0.25  # deflection of a spring that relaxes, or of a friction with memory
 LUGRE_RATE = -1.1 - 1.1 * Z * (0.6 / 0.4) / (0.6 + 0.5 * np.exp(-((1.1 / 0.8) ** 2)))
 AGAINST = {  # what each law does against the motion of the angle
@@ -57,10 +72,13 @@ RUBBING = replace(
         Parameter("x.coulomb_speed", "m/s", 0.05, 0.01, 1.0, fixed=True),
         Parameter("angle.coulomb", "1", 0.4, 0.0, 5.0),
     ),
-    dissipation=lambda q, v, p: jnp.stack([
-        forces.coulomb(v[0], p["x.coulomb"], p["x.coulomb_speed"]), p["angle.coulomb"] * v[1] ** 3,
-    ]),
-)  # fmt: skip
+    dissipation=lambda q, v, p: jnp.stack(
+        [
+            forces.coulomb(v[0], p["x.coulomb"], p["x.coulomb_speed"]),
+            p["angle.coulomb"] * v[1] ** 3,
+        ]
+    ),
+)
 WITH_MEMORY = ("maxwell", "dahl", "lugre", "bouc_wen")
 
 
@@ -158,8 +176,13 @@ def test_a_law_without_a_coordinate_is_one_at_each():
     system = added(CART, "coulomb", "spring:x")
     assert system.added == ("coulomb:x", "coulomb:angle", "spring:x")
     assert list(system.nominal()) == [
-        "mass", "x.coulomb", "x.smooth_speed", "angle.coulomb", "angle.smooth_speed", "x.spring",
-    ]  # fmt: skip
+        "mass",
+        "x.coulomb",
+        "x.smooth_speed",
+        "angle.coulomb",
+        "angle.smooth_speed",
+        "x.spring",
+    ]
 
 
 def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
@@ -185,12 +208,14 @@ def test_without_forces_a_system_is_the_same_and_with_the_same_forces_one():
         (["cubic:tilt"], "'cubic:tilt': no coordinate 'tilt'; expected one of x, angle"),
         (["cubic:"], "'cubic:': no coordinate ''"),
         (["cubic", "cubic:x"], "'cubic:x' twice"),
-        (["coulomb:x", "stribeck:x"],
-         "'stribeck:x' brings 'x.coulomb', which 'coulomb:x' has already"),
+        (
+            ["coulomb:x", "stribeck:x"],
+            "'stribeck:x' brings 'x.coulomb', which 'coulomb:x' has already",
+        ),
         (["lag:x"], "'lag:x': no input 'x'; expected one of force"),
         (["lag", "lag:force"], "'lag:force' twice"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_added_is_refused_by_name(names, told):
     with pytest.raises(tn.InputError) as refused:
         added(CART, *names)
@@ -256,10 +281,14 @@ def test_the_name_of_an_earlier_version_stands_for_the_same_force():
 @pytest.mark.parametrize(
     # laws that share parameters exclude one another
     "laws",
-    [[n for n in LAWS if n not in ("coulomb", "dahl", "lugre", "bouc_wen")],
-     ["dahl"], ["lugre"], ["bouc_wen"]],
+    [
+        [n for n in LAWS if n not in ("coulomb", "dahl", "lugre", "bouc_wen")],
+        ["dahl"],
+        ["lugre"],
+        ["bouc_wen"],
+    ],
     ids="-".join,
-)  # fmt: skip
+)
 def test_forces_have_derivatives_at_rest(laws):
     system = added(CART, *laws)
     model = nominal(system)

@@ -150,9 +150,10 @@ def test_lags_and_forces_of_the_system_inside(record):
     x, w = jnp.array([3.4, 0.3, 0.05]), jnp.array([3.5, 0.1, 0.2])
     volts = jnp.array([KP * 0.1 - KD * 0.2 + 0.2])
     np.testing.assert_allclose(
-        closed.model(values).derivative(x, w), LAGGING.model(values).derivative(x, volts),
+        closed.model(values).derivative(x, w),
+        LAGGING.model(values).derivative(x, volts),
         rtol=1e-12,
-    )  # fmt: skip
+    )
     stiffness = tn.Parameter("angle.spring", "N m/rad", 0.3, 0.0, 1.0)
     within = with_forces(closed, ("spring:angle",), (stiffness,))
     assert within.plant == with_forces(LAGGING, ("spring:angle",), (stiffness,))

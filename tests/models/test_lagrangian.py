@@ -125,9 +125,14 @@ def test_a_grey_box_model_is_scored_like_any_other():
         tn.rollout(discretise(model(), 0.01, 4), jnp.array([0.0, 0.4, 0.0, 0.0]), held[1:])
     )
     e = tn.from_arrays(
-        x[:, :2], held, dt=0.01, t=t, v=x[:, 2:],
-        coordinates=FURUTA.coordinates, inputs=FURUTA.inputs,
-    )  # fmt: skip
+        x[:, :2],
+        held,
+        dt=0.01,
+        t=t,
+        v=x[:, 2:],
+        coordinates=FURUTA.coordinates,
+        inputs=FURUTA.inputs,
+    )
     assert tn.evaluate(discretise(model(), 0.01, 4), [e], "file")[0].rmse < 1e-12
     assert tn.evaluate(discretise(model(b2=1e-3), 0.01, 4), [e], "file")[0].rmse > 1e-3
 
@@ -286,9 +291,11 @@ def pushed(names: tuple[str, ...], rate, force=lambda q, v, z, p: z[:1], initial
 
 def test_a_rate_and_a_force_may_take_the_inputs():
     system = pushed(
-        ("fan",), lambda q, v, z, u, p: (u - z) / 0.25, lambda q, v, z, u, p: z * u,
+        ("fan",),
+        lambda q, v, z, u, p: (u - z) / 0.25,
+        lambda q, v, z, u, p: z * u,
         lambda q, v, u, p: 0.5 * u + q,
-    )  # fmt: skip
+    )
     fan = LagrangianModel(system, {"mass": jnp.asarray(2.0)})
     found = fan.derivative(jnp.array([0.3, 1.5, 3.0]), jnp.array([4.0]))
     np.testing.assert_allclose(found, [1.5, 3.0 * 4.0 / 2.0, (4.0 - 3.0) / 0.25])
@@ -410,9 +417,15 @@ def test_a_turned_cable_begins_with_a_part_of_the_arms_angle():
 def test_the_packaged_mass_matrix_is_positive_definite_at_all_corners_of_the_ranges():
     system = qube_servo2.SYSTEM
     names = [
-        "rotor_inertia", "hub_mass", "hub_radius", "arm_mass",
-        "arm_length", "pendulum_mass", "pendulum_centre", "pendulum_inertia",
-    ]  # fmt: skip
+        "rotor_inertia",
+        "hub_mass",
+        "hub_radius",
+        "arm_mass",
+        "arm_length",
+        "pendulum_mass",
+        "pendulum_centre",
+        "pendulum_inertia",
+    ]
     ranges = [system.parameter(name) for name in names]
     corners = np.array(list(product(*[(p.lower, p.upper) for p in ranges])))
 

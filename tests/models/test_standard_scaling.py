@@ -21,11 +21,17 @@ def shaft(twist: float = 0.02, small: float = 0.01) -> tn.DataSet:
         pole = 0.3 + small * np.sin(7 * t)
         q = np.stack([motor, load, pole], axis=1)
         split = "validation" if k == 2 else "train"
-        records.append(tn.from_arrays(
-            q, np.cos(5 * t)[:, None], dt=DT, name=f"r{k}", split=split,
-            coordinates=[tn.Coordinate(n, "angular") for n in ("motor", "load", "pole")],
-            inputs=[tn.Input("torque", "N m")],
-        ))  # fmt: skip
+        records.append(
+            tn.from_arrays(
+                q,
+                np.cos(5 * t)[:, None],
+                dt=DT,
+                name=f"r{k}",
+                split=split,
+                coordinates=[tn.Coordinate(n, "angular") for n in ("motor", "load", "pole")],
+                inputs=[tn.Input("torque", "N m")],
+            )
+        )
     return tn.DataSet("shaft", tuple(records))
 
 

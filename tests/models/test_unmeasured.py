@@ -140,12 +140,17 @@ def test_a_model_is_identified_from_the_measured_coordinate_alone():
         states = [np.zeros(4)]
         for u in force[:-1]:
             states.append(step(states[-1], np.array([u])))
-        records.append(tn.from_arrays(
-            np.round(np.array(states)[:, :1] / 1e-4) * 1e-4, force[:, None], dt=0.02,
-            coordinates=[tn.Coordinate("x", "linear", 1e-4)], name=f"run{k}",
-            inputs=[tn.Input("force", "N", "zero-order", is_delay_declared=True)],
-            split=("train", "validation")[k],
-        ))  # fmt: skip
+        records.append(
+            tn.from_arrays(
+                np.round(np.array(states)[:, :1] / 1e-4) * 1e-4,
+                force[:, None],
+                dt=0.02,
+                coordinates=[tn.Coordinate("x", "linear", 1e-4)],
+                name=f"run{k}",
+                inputs=[tn.Input("force", "N", "zero-order", is_delay_declared=True)],
+                split=("train", "validation")[k],
+            )
+        )
     result = tn.identify(tn.DataSet("cart", tuple(records)), HANGING, "grey")
     assert result.values["cart"] == pytest.approx(3.0, rel=2e-3)
     assert result.validation_rmse is not None

@@ -34,10 +34,29 @@ def smooth(x: jax.Array) -> list:
     """Every operation where it is smooth, of numbers within (0, 1)."""
     y = x[::-1] + 0.3
     one = [
-        jnp.sqrt, jnp.exp, jnp.expm1, jnp.log, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin,
-        jnp.arccos, jnp.arctan, jnp.sinh, jnp.cosh, jnp.tanh, jnp.arcsinh, jnp.arctanh, jnp.abs,
-        jnp.floor, jnp.ceil, jnp.sign, lambda z: -z, lambda z: jnp.arccosh(z + 1.5),
-    ]  # fmt: skip
+        jnp.sqrt,
+        jnp.exp,
+        jnp.expm1,
+        jnp.log,
+        jnp.log1p,
+        jnp.sin,
+        jnp.cos,
+        jnp.tan,
+        jnp.arcsin,
+        jnp.arccos,
+        jnp.arctan,
+        jnp.sinh,
+        jnp.cosh,
+        jnp.tanh,
+        jnp.arcsinh,
+        jnp.arctanh,
+        jnp.abs,
+        jnp.floor,
+        jnp.ceil,
+        jnp.sign,
+        lambda z: -z,
+        lambda z: jnp.arccosh(z + 1.5),
+    ]
     two = [x + y, x - y, x * y, x / y, x**y, jnp.maximum(x, y), jnp.minimum(x, y)]
     more = [jnp.fmod(7 * x, y), jnp.arctan2(x, y), jnp.where(x > y, x**2, y)]
     return [*(f(x) for f in one), *two, *more]

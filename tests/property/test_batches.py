@@ -20,9 +20,12 @@ CHANNELS = tn.Channels(
     (tn.Coordinate("arm", "angular"), tn.Coordinate("slide", "linear")), (tn.Input("u", "V"),), 0.05
 )
 SCALING = Scaling(
-    jnp.full(1, 0.2), jnp.full(1, 0.7), jnp.array([2.0, 1.5]), jnp.full(1, 1.5),
+    jnp.full(1, 0.2),
+    jnp.full(1, 0.7),
+    jnp.array([2.0, 1.5]),
+    jnp.full(1, 1.5),
     jnp.array([3.0, 5.0]),
-)  # fmt: skip
+)
 seeds = given(seed=st.integers(0, 2**20))
 
 

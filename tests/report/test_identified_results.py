@@ -18,22 +18,43 @@ from tustinnet.report.identification import MOST_DRAWN, choose_parameters, corre
 from tustinnet.report.summary import time_sentence
 
 MIXED = [
-    tn.Coordinate("cart", "linear"), tn.Coordinate("pole", "angular"),
+    tn.Coordinate("cart", "linear"),
+    tn.Coordinate("pole", "angular"),
     tn.Coordinate("arm", "angular"),
-]  # fmt: skip
+]
 
 
 def identified(n: int, correlation: np.ndarray) -> tn.Identification:
     """An identification of `n` parameters of two links, every other one of which is informed."""
     estimates = tuple(
-        Estimate(f"link{i % 2}.p{i}", "kg", 1.0, 0.1, 0.1, (0.8, 1.2), 0.1, 10.0,
-                 is_informed=i % 2 == 0)
+        Estimate(
+            f"link{i % 2}.p{i}", "kg", 1.0, 0.1, 0.1, (0.8, 1.2), 0.1, 10.0, is_informed=i % 2 == 0
+        )
         for i in range(n)
-    )  # fmt: skip
+    )
     return tn.Identification(
-        SWING, tn.discretise(swing_model(), DT), estimates, {}, correlation, 1.0, True, "", (), (),
-        "residuals", {}, (), (), "anchored", {}, "file", {}, None, 1, 1,
-    )  # fmt: skip
+        SWING,
+        tn.discretise(swing_model(), DT),
+        estimates,
+        {},
+        correlation,
+        1.0,
+        True,
+        "",
+        (),
+        (),
+        "residuals",
+        {},
+        (),
+        (),
+        "anchored",
+        {},
+        "file",
+        {},
+        None,
+        1,
+        1,
+    )
 
 
 def mixed_score(name: str, *rmse: float, horizon: float | None = None) -> Score:
@@ -84,9 +105,12 @@ def test_of_many_parameters_the_table_has_those_that_the_records_tell_about():
 
 def test_base_parameters_are_written_as_combinations():
     first = BaseParameterEstimate(
-        "arm.inertia_zz", "kg m^2", {"hand.mass": 0.0625, "hand.mass*center_x": -1.0}, 0.51234,
+        "arm.inertia_zz",
+        "kg m^2",
+        {"hand.mass": 0.0625, "hand.mass*center_x": -1.0},
+        0.51234,
         (0.5, 0.52468),
-    )  # fmt: skip
+    )
     assert first.expression == "arm.inertia_zz + 0.0625 hand.mass - hand.mass*center_x"
     at_bound = BaseParameterEstimate("joint.viscous", "N m s/rad", {}, 0.1, None)
     rows = base_parameter_table([first, at_bound]).rows
@@ -120,8 +144,14 @@ def test_a_free_run_over_a_horizon_is_drawn_with_its_errors_beside_it():
     record = mixed_record("a")
     figure = free_run_figure(record, {"m": mixed_score("a", 0.4, 0.3, 0.4, horizon=0.2)})
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["cart [m]", "error [m]", "pole [rad]", "error [rad]", "arm [rad]",
-                      "error [rad]"]  # fmt: skip
+    assert labels == [
+        "cart [m]",
+        "error [m]",
+        "pole [rad]",
+        "error [rad]",
+        "arm [rad]",
+        "error [rad]",
+    ]
     (text,) = [t.get_text() for t in figure.legends[0].get_texts() if "RMSE" in t.get_text()]
     assert text == "m (RMSE 0.400 m and 0.500 rad)"
     # whole records: only where every error is small

@@ -39,9 +39,18 @@ console.log(JSON.stringify({ points, names: [...names], tips: linkage.tips,
   outlines: links.map((_, i) => linkage.outline(linkage.links[i], linkage.places(poses[0])[i])) }));
 """
 SYSTEMS = (
-    "cart-pole", "2-link-chain", "3-link-chain", "two-mass-drive", "crane", "ball-and-beam",
-    "reaction-wheel", "propeller-pendulum", "positioning-axis", "duffing", "qube-servo2",
-)  # fmt: skip
+    "cart-pole",
+    "2-link-chain",
+    "3-link-chain",
+    "two-mass-drive",
+    "crane",
+    "ball-and-beam",
+    "reaction-wheel",
+    "propeller-pendulum",
+    "positioning-axis",
+    "duffing",
+    "qube-servo2",
+)
 
 
 def draw(system: tn.LagrangianSystem, reach: float, poses: list[list[float]]) -> dict[str, Any]:
@@ -55,8 +64,10 @@ def draw(system: tn.LagrangianSystem, reach: float, poses: list[list[float]]) ->
     source = resources.files("tustinnet.report.page").joinpath("assets/linkage.js").read_text()
     done = subprocess.run(
         ["node", "--eval", CANVAS + source + DRAW, json.dumps(content)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return json.loads(done.stdout)
 
 
@@ -67,9 +78,13 @@ def swinging(*links: tn.Link) -> tn.LagrangianSystem:
         for of in links
     )
     return tn.LagrangianSystem(
-        "drawn", coordinates, (), (tn.Parameter("mass", "kg", 1.0, 0.5, 2.0),),
-        lambda q, v, p: p["mass"] * (v**2).sum() / 2, links=links,
-    )  # fmt: skip
+        "drawn",
+        coordinates,
+        (),
+        (tn.Parameter("mass", "kg", 1.0, 0.5, 2.0),),
+        lambda q, v, p: p["mass"] * (v**2).sum() / 2,
+        links=links,
+    )
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -103,11 +103,12 @@ def test_a_page_is_one_file_that_may_ask_for_nothing(page):
     said = {
         f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
         for (tag, text), of in zip(
-            found.texts, [of for tag, of in found.elements if tag in ("script", "style")],
+            found.texts,
+            [of for tag, of in found.elements if tag in ("script", "style")],
             strict=True,
         )
         if of.get("type") != "application/json"
-    }  # fmt: skip
+    }
     assert said == allowed
     for _, of in found.elements:
         assert not {"src", "onclick", "style", "action"} & of.keys()
@@ -127,10 +128,15 @@ def test_every_control_has_a_name_and_every_reference_a_target(page):
 
 def test_a_page_says_what_it_is_about(page):
     for text in (
-        "A Tustin-Net model of angle", "Driven by torque (N m), in steps of 20 ms",
-        "5 train and validation records, 3 of which it was fitted to", "run", "seed-1",
-        "Every sample is drawn", "Copyright (c) 2022 Leon Sorokin", "Made by",
-    ):  # fmt: skip
+        "A Tustin-Net model of angle",
+        "Driven by torque (N m), in steps of 20 ms",
+        "5 train and validation records, 3 of which it was fitted to",
+        "run",
+        "seed-1",
+        "Every sample is drawn",
+        "Copyright (c) 2022 Leon Sorokin",
+        "Made by",
+    ):
         assert (text in page) == (text != "Made by"), text  # nobody typed a command
 
 
@@ -274,17 +280,27 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
     generator = np.random.default_rng(0)
-    coordinates = [tn.Coordinate("arm", "angular"), tn.Coordinate("cart", "linear"),
-                   tn.Coordinate("tip", "angular")]  # fmt: skip
+    coordinates = [
+        tn.Coordinate("arm", "angular"),
+        tn.Coordinate("cart", "linear"),
+        tn.Coordinate("tip", "angular"),
+    ]
     records = []
     for i in range(4):  # turning on one way, the cart and the input tied to the tip
         t = 0.02 * np.arange(150)
         tip = np.sin((2 + i / 50) * t)
         q = np.stack([2 * t + i / 20, 0.3 * tip, tip], axis=1)
-        records.append(tn.from_arrays(
-            q, 2 * tip, v=np.gradient(q, t, axis=0), dt=0.02, name=f"r{i}",
-            coordinates=coordinates, inputs=[tn.Input("motor", "V")],
-        ))  # fmt: skip
+        records.append(
+            tn.from_arrays(
+                q,
+                2 * tip,
+                v=np.gradient(q, t, axis=0),
+                dt=0.02,
+                name=f"r{i}",
+                coordinates=coordinates,
+                inputs=[tn.Input("motor", "V")],
+            )
+        )
     channels = records[0].channels
     every = np.concatenate([np.concatenate([e.measured_states(), e.u], axis=1) for e in records])
     ends = np.stack([every.min(axis=0), every.max(axis=0)], axis=1)
@@ -303,18 +319,27 @@ def test_a_page_knows_what_was_recorded_as_the_package_does():
         for x, u in zip(states, inputs, strict=True)
     ]
     content = {
-        "range": {"q": known.states[:3].tolist(), "v": known.states[3:].tolist(),
-                  "u": known.inputs.tolist()},
-        "cloud": {"points": cloud.points.tolist(), "spread": cloud.spread.tolist(),
-                  "reach": cloud.reach},
+        "range": {
+            "q": known.states[:3].tolist(),
+            "v": known.states[3:].tolist(),
+            "u": known.inputs.tolist(),
+        },
+        "cloud": {
+            "points": cloud.points.tolist(),
+            "spread": cloud.spread.tolist(),
+            "reach": cloud.reach,
+        },
         "angular": channels.angular.tolist(),
-        "states": np.where(np.isfinite(states), states, 1e308).tolist(), "inputs": inputs.tolist(),
-    }  # fmt: skip
+        "states": np.where(np.isfinite(states), states, 1e308).tolist(),
+        "inputs": inputs.tolist(),
+    }
     source = resources.files("tustinnet.report.page").joinpath("assets/range.js").read_text()
     done = subprocess.run(
         ["node", "--eval", source + JUDGING, json.dumps(content)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     found = json.loads(done.stdout)
     assert [any(of) for of in found] == [of is not None for of in left]
     # each by itself, together only, not at all: all three happen
@@ -334,28 +359,50 @@ def test_a_page_commands_what_python_does_after_a_fall_too():
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
     generator, steps = np.random.default_rng(0), 20
-    about = {"lower": np.array([-1.0]), "upper": np.array([1.5]), "dt": 0.02, "delay": 1,
-             "speeds": np.ones(1), "periodic": (0,)}  # fmt: skip
+    about = {
+        "lower": np.array([-1.0]),
+        "upper": np.array([1.5]),
+        "dt": 0.02,
+        "delay": 1,
+        "speeds": np.ones(1),
+        "periodic": (0,),
+    }
     final = Feedback(
-        gain=0.3 * generator.normal(size=(1, 4)), x0=np.zeros(2), u0=np.array([0.1]),
-        integral=(0,), **about,
-    )  # fmt: skip
+        gain=0.3 * generator.normal(size=(1, 4)),
+        x0=np.zeros(2),
+        u0=np.array([0.1]),
+        integral=(0,),
+        **about,
+    )
     start = np.array([np.pi, 0.0])
     settle = Feedback(
         gain=0.3 * generator.normal(size=(1, 3)), x0=start, u0=np.array([-0.2]), **about
     )
     plan = Plan(
-        x=np.linspace(start, [0.0, 0.0], steps + 1), u=generator.normal(size=(steps, 1)), cost=0.0,
-        converged=True, reached=True, iterations=1, dt=0.02, goal=np.zeros(2),
-        before=np.array([0.3]), delay=1,
-    )  # fmt: skip
+        x=np.linspace(start, [0.0, 0.0], steps + 1),
+        u=generator.normal(size=(steps, 1)),
+        cost=0.0,
+        converged=True,
+        reached=True,
+        iterations=1,
+        dt=0.02,
+        goal=np.zeros(2),
+        before=np.array([0.3]),
+        delay=1,
+    )
     recovery = Recovery(settle, np.array([0.8, 0.0]), np.array([0.3, 1.0]))
     tracking = Tracking(plan, 0.3 * generator.normal(size=(steps, 1, 3)), final, recovery)
     # along the plan, at its end, fallen with whole turns, near the start but quick, slow, again
-    states = np.concatenate([
-        plan.x[:-1], np.tile([0.2, 0.0], (30, 1)), np.tile([2.0 + 2 * np.pi, 1.0], (10, 1)),
-        np.tile([-3.0, 2.0], (5, 1)), np.tile([3.0 - 2 * np.pi, 0.5], (1, 1)), plan.x[1:],
-    ])  # fmt: skip
+    states = np.concatenate(
+        [
+            plan.x[:-1],
+            np.tile([0.2, 0.0], (30, 1)),
+            np.tile([2.0 + 2 * np.pi, 1.0], (10, 1)),
+            np.tile([-3.0, 2.0], (5, 1)),
+            np.tile([3.0 - 2 * np.pi, 0.5], (1, 1)),
+            plan.x[1:],
+        ]
+    )
     states += 0.02 * generator.normal(size=states.shape)
     python, phases, commands = TrackingFeedback(tracking), [], []
     for k, x in enumerate(states):
@@ -369,10 +416,16 @@ def test_a_page_commands_what_python_does_after_a_fall_too():
     source = resources.files("tustinnet.report.page").joinpath("assets/pilot.js").read_text()
     call = "console.log(JSON.stringify(commandsFor(states)));"
     done = subprocess.run(
-        ["node", "--eval", COMMANDING + source + call,
-         json.dumps({"controller": controller, "states": states.tolist()})],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [
+            "node",
+            "--eval",
+            COMMANDING + source + call,
+            json.dumps({"controller": controller, "states": states.tolist()}),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     np.testing.assert_allclose(json.loads(done.stdout), commands, rtol=0, atol=1e-13)
 
 
@@ -400,18 +453,27 @@ def test_a_tree_of_links_is_placed_as_its_frames_say():
     cart, arm, hand, tail, crank = q = [0.3, 0.5, -0.7, 1.1, 2.0]
     content = {
         "links": [
-            {"coordinate": names.index(of.coordinate), "axis": of.axis, "reach": of.reach,
-             "parent": parent, "at": of.at, "shape": of.shape}
+            {
+                "coordinate": names.index(of.coordinate),
+                "axis": of.axis,
+                "reach": of.reach,
+                "parent": parent,
+                "at": of.at,
+                "shape": of.shape,
+            }
             for of, parent in zip(TREE, parent_indices(TREE), strict=True)
         ],
-        "coordinates": [{"kind": kind} for kind in kinds], "q": q,
-    }  # fmt: skip
+        "coordinates": [{"kind": kind} for kind in kinds],
+        "q": q,
+    }
     source = resources.files("tustinnet.report.page").joinpath("assets/linkage.js").read_text()
     call = "console.log(JSON.stringify(placed(JSON.parse(process.argv[1]))));"
     done = subprocess.run(
         ["node", "--eval", PLACED + source + call, json.dumps(content)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     found = json.loads(done.stdout)
 
     def about(axis: list[int], angle: float) -> np.ndarray:

@@ -37,9 +37,15 @@ def record(name: str, model: tn.Model, alpha: float, volts: float) -> tn.Experim
     u = volts * np.random.default_rng(0).uniform(-1, 1, (STEPS, 1))
     x = np.asarray(tn.rollout(model, np.array([0.3, alpha, 0.0, 0.0]), u))
     return tn.from_arrays(
-        x[:, :2], np.concatenate([u, u[-1:]]), v=x[:, 2:], dt=DT, name=name, split="test",
-        coordinates=model.coordinates, inputs=model.inputs,
-    )  # fmt: skip
+        x[:, :2],
+        np.concatenate([u, u[-1:]]),
+        v=x[:, 2:],
+        dt=DT,
+        name=name,
+        split="test",
+        coordinates=model.coordinates,
+        inputs=model.inputs,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -192,8 +198,19 @@ def test_every_control_has_a_name(opened):
             stripped = line.strip().removeprefix("- ")
             if stripped.split(":")[0].split(" ")[0] == role:
                 assert '"' in stripped, line
-    for name in ("Play", "Time in the record", "Speed", "Record", "Show nominal", "Zoom in",
-                 "Let go", "Push", "alpha [rad]", "voltage [V]", "Model"):  # fmt: skip
+    for name in (
+        "Play",
+        "Time in the record",
+        "Speed",
+        "Record",
+        "Show nominal",
+        "Zoom in",
+        "Let go",
+        "Push",
+        "alpha [rad]",
+        "voltage [V]",
+        "Model",
+    ):
         assert name in tree.replace("Pause", "Play"), name
 
 
@@ -273,9 +290,7 @@ def test_the_playground_says_where_it_leaves_what_was_recorded(browser, models, 
         read.extrapolation_point(models["nominal"].channels, x[None], u[None]) is not None
         for x, u in zip(states, inputs, strict=True)
     ]
-    told = found.page.evaluate(
-        "([x, u]) => isOutside(0, x, u)", [states.tolist(), inputs.tolist()]
-    )  # fmt: skip
+    told = found.page.evaluate("([x, u]) => isOutside(0, x, u)", [states.tolist(), inputs.tolist()])
     assert told == left
     assert 10 < sum(left) < 190
     said = found.page.locator("#toy-state")
@@ -310,8 +325,10 @@ def test_links_that_form_a_tree_are_drawn_and_dragged(browser, models, records, 
     file = tn.write_report({"tree": model}, records[:1], tmp_path / "report.html")
     found = Opened(browser, file, reduced_motion="reduce")
     page = found.page
-    places = page.evaluate("Object.keys(JSON.parse(document.getElementById('data').textContent)"
-                           ".links[1]).sort().join()")  # fmt: skip
+    places = page.evaluate(
+        "Object.keys(JSON.parse(document.getElementById('data').textContent)"
+        ".links[1]).sort().join()"
+    )
     assert places == "at,axis,coordinate,parent,reach,shape"
     before = drawn(page, "stage")
     page.get_by_label("Time in the record").fill("1")

@@ -37,20 +37,40 @@ def test_drawings_are_written(tmp_path, draw, ending):
         (
             mechanism_figure,
             [
-                r"\theta", r"\alpha", "L_r", "l_p", r"\tau(U)", "$g$", "encoder cable",
-                "elastic force on the arm", "centre line", "upright", "motor", "arm axis",
+                r"\theta",
+                r"\alpha",
+                "L_r",
+                "l_p",
+                r"\tau(U)",
+                "$g$",
+                "encoder cable",
+                "elastic force on the arm",
+                "centre line",
+                "upright",
+                "motor",
+                "arm axis",
             ],
         ),
         (
             architecture_figure,
             [
-                r"\sin q_k", r"\cos q_k", "u_k", r"x_k = [", r"\phi_1", r"\phi_M", "W_{M+1}",
-                r"\tau_s", "z^{-1}", r"q_{k+1} = q_k + \tau_s", r"\dfrac{v_k + v_{k+1}}{2}",
-                "x_{k+1} = [", "trapezoidal rule",
+                r"\sin q_k",
+                r"\cos q_k",
+                "u_k",
+                r"x_k = [",
+                r"\phi_1",
+                r"\phi_M",
+                "W_{M+1}",
+                r"\tau_s",
+                "z^{-1}",
+                r"q_{k+1} = q_k + \tau_s",
+                r"\dfrac{v_k + v_{k+1}}{2}",
+                "x_{k+1} = [",
+                "trapezoidal rule",
             ],
         ),
     ],
-)  # fmt: skip
+)
 def test_drawings_name_what_they_show(draw, expected):
     texts = [label.get_text() for label in labels(draw())]
     missing = [wanted for wanted in expected if not any(wanted in text for text in texts)]

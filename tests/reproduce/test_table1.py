@@ -69,8 +69,15 @@ def test_the_json_says_split_units_start_records_and_rows(layout):
     assert [r["model"] for r in content["rows"]] == list(AUTHORS_ROWS)
     row = content["rows"][0]
     assert set(row) == {
-        "model", "seed", "recipe", "rmse", "mean", "train_seconds", "windows", "epochs",
-    }  # fmt: skip
+        "model",
+        "seed",
+        "recipe",
+        "rmse",
+        "mean",
+        "train_seconds",
+        "windows",
+        "epochs",
+    }
     assert "start" not in row  # that of the table; rows that start otherwise say so
     assert list(row["rmse"]) == content["experiments"]
     assert row["mean"] == pytest.approx(np.mean(list(row["rmse"].values())))
@@ -79,8 +86,17 @@ def test_the_json_says_split_units_start_records_and_rows(layout):
 def test_the_papers_own_numbers_stand_beside_ours_on_its_own_records(layout):
     table = table1.as_table(authors_rows(layout, "test"), "test")
     paper = next(row for row in table.rows if row[0].endswith("(Algorithm 1)"))
-    assert paper[1:] == ["0.075", "0.153", "0.111", "0.094", "0.103", "0.142", "0.168", "0.177",
-                         "0.128"]  # fmt: skip
+    assert paper[1:] == [
+        "0.075",
+        "0.153",
+        "0.111",
+        "0.094",
+        "0.103",
+        "0.142",
+        "0.168",
+        "0.177",
+        "0.128",
+    ]
     validation = table1.as_table(authors_rows(layout, "validation"), "validation")
     assert validation.rows[0][1:] == [*["–"] * 6, "0.171*"]
 
@@ -121,14 +137,28 @@ def test_figures_are_drawn_for_every_record_and_figure_4_for_the_papers(layout, 
 
 def test_models_are_chosen_by_name(layout, tmp_path):
     assert table1.choose_models([], layout) == (
-        ["authors", "tustin-standard", "tustin-transfer", "euler-lagrange",
-         "euler-lagrange-naive", "best-tustin", "best-grey", "best-hybrid"], "",
-    )  # fmt: skip
+        [
+            "authors",
+            "tustin-standard",
+            "tustin-transfer",
+            "euler-lagrange",
+            "euler-lagrange-naive",
+            "best-tustin",
+            "best-grey",
+            "best-hybrid",
+        ],
+        "",
+    )
     models, remark = table1.choose_models([], tmp_path / "elsewhere")
     assert models == [
-        "tustin-standard", "tustin-transfer", "euler-lagrange", "euler-lagrange-naive",
-        "best-tustin", "best-grey", "best-hybrid",
-    ]  # fmt: skip
+        "tustin-standard",
+        "tustin-transfer",
+        "euler-lagrange",
+        "euler-lagrange-naive",
+        "best-tustin",
+        "best-grey",
+        "best-hybrid",
+    ]
     assert "left out" in remark
     listed = ["authors, gru", "linear", "gru"]
     assert table1.choose_models(listed, layout) == (["authors", "gru", "linear"], "")
@@ -157,8 +187,19 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     monkeypatch.setattr(table1, "read_recipe", lambda name: short)
     out = tmp_path / "out"
     with pytest.raises(SystemExit) as ended:
-        run(["reproduce", "--data", str(layout), "--out", str(out), "--models", "tustin-transfer",
-             "--json", "--quiet"])  # fmt: skip
+        run(
+            [
+                "reproduce",
+                "--data",
+                str(layout),
+                "--out",
+                str(out),
+                "--models",
+                "tustin-transfer",
+                "--json",
+                "--quiet",
+            ]
+        )
     assert not ended.value.code
     captured = capsys.readouterr()
     assert "scoring the test split" in captured.err
@@ -167,8 +208,10 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
     assert json.loads(captured.out) == content
     row = content["rows"][0]
     assert (row["model"], row["seed"], row["recipe"]) == (
-        "tustin-transfer", 0, "paper-code-transfer",
-    )  # fmt: skip
+        "tustin-transfer",
+        0,
+        "paper-code-transfer",
+    )
     assert len(row["windows"]) == len(row["epochs"]) == 2
     assert row["train_seconds"] > 0
     model = tn.read_header(out / "runs" / "tustin-transfer" / "model.safetensors")

@@ -78,12 +78,21 @@ def selected(folder: Path, earlier: Earlier = "refuse") -> Made:
     """A selection of a machine with one coordinate and one input, and the tasks of its jobs."""
     tasks, messages = list[Task](), list[str]()
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(jobs, "fit_in_folder", lambda out, task, *more, **named: (
-            tasks.append(task), fit_in_folder(out, task, *more, **named))[1])  # fmt: skip
+        patched.setattr(
+            jobs,
+            "fit_in_folder",
+            lambda out, task, *more, **named: (
+                tasks.append(task),
+                fit_in_folder(out, task, *more, **named),
+            )[1],
+        )
         choice = select_model(
-            swings(), folder / "run", SelectionOptions(plan_in(folder, PLAN), SWING), earlier,
+            swings(),
+            folder / "run",
+            SelectionOptions(plan_in(folder, PLAN), SWING),
+            earlier,
             Reporter(messages.append),
-        )  # fmt: skip
+        )
     return Made(choice, tasks, messages)
 
 
@@ -143,15 +152,23 @@ def test_values_by_group_are_begun_with_where_the_fold_has_the_group():
     model = tn.discretise(system.model({k: jnp.asarray(x) for k, x in values.items()}), 0.02, 1)
     split = FoldSplit(records[4:], Roles(records[:4], ()))
     context = RunContext(
-        tn.DataSet("loads", records), Scorer(3, "model-20"), models={"m": model}, system=system,
+        tn.DataSet("loads", records),
+        Scorer(3, "model-20"),
+        models={"m": model},
+        system=system,
         drawn=(split,),
-    )  # fmt: skip
+    )
     task = make_job_task([Job("grey", tn.read_recipe("grey"), 0, origin="m")], context)
     begin = task.identification_recipe.model.begin
-    assert begin == pytest.approx({
-        "inertia": values["inertia"], "damping": 0.07, "gain": values["gain"],
-        "gravity[none]": 1.0, "gravity[ball]": 2.0,
-    })  # fmt: skip
+    assert begin == pytest.approx(
+        {
+            "inertia": values["inertia"],
+            "damping": 0.07,
+            "gain": values["gain"],
+            "gravity[none]": 1.0,
+            "gravity[ball]": 2.0,
+        }
+    )
 
 
 def applicable(plan: str, system: LagrangianSystem | None, data=None) -> tuple[list[str], str]:
@@ -205,9 +222,12 @@ def test_inputs_drive_all_coordinates_each_by_itself(gains, are_driven):
     system = with_second_coordinate(np.array(gains))
     e = swings()[0]
     record = tn.from_arrays(
-        np.hstack([e.q, e.q]), np.zeros((len(e), len(system.inputs))), dt=e.dt,
-        coordinates=list(system.coordinates), inputs=list(system.inputs),
-    )  # fmt: skip
+        np.hstack([e.q, e.q]),
+        np.zeros((len(e), len(system.inputs))),
+        dt=e.dt,
+        coordinates=list(system.coordinates),
+        inputs=list(system.inputs),
+    )
     assert are_all_driven(system, [record]) is are_driven
     if not are_driven:
         records = tuple(replace(record, name=f"r{k}") for k in range(3))
@@ -231,9 +251,11 @@ def test_a_robot_is_judged_in_the_loop_of_its_controller(tmp_path):
     data = record_in_loop(robot, true_values(robot, 0), 4, 2.0, knows_controller=True)
     messages = list[str]()
     choice = select_model(
-        data, tmp_path / "run", SelectionOptions(plan_in(tmp_path, ALONE), find_system(PENDULUM)),
+        data,
+        tmp_path / "run",
+        SelectionOptions(plan_in(tmp_path, ALONE), find_system(PENDULUM)),
         reporter=Reporter(messages.append),
-    )  # fmt: skip
+    )
     assert messages[0].startswith("judged by free runs in the loop of the controller in the data")
     assert messages[0] in choice.sentences
     assert choice.context.scoring.horizon is None

@@ -32,10 +32,15 @@ TINY: dict[str, Any] = {
     "name": "tiny",
     "model": {"hidden": [5]},
     "stages": [
-        {"name": "only", "windows": {"draw": "strided", "length": 10, "step": 8}, "rate": 3e-3,
-         "epochs": 2, "batch": 16}
+        {
+            "name": "only",
+            "windows": {"draw": "strided", "length": 10, "step": 8},
+            "rate": 3e-3,
+            "epochs": 2,
+            "batch": 16,
+        }
     ],
-}  # fmt: skip
+}
 HYBRID = {**TINY, "model": {"kind": "hybrid", "correction": {"hidden": [4]}, "substeps": 1}}
 
 
@@ -47,11 +52,14 @@ def short(split: str | None = None, kinds: str = "aaaabbbc") -> tn.DataSet:
     """Records of some kinds."""
     made = [
         tn.from_arrays(
-            np.sin(np.arange(20) * 0.1 + i), dt=DT, coordinates={"a": "angular"},
-            name=f"{kind}{i}", split=split,
+            np.sin(np.arange(20) * 0.1 + i),
+            dt=DT,
+            coordinates={"a": "angular"},
+            name=f"{kind}{i}",
+            split=split,
         )
         for i, kind in enumerate(kinds)
-    ]  # fmt: skip
+    ]
     return tn.DataSet("short", tuple(made))
 
 
@@ -314,8 +322,14 @@ def identified(monkeypatch) -> list[Task]:
             asked.append(task)
         return FitResult(
             tn.discretise(swing_model(TRUTH | {"gain": 0.15 + member.fold}), DT, 8),
-            task.recipe, member, "finished", True, "file", None, 1.0,
-        )  # fmt: skip
+            task.recipe,
+            member,
+            "finished",
+            True,
+            "file",
+            None,
+            1.0,
+        )
 
     monkeypatch.setattr("tustinnet.fitting.fit.identify_task", identify_task)
     return asked

@@ -96,8 +96,9 @@ def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
     hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
     candidates = [*PLAN["candidates"][:2], other, hybrid]
     executor = Pretended()
-    found, _ = halving({**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 0.1},
-                                                                    {"folds": 3}]})  # fmt: skip
+    found, _ = halving(
+        {**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 0.1}, {"folds": 3}]}
+    )
     found.run(executor)
     assert {j.candidate for j in executor.done if j.fold == 2} == {"hybrid", "better grey"}
     used = [j.physics for j in executor.done if j.candidate == "hybrid"]
@@ -133,10 +134,13 @@ def test_a_search_begins_with_what_forces_say_in_its_fold_as_long_as_it_goes_on(
 
 def test_a_search_begins_at_the_values_of_the_system_where_forces_failed(monkeypatch):
     monkeypatch.setitem(QUALITY, "forces", 0.5)
-    executor = Pretended(of=lambda job: (
-        JobResult(job.candidate, job.fold, 0.1, "failed", why="too short")
-        if job.candidate == "forces" else None
-    ))  # fmt: skip
+    executor = Pretended(
+        of=lambda job: (
+            JobResult(job.candidate, job.fold, 0.1, "failed", why="too short")
+            if job.candidate == "forces"
+            else None
+        )
+    )
     found, said = halving(with_forces("forces"))
     found.run(executor)
     assert said[0] == "forces, fold 0: too short"
@@ -151,19 +155,35 @@ def test_the_same_kind_by_forces_does_not_make_a_search_by_simulation_wait(monke
     assert [job.candidate for job in executor.done[:4]] == ["forces", "linear", "grey", "network"]
 
 
-@pytest.mark.parametrize(("unexplained", "error", "hopeless"), [
-    (0.05, math.inf, True), (0.05, 1.2, True), (0.05, 0.8, False), (0.5, 1.2, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("unexplained", "error", "hopeless"),
+    [(0.05, math.inf, True), (0.05, 1.2, True), (0.05, 0.8, False), (0.5, 1.2, False)],
+)
 def test_equations_that_explain_the_forces_and_leave_the_records_end_it_at_once(
     unexplained, error, hopeless
 ):
-    executor = Pretended(of=lambda job: (
-        JobResult("forces", job.fold, 0.1, "done", (FitScore(
-            0, "finished", "m", 0.25, {"model-20": {f"r{job.fold}": error * motion}},
-            {"angle": unexplained},
-        ),))
-        if job.candidate == "forces" else None
-    ))  # fmt: skip
+    executor = Pretended(
+        of=lambda job: (
+            JobResult(
+                "forces",
+                job.fold,
+                0.1,
+                "done",
+                (
+                    FitScore(
+                        0,
+                        "finished",
+                        "m",
+                        0.25,
+                        {"model-20": {f"r{job.fold}": error * motion}},
+                        {"angle": unexplained},
+                    ),
+                ),
+            )
+            if job.candidate == "forces"
+            else None
+        )
+    )
     found, _ = halving(with_forces("forces"))
     motion = found._context.motion_within_turns
     found.run(executor)
@@ -184,8 +204,13 @@ def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
         models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
         return JobResult(job.candidate, job.fold, 1.0, "done", models)
 
-    found, _ = halving({**PLAN, "candidates": [*PLAN["candidates"][:2], other],
-                        "rounds": [{"folds": 1, "keep": 1.0}, {"folds": 2}]})  # fmt: skip
+    found, _ = halving(
+        {
+            **PLAN,
+            "candidates": [*PLAN["candidates"][:2], other],
+            "rounds": [{"folds": 1, "keep": 1.0}, {"folds": 2}],
+        }
+    )
     found.run(executor := Pretended(of=of))
     assert [j.candidate for j in executor.done if j.fold == 1] == ["grey", "linear"]
 
@@ -195,12 +220,17 @@ def test_what_comes_last_is_not_waited_for_in_the_first_round():
     hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
     candidates = [*PLAN["candidates"][:2], other, PLAN["candidates"][2], hybrid]
     executor = Pretended()
-    found, _ = halving({**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 1.0},
-                                                                    {"folds": 2}]})  # fmt: skip
+    found, _ = halving(
+        {**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 1.0}, {"folds": 2}]}
+    )
     found.run(executor)
     assert [j.candidate for j in executor.done if j.fold == 0] == [
-        "linear", "grey", "network", "hybrid", "better grey",
-    ]  # fmt: skip
+        "linear",
+        "grey",
+        "network",
+        "hybrid",
+        "better grey",
+    ]
     used = [j.physics for j in executor.done if j.candidate == "hybrid"]
     assert used == ["candidates/grey/fold-0-seeds-0/0", "candidates/better grey/fold-1-seeds-0/0"]
 
@@ -298,8 +328,12 @@ def test_one_of_each_kind_is_tried_before_others_of_it():
     jobs, _ = halving({**PLAN, "candidates": candidates})
     jobs.run(executor := Pretended())
     assert [job.candidate for job in executor.done if job.fold == 0][:5] == [
-        "linear", "grey", "network", "hybrid", "better grey",
-    ]  # fmt: skip
+        "linear",
+        "grey",
+        "network",
+        "hybrid",
+        "better grey",
+    ]
 
 
 @pytest.mark.parametrize(("seconds", "soon"), [(1.0, True), (5.0, False)])

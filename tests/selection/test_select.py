@@ -173,10 +173,13 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
     assert said[0] == "left out, only for fast records: fast"
     plan = read_plan(plan_in(tmp_path, both))
     t = np.arange(200)
-    fast = tn.DataSet("fast", tuple(
-        tn.from_arrays(np.sin(0.8 * t + i), dt=0.02, coordinates={"a": "angular"}, name=f"r{i}")
-        for i in range(3)
-    ))  # fmt: skip
+    fast = tn.DataSet(
+        "fast",
+        tuple(
+            tn.from_arrays(np.sin(0.8 * t + i), dt=0.02, coordinates={"a": "angular"}, name=f"r{i}")
+            for i in range(3)
+        ),
+    )
     context = RunContext(fast, Scorer(3, "model-10"))
     candidates, _ = applicable_candidates(plan, context, None)
     assert [c.name for c in candidates] == ["fast", "network"]
@@ -219,8 +222,10 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
 
 def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):
     choice, name = made.choice, "grey"
-    fewer = [replace(s, fits_by_fold={0: s.fits_by_fold[0]}) if s.name == name else s
-             for s in choice.candidates.results]  # fmt: skip
+    fewer = [
+        replace(s, fits_by_fold={0: s.fits_by_fold[0]}) if s.name == name else s
+        for s in choice.candidates.results
+    ]
     candidates = replace(choice.candidates, results=tuple(fewer))
     cut = replace(choice, candidates=candidates, best=name)
     assert "free runs of 2 of the 5 records that its models" in cut.sentences[1]
@@ -232,11 +237,14 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
     """A choice whose chosen candidate has these errors, a record each, on one fold."""
     rmse = {f"{kinds[i % len(kinds)]}{i}": error for i, error in enumerate(errors)}
-    result = replace(choice.result("grey"), fits_by_fold={
-        0: (replace(choice.result("grey").fits[0], rmse={"model-10": rmse}),)})  # fmt: skip
+    result = replace(
+        choice.result("grey"),
+        fits_by_fold={0: (replace(choice.result("grey").fits[0], rmse={"model-10": rmse}),)},
+    )
     results = [result if r.name == "grey" else r for r in choice.candidates.results]
-    return replace(choice, candidates=replace(choice.candidates, results=tuple(results)),
-                   best="grey")  # fmt: skip
+    return replace(
+        choice, candidates=replace(choice.candidates, results=tuple(results)), best="grey"
+    )
 
 
 def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little(made):
@@ -273,10 +281,24 @@ def test_the_time_of_a_selection_is_that_of_its_parts(made):
 def test_candidates_that_are_far_off_make_no_committee_of_the_best(made):
     choice, said = made.choice, []
     best, *others = sorted(choice.candidates.results, key=lambda r: r.name != "hybrid")
-    scaled = [replace(r, fits_by_fold={
-        fold: tuple(replace(fit, rmse={s: {n: 1e3 * x for n, x in rmse.items()}
-                                       for s, rmse in fit.rmse.items()}) for fit in fits)
-        for fold, fits in r.fits_by_fold.items()}) for r in others]  # fmt: skip
+    scaled = [
+        replace(
+            r,
+            fits_by_fold={
+                fold: tuple(
+                    replace(
+                        fit,
+                        rmse={
+                            s: {n: 1e3 * x for n, x in rmse.items()} for s, rmse in fit.rmse.items()
+                        },
+                    )
+                    for fit in fits
+                )
+                for fold, fits in r.fits_by_fold.items()
+            },
+        )
+        for r in others
+    ]
     scored = score_committees(choice.candidates.plan, [best, *scaled], choice.context, said.append)
     assert not {"best two averaged"} & scored.keys()
     told = "best two averaged: left out, the others are more than 3 times as far off as hybrid"
@@ -319,8 +341,14 @@ def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_
 
     monkeypatch.setattr(scoring, "evaluate", unstable)
     fitted: list[Path] = []
-    monkeypatch.setattr(jobs, "fit_in_folder", lambda folder, *more, **named: (
-        fitted.append(folder), fit_in_folder(folder, *more, **named))[1])  # fmt: skip
+    monkeypatch.setattr(
+        jobs,
+        "fit_in_folder",
+        lambda folder, *more, **named: (
+            fitted.append(folder),
+            fit_in_folder(folder, *more, **named),
+        )[1],
+    )
     choice, _ = selected(tmp_path)
     horizon = choice.context.scoring.horizon
     assert horizon == pytest.approx(0.1 * 200 * 0.02, abs=0.25)
@@ -568,9 +596,19 @@ def test_one_record_is_cut_and_told(tmp_path):
     one = replace(swings(), experiments=(swings()[0],))
     with pytest.raises(InputError, match=r"fall1.*200 samples: cut into 6.*at least 100"):
         selected(tmp_path, data=one)
-    long = replace(one, experiments=(tn.from_arrays(
-        np.tile(one[0].q[:, 0], 4), np.zeros(800), dt=0.02, name="long",
-        coordinates=one[0].coordinates, inputs=one[0].inputs),))  # fmt: skip
+    long = replace(
+        one,
+        experiments=(
+            tn.from_arrays(
+                np.tile(one[0].q[:, 0], 4),
+                np.zeros(800),
+                dt=0.02,
+                name="long",
+                coordinates=one[0].coordinates,
+                inputs=one[0].inputs,
+            ),
+        ),
+    )
     choice, _ = selected(tmp_path, data=long)
     assert "cut into 6 pieces in time" in choice.sentences[-1]
     assert len(choice.result("network").rmse()) == 6
@@ -641,8 +679,10 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
 
 def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
     content = MECHANISM.replace('when = "no-system"\n', "").replace(
-        '[[candidates]]\nname = "hybrid"', '[[candidates]]\nname = "grey"\nrecipe = "grey.toml"\n\n'
-        '[[candidates]]\nname = "hybrid"', 1)  # fmt: skip
+        '[[candidates]]\nname = "hybrid"',
+        '[[candidates]]\nname = "grey"\nrecipe = "grey.toml"\n\n[[candidates]]\nname = "hybrid"',
+        1,
+    )
     (file := tmp_path / "swing.py").write_text("from swinging import SWING as SYSTEM\n")
     plan = plan_in(tmp_path, content)
     select_model(swings(), tmp_path / "run", SelectionOptions(plan, find_system(file)))
@@ -650,8 +690,9 @@ def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
     of = {c["name"]: c for c in summary["candidates"]}
     files = {name: tmp_path / "run" / of[name]["models"][0] for name in ("mechanism", "grey")}
     assert {name: read_system_name(path) for name, path in files.items()} == {
-        "mechanism": "mechanism", "grey": "swing",
-    }  # fmt: skip
+        "mechanism": "mechanism",
+        "grey": "swing",
+    }
     # a mechanism is in its own file; the other one belongs to the copy of the system
     assert [name for name, path in files.items() if HEADER in read_header(path)] == ["grey"]
     model = tn.load_model(files["mechanism"])

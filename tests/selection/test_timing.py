@@ -34,8 +34,14 @@ def records(
     made = []
     for seed in range(4):
         u = voltage(200, seed)
-        blank = tn.from_arrays(np.zeros(len(u)), u, dt=DT, name=f"noise{seed}",
-                               coordinates=SWING.coordinates, inputs=(acting,))  # fmt: skip
+        blank = tn.from_arrays(
+            np.zeros(len(u)),
+            u,
+            dt=DT,
+            name=f"noise{seed}",
+            coordinates=SWING.coordinates,
+            inputs=(acting,),
+        )
         x0 = np.array([0.0, 0.0, u[0]] if lag else [0.0, 0.0])
         q = np.asarray(tn.rollout(model, x0, input_signal(model, blank)))[:, :1]
         inputs = (Input("voltage", "V", declared, delay=known),)

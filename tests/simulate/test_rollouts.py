@@ -23,14 +23,21 @@ def network(coordinates, hidden, stem, activation, output_bias, seed) -> TustinN
     linear = sum(c.kind == "linear" for c in coordinates)
     n_q = len(coordinates)
     scaling = Scaling(
-        jnp.full(linear, 0.1, jnp.float32), jnp.full(linear, 0.7, jnp.float32),
-        jnp.full(n_q, 2.0, jnp.float32), jnp.full(1, 1.5, jnp.float32),
+        jnp.full(linear, 0.1, jnp.float32),
+        jnp.full(linear, 0.7, jnp.float32),
+        jnp.full(n_q, 2.0, jnp.float32),
+        jnp.full(1, 1.5, jnp.float32),
         jnp.full(n_q, 3.0, jnp.float32),
-    )  # fmt: skip
+    )
     return random_tustin_net(
-        tn.Channels(coordinates, (tn.Input("u", "V"),), 0.02), scaling, jax.random.key(seed),
-        hidden=hidden, stem=stem, activation=activation, output_bias=output_bias,
-    )  # fmt: skip
+        tn.Channels(coordinates, (tn.Input("u", "V"),), 0.02),
+        scaling,
+        jax.random.key(seed),
+        hidden=hidden,
+        stem=stem,
+        activation=activation,
+        output_bias=output_bias,
+    )
 
 
 def one_by_one(model, x0, u):
@@ -49,8 +56,9 @@ def value_and_gradients(simulate):
 
 
 results_by_batch, results_one_by_one = (
-    value_and_gradients(rollouts), value_and_gradients(one_by_one)
-)  # fmt: skip
+    value_and_gradients(rollouts),
+    value_and_gradients(one_by_one),
+)
 
 STRUCTURES = [
     ((ANGLE,), (7,), None, "leaky_relu", False, 1, 1, True),
@@ -156,18 +164,23 @@ def test_constants_of_numpy_in_a_system_work_with_every_hold(hold):
     gravity = np.array([1.2])
     inputs = [tn.Input("torque", "N m", hold)]
     system = tn.LagrangianSystem(
-        "swing", (tn.Coordinate("angle", "angular"),), (tn.Input("torque", "N m"),),
+        "swing",
+        (tn.Coordinate("angle", "angular"),),
+        (tn.Input("torque", "N m"),),
         (tn.Parameter("inertia", "kg m^2", 0.1, 0.01, 1.0),),
         kinetic=lambda q, v, p: 0.5 * p["inertia"] * v[0] ** 2,
         potential=lambda q, p: -gravity[0] * jnp.cos(q[0]),
         dissipation=lambda q, v, p: 0.01 * gravity * v,
         input_map=lambda q, v, u, p: u,
-    )  # fmt: skip
+    )
     model = tn.discretise(system.model({"inertia": jnp.asarray(0.1)}), 0.02, inputs=inputs)
     record = tn.from_arrays(
-        np.linspace(0, 1e-3, 61)[:, None], np.sin(np.arange(61.0))[:, None], dt=0.02,
-        coordinates={"angle": "angular"}, inputs=inputs,
-    )  # fmt: skip
+        np.linspace(0, 1e-3, 61)[:, None],
+        np.sin(np.arange(61.0))[:, None],
+        dt=0.02,
+        coordinates={"angle": "angular"},
+        inputs=inputs,
+    )
     signal = tn.input_signal(model, record)
     states = np.asarray(tn.rollout(model, np.array([0.1, 0.0]), signal))
     x = jnp.array([0.1, 0.0])

@@ -31,10 +31,15 @@ def swings() -> list[tn.Experiment]:
         x = tn.rollout(tn.discretise(MODEL, DT, 64), np.array([2.0, 1.0]), u[:-1, None])
         result.append(
             tn.from_arrays(
-                x[:, 0], u, v=x[:, 1], dt=DT, name=name,
-                coordinates=SYSTEM.coordinates, inputs=SYSTEM.inputs,
+                x[:, 0],
+                u,
+                v=x[:, 1],
+                dt=DT,
+                name=name,
+                coordinates=SYSTEM.coordinates,
+                inputs=SYSTEM.inputs,
             )
-        )  # fmt: skip
+        )
     return result
 
 

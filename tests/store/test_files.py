@@ -137,8 +137,12 @@ def test_a_folder_that_was_made_for_nothing_goes(tmp_path):
 
 def test_a_written_data_set_keeps_the_groups_of_its_records(tmp_path: Path):
     e = tn.from_arrays(
-        np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, name="heavy", split="train",
+        np.sin(np.arange(50.0)),
+        dt=0.01,
+        coordinates={"a": "linear"},
+        name="heavy",
+        split="train",
         groups={"payload": "2kg"},
-    )  # fmt: skip
+    )
     write_data_set(tn.DataSet("d", (e,)), tmp_path / "d", "")
     assert tn.load(tmp_path / "d")["heavy"].groups == (("payload", "2kg"),)

@@ -94,8 +94,13 @@ def test_a_seed_that_joins_later_does_not_disturb_those_that_are_done(
     )
     assert arrays(run_folder / "seed-1" / MODEL) == before
     assert [(r.result.seed, r.result.member.rate) for r in joined.members] == [
-        (0, 1.0), (0, 0.5), (1, 1.0), (1, 0.5), (2, 1.0), (2, 0.5),
-    ]  # fmt: skip
+        (0, 1.0),
+        (0, 0.5),
+        (1, 1.0),
+        (1, 0.5),
+        (2, 1.0),
+        (2, 0.5),
+    ]
     assert (run_folder / "seed-2-rate-0.5" / MODEL).is_file()
     assert all(r.result.finished for r in joined.members)
 
@@ -138,11 +143,14 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
     log = run_folder / "seed-0" / "log.jsonl"
     lines = log.read_text().splitlines(keepends=True)
     content = {
-        "gone": b"", "cut": ("".join(lines[:4]) + lines[4][:9]).encode(), "binary": b"\xff\x00",
-        "list": ("".join(lines[:3]) + "[1]\n").encode(), "deep": b"[" * 100_000,
+        "gone": b"",
+        "cut": ("".join(lines[:4]) + lines[4][:9]).encode(),
+        "binary": b"\xff\x00",
+        "list": ("".join(lines[:3]) + "[1]\n").encode(),
+        "deep": b"[" * 100_000,
         "again": "".join([*lines[:6], lines[0], *lines[6:]]).encode(),  # a stage that was over
         "other keys": (lines[0] + '{"stage": 3}\n').encode(),
-    }[damage]  # fmt: skip
+    }[damage]
     log.write_bytes(content)
     if damage == "gone":
         log.unlink()
@@ -159,11 +167,22 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
 
 def test_results_of_every_kind_of_run_are_discarded_and_nothing_else(tmp_path):
     results = [
-        "model.safetensors", "summary.json", "report.html", "log.jsonl", "question.json",
-        "candidates.md", "candidates/grey/model.safetensors", "candidates/grey/fold-0/scores.json",
-        "seed-0/model.safetensors", "seed-0/log.jsonl", "seed-0/checkpoint.safetensors",
-        "figures/fall1.png", "figures/fall2.png", "figures/training.png", "figures/candidates.png",
-    ]  # fmt: skip
+        "model.safetensors",
+        "summary.json",
+        "report.html",
+        "log.jsonl",
+        "question.json",
+        "candidates.md",
+        "candidates/grey/model.safetensors",
+        "candidates/grey/fold-0/scores.json",
+        "seed-0/model.safetensors",
+        "seed-0/log.jsonl",
+        "seed-0/checkpoint.safetensors",
+        "figures/fall1.png",
+        "figures/fall2.png",
+        "figures/training.png",
+        "figures/candidates.png",
+    ]
     others = ["notes.txt", "figures/mine.png", "seed-1/notes.txt", "candidates/grey/notes.txt"]
     for name in (*results, *others):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -254,12 +273,14 @@ def test_killed_at_any_moment_and_resumed_it_ends_with_the_same_bits(
 @pytest.mark.parametrize(
     "bad",
     [
-        "{", "5", '{"stage": "a"}',
+        "{",
+        "5",
+        '{"stage": "a"}',
         '{"stage": 1, "iteration": 1, "cost": 1.0, "damping": 0.0, "initial": ""}',
         '{"stage": "a", "initial": "", "iterations": 1, "cost": 1.0, "why": "limit", '
         '"parameters": {"mass": "heavy"}}',
     ],
-)  # fmt: skip
+)
 def test_the_log_of_an_identification_is_read_up_to_its_damage(tmp_path, bad):
     log = SearchLog(tmp_path)
     log.write_iteration(Iteration("equation-error estimate", 1, float("nan"), 0.0))

@@ -19,10 +19,14 @@ def cart_records(seconds: float = 4.0) -> list[tn.Experiment]:
     q = np.stack([0.3 * np.sin(2 * t), 2.0 * np.cos(3 * t)], axis=1)
     return [
         tn.from_arrays(
-            q, np.sin(5 * t)[:, None], dt=0.01, name="moved",
-            coordinates=CART.coordinates, inputs=CART.inputs,
+            q,
+            np.sin(5 * t)[:, None],
+            dt=0.01,
+            name="moved",
+            coordinates=CART.coordinates,
+            inputs=CART.inputs,
         )
-    ]  # fmt: skip
+    ]
 
 
 def test_it_has_the_terms_that_the_coordinates_can_have():
@@ -35,9 +39,7 @@ def test_it_has_the_terms_that_the_coordinates_can_have():
     assert system.parameter("x.inertia").fixed
     always = {f"{c}.{name}" for c in ("x", "angle") for name in ("inertia", "viscous")}
     assert set(system.optional) == names - always
-    assert system.parameter("x.spring").brings == (
-        "cubic:x", "coulomb_by_position:x", "maxwell:x",
-    )  # fmt: skip
+    assert system.parameter("x.spring").brings == ("cubic:x", "coulomb_by_position:x", "maxwell:x")
 
 
 def test_a_coordinate_that_turns_around_has_no_spring():
@@ -50,10 +52,15 @@ def test_a_coordinate_that_turns_around_has_no_spring():
 def test_with_the_right_values_it_moves_as_the_cart_does():
     """`CART` divided by the cart's inertia of 2 kg."""
     values = {
-        "x.inertia": 1.0, "angle.inertia": 1.0, "x.coupling_angle_cos_angle": 0.5,
-        "angle.gravity_cos": 0.5, "x.spring": 1.0, "x.viscous": 0.05, "angle.viscous": 0.05,
+        "x.inertia": 1.0,
+        "angle.inertia": 1.0,
+        "x.coupling_angle_cos_angle": 0.5,
+        "angle.gravity_cos": 0.5,
+        "x.spring": 1.0,
+        "x.viscous": 0.05,
+        "angle.viscous": 0.05,
         "x.by_force": 0.5,
-    }  # fmt: skip
+    }
     full = MECHANISM.for_records(cart_records())
     system = full.without([name for name in full.optional if name not in values])
     assert set(system.nominal()) == set(values)
@@ -77,10 +84,16 @@ Q, V = jnp.array([0.4, 0.7]), jnp.array([1.1, -0.6])
     [
         # a link on a link: 2 and 0.3 about their own joints, 0.5 together
         (
-            {"first.inertia": 2.0, "second.inertia": 0.3, "first.coupling_second": 1.0,
-             "first.inertia_along_second": 1.0,
-             "first.coupling_second_cos_second": 0.5 / np.sqrt(2.0 * 0.3)},
-            1.0 * V[0] ** 2 + 0.15 * (V[0] + V[1]) ** 2 + 0.5 * jnp.cos(Q[1]) * V[0] * (V[0] + V[1])
+            {
+                "first.inertia": 2.0,
+                "second.inertia": 0.3,
+                "first.coupling_second": 1.0,
+                "first.inertia_along_second": 1.0,
+                "first.coupling_second_cos_second": 0.5 / np.sqrt(2.0 * 0.3),
+            },
+            1.0 * V[0] ** 2
+            + 0.15 * (V[0] + V[1]) ** 2
+            + 0.5 * jnp.cos(Q[1]) * V[0] * (V[0] + V[1])
             - 0.15 * V[0] ** 2,
         ),
         # a pendulum of 0.3 on a turning arm
@@ -90,7 +103,7 @@ Q, V = jnp.array([0.4, 0.7]), jnp.array([1.1, -0.6])
         ),
     ],
     ids=["link", "arm"],
-)  # fmt: skip
+)
 def test_with_usual_ratios_it_is_a_machine_of_rigid_links(values, energy):
     parameters = [Parameter(name, "", 0.0, -9.0, 9.0) for name in values]
     damping = [Parameter(f"{c.name}.viscous", "1/s", 0.0, 0.0, 1.0) for c in ARM]
@@ -111,9 +124,12 @@ def test_what_nobody_could_identify_is_refused_by_name():
         MECHANISM.for_records([still])
     axes = [tn.Coordinate(f"q{k}", "angular") for k in range(7)]
     seven = tn.from_arrays(
-        np.random.default_rng(0).normal(size=(50, 7)), np.zeros((50, 1)), dt=0.01,
-        coordinates=axes, inputs=e.inputs,
-    )  # fmt: skip
+        np.random.default_rng(0).normal(size=(50, 7)),
+        np.zeros((50, 1)),
+        dt=0.01,
+        coordinates=axes,
+        inputs=e.inputs,
+    )
     with pytest.raises(tn.InputError, match="7 coordinates; expected 6 at most"):
         MECHANISM.for_records([seven])
 
@@ -146,9 +162,12 @@ def test_four_angles_are_a_chain_of_links_in_a_plane():
     height = -9.81 * np.sum(masses * np.cumsum(lengths * np.cos(angle))) / inertias[0]
     np.testing.assert_allclose(system.potential(q, arrays), height, rtol=1e-6)
     moving = tn.from_arrays(
-        np.random.default_rng(0).normal(size=(50, 4)), np.zeros((50, 0)), dt=0.01,
-        coordinates=axes, inputs=(),
-    )  # fmt: skip
+        np.random.default_rng(0).normal(size=(50, 4)),
+        np.zeros((50, 0)),
+        dt=0.01,
+        coordinates=axes,
+        inputs=(),
+    )
     assert set(values) <= set(MECHANISM.for_records([moving]).nominal())
 
 
@@ -156,8 +175,11 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
     t = np.arange(0.0, 4.0, 0.01)
     wheels = tn.from_arrays(
         np.stack([9 * np.sin(t), 9 * np.sin(t) + 0.1 * np.sin(7 * t)], axis=1),
-        np.zeros((len(t), 0)), dt=0.01, coordinates=ARM, inputs=(),
-    )  # fmt: skip
+        np.zeros((len(t), 0)),
+        dt=0.01,
+        coordinates=ARM,
+        inputs=(),
+    )
     system = MECHANISM.for_records([wheels])
     assert {"first.shaft_second", "first.shaft_viscous_second"} <= set(system.optional)
     assert "first.spring" not in system.nominal(), "they turn around"
@@ -174,9 +196,11 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
     slide = MECHANISM.for_records(cart_records())
     assert {"x.gravity_sin_angle", "angle.inertia_at_x"} <= set(slide.optional)
     values = {name: jnp.asarray(0.0) for name in slide.nominal()} | {
-        "x.inertia": jnp.asarray(1.0), "angle.inertia": jnp.asarray(0.5),
-        "x.gravity_sin_angle": jnp.asarray(9.81), "angle.inertia_at_x": jnp.asarray(1.0),
-    }  # fmt: skip
+        "x.inertia": jnp.asarray(1.0),
+        "angle.inertia": jnp.asarray(0.5),
+        "x.gravity_sin_angle": jnp.asarray(9.81),
+        "angle.inertia_at_x": jnp.asarray(1.0),
+    }
     assert slide.potential is not None
     np.testing.assert_allclose(slide.potential(Q, values), 9.81 * Q[0] * jnp.sin(Q[1]), rtol=1e-6)
     energy = (V[0] ** 2 + (0.5 + Q[0] ** 2) * V[1] ** 2) / 2
@@ -194,13 +218,15 @@ def test_optional_parameters_belong_to_terms_that_can_be_left_out():
     spring = Parameter("spring", "N/m", 0.0, -1.0, 1.0, optional=True)
     with pytest.raises(tn.InputError, match=r"expected p.get\('spring', 0.0\)"):
         replace(
-            CART, parameters=(*CART.parameters, spring),
+            CART,
+            parameters=(*CART.parameters, spring),
             potential=lambda q, p: p["spring"] * q[0] ** 2,
-        )  # fmt: skip
+        )
     may = replace(
-        CART, parameters=(*CART.parameters, spring),
+        CART,
+        parameters=(*CART.parameters, spring),
         potential=lambda q, p: p.get("spring", 0.0) * q[0] ** 2,
-    )  # fmt: skip
+    )
     assert may.optional == ("spring",)
     assert may.without(["spring"]).optional == ()
     assert not jax.tree.leaves(may.without(["spring"]).parameters[1:])

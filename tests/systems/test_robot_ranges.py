@@ -39,9 +39,12 @@ def records_of(system: LagrangianSystem, torque: float, omega: float) -> tn.Expe
     """A record whose angle and torque are sines of given sizes."""
     t = np.arange(0, 4, 0.004)
     return tn.from_arrays(
-        np.sin(omega * t)[:, None], torque * np.cos(omega * t)[:, None], dt=0.004,
-        coordinates=system.coordinates, inputs=system.inputs,
-    )  # fmt: skip
+        np.sin(omega * t)[:, None],
+        torque * np.cos(omega * t)[:, None],
+        dt=0.004,
+        coordinates=system.coordinates,
+        inputs=system.inputs,
+    )
 
 
 def test_friction_of_a_joint_without_limits_has_a_range_by_the_records(wrist: Path) -> None:
@@ -79,15 +82,18 @@ def test_a_range_can_be_given(wrist: Path) -> None:
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"turn.vicous": (0.0, 7.0)}, "no parameter 'turn.vicous'; expected a parameter that is "
-                                  "searched for, as turn.viscous"),
+        (
+            {"turn.vicous": (0.0, 7.0)},
+            "no parameter 'turn.vicous'; expected a parameter that is "
+            "searched for, as turn.viscous",
+        ),
         ({"turn.coulomb_speed": (0.0, 7.0)}, "the parameter 'turn.coulomb_speed' is fixed"),
         ({"turn.viscous": (7.0, 0.0)}, "(7.0, 0.0) for 'turn.viscous'; expected two numbers"),
         ({"turn.viscous": (0.0, np.nan)}, "ranges: (0.0, nan) for 'turn.viscous'"),
         ({"hand.mass": (0.0, 3.0)}, "'hand.mass' from 0 on; expected a range above 0"),
         ({"hand.mass": (2.0, 3.0)}, "nominal value 0.7 kg; expected a value within 2..3"),
     ],
-)  # fmt: skip
+)
 def test_ranges_that_make_no_sense_are_refused(ranges, message: str, wrist: Path) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         tn.load_robot(wrist, ranges=ranges)
@@ -96,12 +102,15 @@ def test_ranges_that_make_no_sense_are_refused(ranges, message: str, wrist: Path
 @pytest.mark.parametrize(
     ("link", "message"),
     [
-        ("tool", "'tool' is fixed to 'hand', and both are one body; expected a link that moves and "
-                 "has a mass: hand; name the link that moves: per={'hand': 'payload'}"),
+        (
+            "tool",
+            "'tool' is fixed to 'hand', and both are one body; expected a link that moves and "
+            "has a mass: hand; name the link that moves: per={'hand': 'payload'}",
+        ),
         ("tag", "per: the link 'tag' is fixed to the base, which does not move"),
         ("thumb", "per: no link 'thumb'; expected a link that moves and has a mass: hand"),
     ],
-)  # fmt: skip
+)
 def test_a_link_that_another_one_carries_is_named(link: str, message: str, wrist: Path) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         tn.load_robot(wrist, per={link: "payload"})
@@ -151,11 +160,20 @@ def test_a_bound_says_where_it_is_from_and_how_to_move_it(wrist: Path) -> None:
     system = tn.load_robot(wrist, default_density=None, per={"hand": "payload"})
     parameter = system.parameter("turn.viscous")
     estimates = [
-        Estimate("turn.viscous", "N m s/rad", parameter.upper, None, None, None, 0.0,
-                 parameter.upper, "upper"),
+        Estimate(
+            "turn.viscous",
+            "N m s/rad",
+            parameter.upper,
+            None,
+            None,
+            None,
+            0.0,
+            parameter.upper,
+            "upper",
+        ),
         Estimate("hand.mass[1kg]", "kg", 0.14, None, None, None, 0.14, 3.5, "lower"),
         Estimate("turn.coulomb", "N m", 0.0, None, None, None, 0.0, 1.0, "lower"),
-    ]  # fmt: skip
+    ]
     first, second, third, advice = describe_bounds(estimates, None, system)
     assert "range: 10 times the inertia that it moves by the file" in first
     assert "range: 1/5 to 5 times the value in the file" in second

@@ -31,8 +31,9 @@ def test_what_is_written_is_read_again(name, tmp_path):
     lacking = tn.write_robot(model, tmp_path / name)
     again = tn.load_system(tmp_path / name).nominal()
     kept = [key for key in values if key not in lacking]
-    np.testing.assert_allclose([again[k] for k in kept], [values[k] for k in kept], rtol=1e-9,
-                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(
+        [again[k] for k in kept], [values[k] for k in kept], rtol=1e-9, atol=1e-12
+    )
     formats = {"offset"} if name.endswith(".xml") else {"offset", "armature"}
     assert {key.rpartition(".")[2] for key in lacking} == formats
 
@@ -42,10 +43,13 @@ def test_comments_order_and_all_else_stay(name, tmp_path):
     model, _ = moved(tn.load_system(ROBOTS / name))
     tn.write_robot(model, tmp_path / name)
     before, after = (
-        [line for line in (place / name).read_text().splitlines()
-         if not line.strip().startswith(CHANGED)]
+        [
+            line
+            for line in (place / name).read_text().splitlines()
+            if not line.strip().startswith(CHANGED)
+        ]
         for place in (ROBOTS, tmp_path)
-    )  # fmt: skip
+    )
     assert before == after
 
 

@@ -361,11 +361,17 @@ def test_the_stiffness_of_a_gear_is_identified(hanging):
         for u in torque[:-1]:
             states.append(step(states[-1], np.array([u])))
         angle = np.round(np.array(states)[:, :1] / 1e-4) * 1e-4
-        records.append(tn.from_arrays(
-            angle, torque[:, None], dt=dt, name=f"run{k}", split="train" if k < 2 else "validation",
-            coordinates=[tn.Coordinate("hip", "angular", 1e-4)],
-            inputs=[tn.Input("hip_torque", "N m", "zero-order", is_delay_declared=True)],
-        ))  # fmt: skip
+        records.append(
+            tn.from_arrays(
+                angle,
+                torque[:, None],
+                dt=dt,
+                name=f"run{k}",
+                split="train" if k < 2 else "validation",
+                coordinates=[tn.Coordinate("hip", "angular", 1e-4)],
+                inputs=[tn.Input("hip_torque", "N m", "zero-order", is_delay_declared=True)],
+            )
+        )
     data = tn.DataSet("arm", tuple(records))
     result = tn.identify(data, system, "grey")
     for name in ("hip.gear_stiffness", "hip.armature", "hip.viscous", "hip.coulomb"):
@@ -691,8 +697,9 @@ def test_joints_and_columns_have_to_agree():
 
 
 def test_limits_of_joints_are_those_of_a_urdf():
-    limits = dict(zip(("lift", "turn", "left"), tn.load_system(ROBOTS / "gripper.urdf").limits,
-                      strict=True))  # fmt: skip
+    limits = dict(
+        zip(("lift", "turn", "left"), tn.load_system(ROBOTS / "gripper.urdf").limits, strict=True)
+    )
     assert limits["lift"] == MotionLimits((0.0, 0.5), 0.5, force=200.0)
     assert limits["left"] == MotionLimits((0.0, 0.04), 0.1, force=40.0)
     scara = tn.load_system(ROBOTS / "scara.urdf")

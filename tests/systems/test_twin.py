@@ -57,8 +57,9 @@ def test_every_record_says_that_it_is_the_twins(twin):
 
 def test_records_are_of_the_packaged_system(twin):
     assert [(c.name, c.kind) for c in twin.coordinates] == [
-        ("theta", "angular"), ("alpha", "angular")
-    ]  # fmt: skip
+        ("theta", "angular"),
+        ("alpha", "angular"),
+    ]
     assert [c.resolution for c in twin.coordinates] == [COUNT, COUNT]
     assert twin.inputs == qube_servo2.SYSTEM.inputs
     assert twin.dt == 0.01

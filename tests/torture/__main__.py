@@ -10,9 +10,14 @@ from . import faults, fuzz, hostile, kills, load, pairs, report, verbs
 
 # of the time
 _SHARE = {
-    "fuzz": 0.2, "hostile": 0.1, "headers": 0.1, "verbs": 0.15, "kills": 0.2, "pairs": 0.1,
+    "fuzz": 0.2,
+    "hostile": 0.1,
+    "headers": 0.1,
+    "verbs": 0.15,
+    "kills": 0.2,
+    "pairs": 0.1,
     "faults": 0.15,
-}  # fmt: skip
+}
 _WHOLE = 20.0  # minutes from which on the load is whole
 _VERBS = 8  # cases of files for each of a verb, which takes longer
 _PART = 20  # else it is this much smaller

@@ -149,19 +149,26 @@ def others(place: Path) -> list[Job]:
         Job("reproduce", ("reproduce", "--data", published, "--models", "linear", *_TO_FOLDER), ()),
         Job("init", ("init", _OUT, "--yes"), _REPLACE, beside=bare),
         replacing("report", "page.html", "report", logs),
-        Job("control", (*control, "--at", "angle=0.5", *_REPLACE), (),
-            (*control, "--at", "angle=0.4")),
+        Job(
+            "control",
+            (*control, "--at", "angle=0.5", *_REPLACE),
+            (),
+            (*control, "--at", "angle=0.4"),
+        ),
         replacing("export", "", "export", "--to", "c"),
         replacing("export-mat", "", "export", "--to", "mat,js"),
         replacing("committee", "committee.safetensors", "committee"),
-        Job("calibrate", ("calibrate", committee, logs, *split, "--out",
-                          f"{_OUT}/bands.safetensors"), _REPLACE),
+        Job(
+            "calibrate",
+            ("calibrate", committee, logs, *split, "--out", f"{_OUT}/bands.safetensors"),
+            _REPLACE,
+        ),
         replacing("simulate", "", "simulate", logs),
         replacing("residuals", "figures.png", "residuals", logs, "--lags", "20"),
         replacing("evaluate", "figures", "evaluate", logs),
         Job("compare", ("compare", network, other, logs, "--figures", f"{_OUT}/figures"), _REPLACE),
         Job("inspect", ("inspect", logs, "--figure", f"{_OUT}/figure.png"), _REPLACE),
-    ]  # fmt: skip
+    ]
 
 
 def start(arguments: tuple[str, ...], asked: dict[str, Any], **more: Any) -> subprocess.Popen[str]:
@@ -173,9 +180,13 @@ def start(arguments: tuple[str, ...], asked: dict[str, Any], **more: Any) -> sub
     env |= more.pop("env", {})
     return subprocess.Popen(
         [*more.pop("by", ()), sys.executable, str(_CHILD), *arguments],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env=env,
         **more,
-    )  # fmt: skip
+    )
 
 
 def finish(process: subprocess.Popen[str], seconds: float = _LONGEST) -> Ended:

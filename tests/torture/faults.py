@@ -44,8 +44,10 @@ class Faults:
             self.part.count(outcome, f"undisturbed: {told}", "--parts faults")
             return self.part
         faults: list[tuple[str, Callable[[Path], None]]] = [
-            *((f"files of at most {size} bytes", partial(self._small_files, size))
-              for size in (100, 2000, 6000)),
+            *(
+                (f"files of at most {size} bytes", partial(self._small_files, size))
+                for size in (100, 2000, 6000)
+            ),
             ("a full file system", self._full),
             ("a folder that may not be written", self._read_only),
             ("a file where the folder should be", self._blocked),
@@ -54,10 +56,12 @@ class Faults:
             ("a compile cache with flipped bytes", partial(self._cache, "flip")),
             ("a compile cache that is cut", partial(self._cache, "cut")),
             ("a compile cache that is a file", partial(self._cache, "file")),
-            *((f"clocks that jump by {size:g} s", partial(self._clocks, size))
-              for size in (10.0, 1e7)),
+            *(
+                (f"clocks that jump by {size:g} s", partial(self._clocks, size))
+                for size in (10.0, 1e7)
+            ),
             ("a budget while the clock on the wall jumps by 1e9 s", self._budget),
-        ]  # fmt: skip
+        ]
         every: list[tuple[str, Callable[[Path], None]]] = [
             (f"{name}, {job.name}", partial(fault, job))
             for job in self.jobs[1:]
@@ -189,8 +193,14 @@ class Faults:
             env = {"HOME": str(home), "TUSTINNET_CONFIG": str(home / "config")}
             # who may read all, as Python may lie in a folder of the superuser, but write nothing
             capability = "+dac_read_search"
-            by = ("setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups",
-                  f"--inh-caps={capability}", f"--ambient-caps={capability}")  # fmt: skip
+            by = (
+                "setpriv",
+                f"--reuid={_NOBODY}",
+                f"--regid={_NOBODY}",
+                "--clear-groups",
+                f"--inh-caps={capability}",
+                f"--ambient-caps={capability}",
+            )
             if shutil.which(by[0]) is None:
                 raise oracle.Skipped("no setpriv, by which the superuser becomes another user")
             more = {"by": by, "env": env}

@@ -62,28 +62,40 @@ class Target:
 def targets(place: Path) -> dict[str, Target]:
     """Everything that is read from disk, by name; `place` holds the undamaged files."""
     logs = {
-        "csv": ("log.csv", "text", 4), "parquet": ("log.parquet", "binary", 2),
-        "mat": ("log.mat", "binary", 1), "mat73": ("log73.mat", "binary", 1),
+        "csv": ("log.csv", "text", 4),
+        "parquet": ("log.parquet", "binary", 2),
+        "mat": ("log.mat", "binary", 1),
+        "mat73": ("log73.mat", "binary", 1),
         "npz": ("log.npz", "binary", 2),
-    }  # fmt: skip
+    }
     found = [
         Target(name, place / file, kind, partial(_check_log, place, name), weight)
         for name, (file, kind, weight) in logs.items()
     ]
     found += [
-        Target(f"model {kind}", place / f"{kind}.safetensors", "safetensors",
-               partial(_check_model, place, kind), 0.3)
+        Target(
+            f"model {kind}",
+            place / f"{kind}.safetensors",
+            "safetensors",
+            partial(_check_model, place, kind),
+            0.3,
+        )
         for kind in (*material.KINDS, "euler-lagrange")
-    ]  # fmt: skip
+    ]
     found += [
         Target("card", place / "dataset.toml", "text", partial(_check_card, place), 4),
         Target("recipe", place / "recipe.toml", "text", partial(_check_recipe, place), 3),
         Target("search", place / "search.toml", "text", partial(_check_recipe, place), 1),
         Target("system", place / "pendulum.py", "text", _check_system, 0.5),
-        Target("checkpoint", place / "run/seed-0/checkpoint.safetensors", "safetensors",
-               partial(_check_checkpoint, place), 0.3),
+        Target(
+            "checkpoint",
+            place / "run/seed-0/checkpoint.safetensors",
+            "safetensors",
+            partial(_check_checkpoint, place),
+            0.3,
+        ),
         Target("log", place / "run/seed-0/log.jsonl", "text", partial(_check_run_log, place), 0.1),
-    ]  # fmt: skip
+    ]
     return {target.name: target for target in found}
 
 
@@ -141,10 +153,11 @@ def _check_recipe(place: Path, path: Path, content: bytes) -> None:
     oracle.require_finite(recipe.model_dump())
     needs = recipe.family.needs
     make_task(
-        material.records(), recipe,
+        material.records(),
+        recipe,
         physics=material.physics() if "physics" in needs else None,
         system=SYSTEM if "system" in needs else None,
-    )  # fmt: skip
+    )
 
 
 def _check_system(path: Path, content: bytes) -> None:
@@ -371,8 +384,9 @@ class Campaign:
         self.by_target[target] += 1
         self.part.count(outcome, f"{target}: {told}", f"--seed {self.seed} --case {number}")
         if outcome == "finding" and number >= 0:
-            self.part.keep(case(number, self.seed, self.known).content,
-                           self.known[target].clean.name)  # fmt: skip
+            self.part.keep(
+                case(number, self.seed, self.known).content, self.known[target].clean.name
+            )
 
 
 def one(place: Path, number: int, seed: int) -> tuple[str, str]:

@@ -64,8 +64,11 @@ class Hostile:
             job for job in others(place) if job.name not in ("learning-curve", "selection")
         ]
         kinds: tuple[Callable[[Random], str], ...] = (
-            self._formula, self._names, self._robot, self._link
-        )  # fmt: skip
+            self._formula,
+            self._names,
+            self._robot,
+            self._link,
+        )
         self.kinds = kinds
 
     def run(self, seconds: float, cases: int) -> Part:
@@ -95,8 +98,9 @@ class Hostile:
         if version >= "4":
             conversion = from_dict(conversion)
             for _ in range(random.randrange(4)):
-                conversion = from_dict({"val_0": random.randrange(9), "text_0": b"n/a",
-                                        "default_addr": conversion})  # fmt: skip
+                conversion = from_dict(
+                    {"val_0": random.randrange(9), "text_0": b"n/a", "default_addr": conversion}
+                )
         t = np.arange(0, 1, 0.01)
         path = self.box / f"log.{'mf4' if version >= '4' else 'mdf'}"
         name = random.choice(("u", "CAN_DataFrame.ID", "CAN_DataFrame.BusChannel", "LIN_Frame.ID"))

@@ -67,9 +67,11 @@ class Load:
         for name, (records, samples, coordinates) in _SIZES.items():
             shutil.rmtree(self.box, ignore_errors=True)
             write_records(
-                self.box / "logs", max(1, records // scale), max(1000, samples // scale),
+                self.box / "logs",
+                max(1, records // scale),
+                max(1000, samples // scale),
                 max(1, coordinates // scale),
-            )  # fmt: skip
+            )
             (self.box / "load.toml").write_text(_RECIPE)
             logs, out = str(self.box / "logs"), str(self.box / "run")
             model = str(self.box / "run" / "model.safetensors")

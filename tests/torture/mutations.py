@@ -14,18 +14,94 @@ Mutation = Callable[[bytes, Random], bytes]
 
 _TOKEN = re.compile(rb'[^\s,=\[\]{}"]+')
 _ODD_NUMBERS = (
-    "1e999", "-1e308", "1e-320", "nan", "-inf", "inf", "-0.0", "0", "-1", "9" * 400, "0x1F", "1_0",
-    "1e5000", "99999999999999999999", "2147483648", "0.1e", "１２", "1,5", "+", "1e", ".5", "1d3",
-)  # fmt: skip
+    "1e999",
+    "-1e308",
+    "1e-320",
+    "nan",
+    "-inf",
+    "inf",
+    "-0.0",
+    "0",
+    "-1",
+    "9" * 400,
+    "0x1F",
+    "1_0",
+    "1e5000",
+    "99999999999999999999",
+    "2147483648",
+    "0.1e",
+    "１２",
+    "1,5",
+    "+",
+    "1e",
+    ".5",
+    "1d3",
+)
 _ODD_TEXT = (
-    "", '""', "'", '"', "true", "[]", "{}", "[" * 3000, "{a=" * 2000, "(" * 500, "a" * 5000, "ä",
-    "\x00", "\x1b[2J", "\u202e", "\u2028", "\x85", "\r", "\n", "\t", "\x0b", "#", "1979-05-27",
-    "../../x", "/etc/passwd", "**", "**/*", "*", "?", "..", ".", "~/x", "a/b", "CON", "=SUM(A1)",
-)  # fmt: skip
+    "",
+    '""',
+    "'",
+    '"',
+    "true",
+    "[]",
+    "{}",
+    "[" * 3000,
+    "{a=" * 2000,
+    "(" * 500,
+    "a" * 5000,
+    "ä",
+    "\x00",
+    "\x1b[2J",
+    "\u202e",
+    "\u2028",
+    "\x85",
+    "\r",
+    "\n",
+    "\t",
+    "\x0b",
+    "#",
+    "1979-05-27",
+    "../../x",
+    "/etc/passwd",
+    "**",
+    "**/*",
+    "*",
+    "?",
+    "..",
+    ".",
+    "~/x",
+    "a/b",
+    "CON",
+    "=SUM(A1)",
+)
 _ODD_VALUES = (
-    None, True, False, 0, -1, 1, 2, 10**30, 1e308, float("inf"), float("nan"), "", "x", "a" * 5000,
-    "\x1b[2J", "../../x", [], {}, [0], [[]], {"name": 1}, [None], 2**31, 2**63, "F32", "angular",
-)  # fmt: skip
+    None,
+    True,
+    False,
+    0,
+    -1,
+    1,
+    2,
+    10**30,
+    1e308,
+    float("inf"),
+    float("nan"),
+    "",
+    "x",
+    "a" * 5000,
+    "\x1b[2J",
+    "../../x",
+    [],
+    {},
+    [0],
+    [[]],
+    {"name": 1},
+    [None],
+    2**31,
+    2**63,
+    "F32",
+    "angular",
+)
 
 
 def mutate(clean: bytes, kind: str, random: Random) -> bytes:
@@ -109,9 +185,7 @@ def _odd_inside(data: bytes, random: Random) -> bytes:
 def _swap_tokens(data: bytes, random: Random) -> bytes:
     if pair := _tokens(data, random, 2):
         a, b = pair
-        data = (
-            data[: a.start()] + b[0] + data[a.end() : b.start()] + a[0] + data[b.end() :]
-        )  # fmt: skip
+        data = data[: a.start()] + b[0] + data[a.end() : b.start()] + a[0] + data[b.end() :]
     return data
 
 
@@ -235,8 +309,9 @@ def _random_path(content: Any, random: Random) -> list[Any]:
     """The keys to a random entry, each table as likely as another, however long its lists are."""
     path: list[Any] = []
     while isinstance(content, dict | list) and content and (not path or random.random() < 0.85):
-        path.append(random.choice(list(content) if isinstance(content, dict)
-                                  else range(len(content))))  # fmt: skip
+        path.append(
+            random.choice(list(content) if isinstance(content, dict) else range(len(content)))
+        )
         content = content[path[-1]]
     return path
 

@@ -166,8 +166,10 @@ def _leaves(tree: Any) -> list[bytes]:
 def require_same_state(found: Any, clean: Any, content: bytes) -> None:
     """The state of the undamaged checkpoint, and the progress that the file itself tells."""
     (state, (progress,)), (clean_state, (clean_progress,)) = found, clean
-    plain = [s._replace(weights=s.weights._replace(key=jax.random.key_data(s.weights.key)))
-             for s in (state, clean_state)]  # fmt: skip
+    plain = [
+        s._replace(weights=s.weights._replace(key=jax.random.key_data(s.weights.key)))
+        for s in (state, clean_state)
+    ]
     require(_leaves(plain[0]) == _leaves(plain[1]), "accepted a checkpoint with other arrays")
     header = json.loads((parts(content) or ({}, b""))[0]["__metadata__"][KEY])
     told, kinds = asdict(progress), asdict(clean_progress)

@@ -45,8 +45,11 @@ def pairs(place: Path) -> list[Pair]:
     other = {job.name: Job(job.name, job.earlier, ()) for job in known.values() if job.earlier}
     # a report of the model that the other command fits anew
     model = str(place / "run" / "model.safetensors")
-    of_run = Job("report", tuple("{out}/model.safetensors" if word == model else
-                                 word for word in report.arguments), ())  # fmt: skip
+    of_run = Job(
+        "report",
+        tuple("{out}/model.safetensors" if word == model else word for word in report.arguments),
+        (),
+    )
     replace = ("--overwrite",)
     mat = Job("export", tuple("mat" if word == "c" else word for word in export.arguments), ())
     return [

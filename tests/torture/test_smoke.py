@@ -16,8 +16,11 @@ def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz,headers,verbs"]
     done = subprocess.run(
         [*command, "--cases", "120", "--jobs", "1", "--minutes", "9", "--out", str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, env=plain,
-    )  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env=plain,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     parts = {p["part"]: p for p in json.loads((tmp_path / "torture.json").read_text())["parts"]}
     assert parts["fuzz"]["cases"] == 120

@@ -89,21 +89,41 @@ def prepare(material: Path, root: Path) -> Place:
     for name in ("recipe.toml", "search.toml", "pendulum.py"):
         shutil.copy(material / name, root)
     (root / "proposals.toml").write_text(PROPOSALS)
-    sources = {"network": "run/model", "hybrid": "hybrid", "linear": "linear", "gru": "gru",
-               "ode": "neural-ode"}  # fmt: skip
+    sources = {
+        "network": "run/model",
+        "hybrid": "hybrid",
+        "linear": "linear",
+        "gru": "gru",
+        "ode": "neural-ode",
+    }
     for name, source in sources.items():
         place.model(name).parent.mkdir()
         shutil.copy(material / f"{source}.safetensors", place.model(name))
     logs, system = str(root / "logs"), str(root / "pendulum.py")
     split = ["--split", "validation", "--start", "derived-6"]
     made: list[list[object]] = [
-        ["fit", logs, "--recipe", root / "search.toml", "--system", system, "--quiet",
-         "--no-report", "--out", root / "grey"],
-        ["committee", place.model("network"), place.model("linear"), "--out",
-         place.model("committee")],
+        [
+            "fit",
+            logs,
+            "--recipe",
+            root / "search.toml",
+            "--system",
+            system,
+            "--quiet",
+            "--no-report",
+            "--out",
+            root / "grey",
+        ],
+        [
+            "committee",
+            place.model("network"),
+            place.model("linear"),
+            "--out",
+            place.model("committee"),
+        ],
         ["calibrate", place.model("committee"), logs, *split, "--out", place.model("bands")],
         ["calibrate", place.model("grey"), logs, *split, "--out", place.model("grey-bands")],
-    ]  # fmt: skip
+    ]
     for arguments in made:
         code, _, err = call([str(a) for a in arguments])
         assert code == 0, err
@@ -359,17 +379,62 @@ def values(place: Place) -> list[str]:
     """Values of every kind: empty, numbers of all sizes, text, and paths to all kinds of things."""
     root = place.root
     paths = [
-        root / "logs" / "fall1.csv", root / "logs" / "dataset.toml", root / "link.csv",
-        root / "recipe.toml", root / "pendulum.py", place.model("network"),
-        root / "logs" / ".." / "logs" / "fall1.csv", root / "logs", root, root / "none" / "none",
-        root / "new.png", root / "new.html", root / "new.safetensors", root / "new.toml",
-        "/dev/null", "/dev/full", "/proc/self/mem", "/",
-    ]  # fmt: skip
+        root / "logs" / "fall1.csv",
+        root / "logs" / "dataset.toml",
+        root / "link.csv",
+        root / "recipe.toml",
+        root / "pendulum.py",
+        place.model("network"),
+        root / "logs" / ".." / "logs" / "fall1.csv",
+        root / "logs",
+        root,
+        root / "none" / "none",
+        root / "new.png",
+        root / "new.html",
+        root / "new.safetensors",
+        root / "new.toml",
+        "/dev/null",
+        "/dev/full",
+        "/proc/self/mem",
+        "/",
+    ]
     texts = [
-        "", " ", ".", "..", "-", "--", "0", "1", "2", "-1", "0.5", "1e308", "1e-300", "nan", "inf",
-        "-inf", "9" * 400, "x" * 5000, "x/" * 200, "\x1b[2J", "\udcff", "ä", "all", "train", "a=b",
-        "a,b", "1,2", "[]", "{}", "file", "derived-6", "model-99999999", "derived-0", "*", "auto",
-    ]  # fmt: skip
+        "",
+        " ",
+        ".",
+        "..",
+        "-",
+        "--",
+        "0",
+        "1",
+        "2",
+        "-1",
+        "0.5",
+        "1e308",
+        "1e-300",
+        "nan",
+        "inf",
+        "-inf",
+        "9" * 400,
+        "x" * 5000,
+        "x/" * 200,
+        "\x1b[2J",
+        "\udcff",
+        "ä",
+        "all",
+        "train",
+        "a=b",
+        "a,b",
+        "1,2",
+        "[]",
+        "{}",
+        "file",
+        "derived-6",
+        "model-99999999",
+        "derived-0",
+        "*",
+        "auto",
+    ]
     return [*texts, *map(str, paths)]
 
 

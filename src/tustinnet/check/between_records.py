@@ -58,8 +58,12 @@ _LAGS = np.array([-8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 16.0])  # samples
 _GAINS = np.array([0.1, 0.5, 0.8, 1.25, 2.0, 10.0])
 _UNITS = np.array([np.pi / 180, 180 / np.pi, 1e3, 1e-3])
 _PERIODS = np.array([0.1, 0.5, 0.8, 1.25, 2.0, 10.0])
-_FORCES = {"position": "gravity and springs", "input": "inputs", "velocity": "friction",
-           "speed product": "centrifugal forces"}  # fmt: skip
+_FORCES = {
+    "position": "gravity and springs",
+    "input": "inputs",
+    "velocity": "friction",
+    "speed product": "centrifugal forces",
+}
 
 Arrays = tuple[np.ndarray, np.ndarray]
 
@@ -233,20 +237,27 @@ def _delay_everywhere(
     if delayed is None:
         return None
     before, after = (
-        np.mean([np.mean((e.left - e.right @ p) ** 2 / model.noise**2)
-                 for e, p, w in zip(m.equations, m.others, m.weights, strict=True) if w > 0])
+        np.mean(
+            [
+                np.mean((e.left - e.right @ p) ** 2 / model.noise**2)
+                for e, p, w in zip(m.equations, m.others, m.weights, strict=True)
+                if w > 0
+            ]
+        )
         for m in (model, delayed)
-    )  # fmt: skip
+    )
     medians = [np.median(np.square(m.noise) / np.square(model.noise)) for m in (model, delayed)]
     return delayed if after < before and medians[1] < _COMMON * medians[0] else None
 
 
 def _costs(model: MotionModel) -> Float[np.ndarray, " r"]:
     """Residual of each record under the parameters of the others, not finite where too short."""
-    return np.array([
-        model.cost(e, p) if has_windows(e) else np.nan
-        for e, p in zip(model.equations, model.others, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            model.cost(e, p) if has_windows(e) else np.nan
+            for e, p in zip(model.equations, model.others, strict=True)
+        ]
+    )
 
 
 def _usual_cost(model: MotionModel, without: int) -> float:
@@ -263,10 +274,12 @@ def _find_suspects(model: MotionModel, suspicions: Sequence[Suspicion]) -> list[
     Poor is a residual that is large, or that is a large share of the record's accelerations.
     """
     poorness = np.zeros(len(model.equations))
-    shares = np.array([
-        1 - model.explained(e, p) if has_windows(e) else np.nan
-        for e, p in zip(model.equations, model.others, strict=True)
-    ])  # fmt: skip
+    shares = np.array(
+        [
+            1 - model.explained(e, p) if has_windows(e) else np.nan
+            for e, p in zip(model.equations, model.others, strict=True)
+        ]
+    )
     for value in (_costs(model), shares):
         known = np.isfinite(value) & (model.weights > 0)
         if known.sum() > 1:
@@ -319,9 +332,11 @@ def _judge(
         # a size can be chosen so that motion beyond that of the others fits by chance
         is_extrapolated = suspicion.has_number and model.novelty(changed, r) > _NOVEL
         if (
-            after < drop * before and model.cost(changed, parameters) < allowed
-            and model.explained(changed, parameters) > _EXPLAINED and not is_extrapolated
-        ):  # fmt: skip
+            after < drop * before
+            and model.cost(changed, parameters) < allowed
+            and model.explained(changed, parameters) > _EXPLAINED
+            and not is_extrapolated
+        ):
             verdicts.append(_Verdict(suspicion, size, before, after))
     if not verdicts:
         return None
@@ -352,8 +367,10 @@ def _refine(
     at = int(np.searchsorted(sizes, size))
     forward = np.log if suspicion.is_relative else np.asarray
     backward = np.exp if suspicion.is_relative else np.asarray
-    low, high = (float(forward(sizes[max(at - 1, 0)])), float(forward(sizes[min(
-        at + 1, len(sizes) - 1)])))  # fmt: skip
+    low, high = (
+        float(forward(sizes[max(at - 1, 0)])),
+        float(forward(sizes[min(at + 1, len(sizes) - 1)])),
+    )
     share = (np.sqrt(5) - 1) / 2
     for _ in range(_GOLDEN):
         left, right = high - share * (high - low), low + share * (high - low)
@@ -405,9 +422,10 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         what = f"{shown} comes {word} in this record"
         evidence = f"by {1e3 * abs(size) * e.dt:.3g} ms, {abs(size):.1f} samples; {drop}"
         remedy = (
-            f"{in_file}{line(shown, f'delay = {size * e.dt:.3g}')}" if is_input
+            f"{in_file}{line(shown, f'delay = {size * e.dt:.3g}')}"
+            if is_input
             else without_record(e)
-        )  # fmt: skip
+        )
     else:
         what = "the record is of another sampling period, or of a machine that is as much slower"
         evidence = f"{1e3 * size * e.dt:.4g} ms against {1e3 * e.dt:.4g} ms; {drop}"
@@ -438,18 +456,22 @@ def _common_delay(views: Sequence[RecordView], verdict: _Verdict) -> Finding:
     """The finding of an input that acts late in all records."""
     name, dt = verdict.suspicion.channels[0], views[0].experiment.dt
     finding = views[0].finding(
-        "input delay", "note", f"{name} acts later than its timestamps say",
+        "input delay",
+        "note",
+        f"{name} acts later than its timestamps say",
         f"{1e3 * verdict.size * dt:.3g} ms, {verdict.size:.1f} samples, in all records",
-        input_line(name, f"delay = {verdict.size * dt:.3g}"), name,
-    )  # fmt: skip
+        input_line(name, f"delay = {verdict.size * dt:.3g}"),
+        name,
+    )
     return replace(finding, records=())
 
 
 def _other_machines(model: MotionModel, views: Sequence[RecordView]) -> Iterator[Finding]:
     """Records that scaled friction, weights or gains explain: another friction, another payload."""
     cost = _costs(model)
-    forces = [k for k in ("position", "input", "velocity", "speed product")
-              if k in model.regressors.kinds]  # fmt: skip
+    forces = [
+        k for k in ("position", "input", "velocity", "speed product") if k in model.regressors.kinds
+    ]
     for r, view in enumerate(views):
         usual = _usual_cost(model, r)
         if not (model.weights[r] > 0 and cost[r] > _POORER * usual):
@@ -475,9 +497,11 @@ def _other_machines(model: MotionModel, views: Sequence[RecordView]) -> Iterator
             )
             group = f'groups = {{ {word} = "other" }}'
             yield view.finding(
-                word, "warning", f"the record is one of another {word}",
+                word,
+                "warning",
+                f"the record is one of another {word}",
                 f"times those of the others: {sizes}; these leave {after / cost[r]:.2g} of the "
                 f"residual, which is {cost[r] / usual:.3g} times the usual one",
                 file_line(view.experiment, group),
-            )  # fmt: skip
+            )
             break

@@ -45,11 +45,14 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
             keep = f"rows = [{stop}, {last}]" if stop < last else f"rows = [{first}, {start}]"
             is_inside = stop >= last and first >= start
             yield Finding(
-                "overlap", _severity(a, b), "two records share rows of a file",
+                "overlap",
+                _severity(a, b),
+                "two records share rows of a file",
                 f'{shared} rows of "{file}" from row {begin} on',
                 without_record(b) if is_inside else file_line(b, keep),
-                (a.name, b.name), time=float((begin - start) * a.dt),
-            )  # fmt: skip
+                (a.name, b.name),
+                time=float((begin - start) * a.dt),
+            )
 
 
 def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -71,19 +74,25 @@ def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
         shift = (other_start - start) * a.dt
         shifted = f", {shift:+.3g} s later" if shift else ""
         yield Finding(
-            "copy", _severity(a, b),
+            "copy",
+            _severity(a, b),
             "two records are equal" if length > 0.98 * shorter else "two records share samples",
             f"{length} of {shorter} samples are the same{shifted}",
-            without_record(b), (a.name, b.name), time=float(a.t[start] - a.t[0]),
-        )  # fmt: skip
+            without_record(b),
+            (a.name, b.name),
+            time=float(a.t[start] - a.t[0]),
+        )
     for i, j, difference, share, lag in _alike(records, found):
         a, b = records[i], records[j]
         yield Finding(
-            "copy", _severity(a, b), "two records are nearly equal",
+            "copy",
+            _severity(a, b),
+            "two records are nearly equal",
             f"they differ by {difference:.2%} of their deviation over {share:.0%} of the shorter "
             f"one, {lag * a.dt:+.3g} s apart",
-            without_record(b), (a.name, b.name),
-        )  # fmt: skip
+            without_record(b),
+            (a.name, b.name),
+        )
 
 
 def _severity(a: Experiment, b: Experiment) -> Severity:
@@ -129,9 +138,12 @@ def _moving_stretches(steps: Int[np.ndarray, "n c"]) -> list[tuple[int, int]]:
 
 
 def _extend(
-    a: Float[np.ndarray, "n c"], i: int, b: Float[np.ndarray, "m c"], j: int,
+    a: Float[np.ndarray, "n c"],
+    i: int,
+    b: Float[np.ndarray, "m c"],
+    j: int,
     extent: Float[np.ndarray, " c"],
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int]:
     """Length of the equal stretch around two samples, and how much of it is before them.
 
     Positions may differ by a constant.

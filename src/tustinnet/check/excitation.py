@@ -29,10 +29,14 @@ def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
         if np.ptp(values):
             continue
         yield _finding(
-            views, "still input", "warning", f"{i.name} moves in no record",
+            views,
+            "still input",
+            "warning",
+            f"{i.name} moves in no record",
             f"{values[0]:.4g} {i.unit} in all {counted(len(values), 'sample')}",
-            input_line(i.name, "column: is it the right one? else leave the block out"), i.name,
-        )  # fmt: skip
+            input_line(i.name, "column: is it the right one? else leave the block out"),
+            i.name,
+        )
 
 
 def poor_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -44,20 +48,28 @@ def poor_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
         levels = len(np.unique(np.concatenate([c[:100_000] for c in columns])))
         if levels < _LEVELS:
             yield _finding(
-                views, "poor input", "note", f"{i.name} takes few values",
+                views,
+                "poor input",
+                "note",
+                f"{i.name} takes few values",
                 f"{counted(levels, 'level')} in {counted(len(columns), 'record')}",
-                "record more levels: nothing between them can be told", i.name,
-            )  # fmt: skip
+                "record more levels: nothing between them can be told",
+                i.name,
+            )
             continue
         # of the power at n lines of the same size the sum of squares is an n-th
         powers = [np.abs(np.fft.rfft(u[:100_000] - u.mean())) ** 2 for u in columns]
         lines = max(float(np.sum(p) ** 2 / np.sum(p**2)) for p in powers)
         if lines < _NARROW:
             yield _finding(
-                views, "poor input", "note", f"{i.name} has few frequencies",
+                views,
+                "poor input",
+                "note",
+                f"{i.name} has few frequencies",
                 f"{lines:.1f} effective ones",
-                "record more: a sum of sines, noise, or many steps", i.name,
-            )  # fmt: skip
+                "record more: a sum of sines, noise, or many steps",
+                i.name,
+            )
 
 
 def dependent_coordinates(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -78,20 +90,27 @@ def dependent_coordinates(views: Sequence[RecordView]) -> Iterator[Finding]:
             name = first.coordinates[j].name
             if error <= max(_COPY * count, 1e-9 * float(y.std())):
                 yield _finding(
-                    views, "same sensor", "warning", f"{names} are one signal",
+                    views,
+                    "same sensor",
+                    "warning",
+                    f"{names} are one signal",
                     f"{name} is {gain:.4g} times the other within {error:.2g} "
                     f"{first.coordinates[j].unit}",
                     coordinate_line(name, "column: is it the right one? else leave the block out"),
                     name,
-                )  # fmt: skip
+                )
                 continue
             r = float(np.corrcoef(speeds[:, i], speeds[:, j])[0, 1])
             if abs(r) > _TOGETHER:
                 yield _finding(
-                    views, "moving together", "note", f"{names} move together",
+                    views,
+                    "moving together",
+                    "note",
+                    f"{names} move together",
                     f"correlation of the speeds {r:.4f}",
-                    "record runs in which one moves without the other", name,
-                )  # fmt: skip
+                    "record runs in which one moves without the other",
+                    name,
+                )
 
 
 def speeds(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -106,11 +125,15 @@ def speeds(views: Sequence[RecordView]) -> Iterator[Finding]:
             continue
         low, high = _SPEEDS[1] * largest, largest
         yield _finding(
-            views, "rare speeds", "note", f"{c.name} moves fast in few samples",
+            views,
+            "rare speeds",
+            "note",
+            f"{c.name} moves fast in few samples",
             f"{slow:.0%} of them below {_SPEEDS[0] * largest:.3g} {c.unit}/s, {1 - medium:.2%} "
             f"from {low:.3g} to {high:.3g}",
-            f"record more motion of {c.name} at {low:.3g} to {high:.3g} {c.unit}/s", c.name,
-        )  # fmt: skip
+            f"record more motion of {c.name} at {low:.3g} to {high:.3g} {c.unit}/s",
+            c.name,
+        )
 
 
 def null_space(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -135,22 +158,33 @@ def null_space(views: Sequence[RecordView]) -> Iterator[Finding]:
         if len(parts) < 2:
             continue
         yield _finding(
-            views, "null space", "note", f"the records do not tell {' and '.join(parts)} apart",
+            views,
+            "null space",
+            "note",
+            f"the records do not tell {' and '.join(parts)} apart",
             f"a combination of them varies by {np.sqrt(max(value, 0.0)):.2g} of their size",
             "record runs in which they differ: larger swings, other speeds, other inputs",
-        )  # fmt: skip
+        )
 
 
 def _is_simple(name: str) -> bool:
     """Whether a regressor is a term by itself, neither a product nor a power."""
-    return not ("^" in name or "|" in name or " " in name.removeprefix("sin ").removeprefix(
-        "cos ").removeprefix("sign "))  # fmt: skip
+    return not (
+        "^" in name
+        or "|" in name
+        or " " in name.removeprefix("sin ").removeprefix("cos ").removeprefix("sign ")
+    )
 
 
 def _finding(
-    views: Sequence[RecordView], check: str, severity: Severity, what: str, size: str, remedy: str,
+    views: Sequence[RecordView],
+    check: str,
+    severity: Severity,
+    what: str,
+    size: str,
+    remedy: str,
     channel: str = "",
-) -> Finding:  # fmt: skip
+) -> Finding:
     """A finding about all records."""
     return replace(views[0].finding(check, severity, what, size, remedy, channel), records=())
 

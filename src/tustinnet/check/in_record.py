@@ -69,11 +69,12 @@ def period(view: RecordView) -> Iterator[Finding]:
     if abs(deviation) < _OTHER_PERIOD or abs(mean - e.dt) < 4 * error:
         return
     yield view.finding(
-        "period", "severe" if abs(deviation) > _FAR_PERIOD else "warning",
+        "period",
+        "severe" if abs(deviation) > _FAR_PERIOD else "warning",
         "the log has another sampling period than the card",
         f"{1e3 * mean:.5g} ms against dt = {1e3 * e.dt:.5g} ms: {deviation:+.1%}",
         top_line(f"dt = {mean:.6g}"),
-    )  # fmt: skip
+    )
 
 
 def time_unit(view: RecordView) -> Iterator[Finding]:
@@ -91,10 +92,12 @@ def time_unit(view: RecordView) -> Iterator[Finding]:
     else:
         return
     yield view.finding(
-        "time unit", "warning", f"the timestamps look like {unit}, not {card.time.unit}",
+        "time unit",
+        "warning",
+        f"the timestamps look like {unit}, not {card.time.unit}",
         f"they are {step:.4g} apart, which makes a period of {median:.3g} s",
         time_line(f'unit = "{unit}"'),
-    )  # fmt: skip
+    )
 
 
 def gaps(view: RecordView) -> Iterator[Finding]:
@@ -109,11 +112,13 @@ def gaps(view: RecordView) -> Iterator[Finding]:
     count = f"{len(lengths)} gaps, the longest" if len(lengths) > 1 else "a gap"
     treatment = "filled by interpolation" if e.recording is not None else "left as it is"
     yield view.finding(
-        "gap", "warning", "samples are missing",
+        "gap",
+        "warning",
+        "samples are missing",
         f"{count} of {1e3 * (stop - start):.4g} ms, {lengths[worst] - 1:.0f} samples, {treatment}",
         file_parts(e, row, row),
         time=start - float(e.t[0]),
-    )  # fmt: skip
+    )
 
 
 def sampling(view: RecordView) -> Iterator[Finding]:
@@ -126,13 +131,14 @@ def sampling(view: RecordView) -> Iterator[Finding]:
         is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
         if scales.period < _FEW_SAMPLES and not is_noise:
             yield view.finding(
-                "sampling", "warning" if scales.period < _FEWER_SAMPLES else "note",
+                "sampling",
+                "warning" if scales.period < _FEWER_SAMPLES else "note",
                 f"{c.name} is sampled slowly for its motion",
                 f"{scales.period:.1f} samples in a period of {1e3 * scales.period * e.dt:.3g} ms, "
                 f"10 or more are usual",
                 "record with a shorter period; no line of the card mends it",
                 c.name,
-            )  # fmt: skip
+            )
 
 
 # --- positions ---
@@ -229,7 +235,8 @@ def _meaning_of_jumps(
         other = _turn_of_other(view, j, typical)
         if other is not None:
             return f"the turn of {other}, swapped?", coordinate_line(
-                c.name, f"column: that of {other}?")  # fmt: skip
+                c.name, f"column: that of {other}?"
+            )
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < _SAME_WRAP:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
@@ -320,9 +327,11 @@ def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
     noise = _COUNTS * max(view.counts[j], view.noise[j])
     faster = np.maximum(np.abs(before), np.abs(after))
     caught = (
-        (np.abs(missed) > noise) & (np.abs(missed) > 3 * faster) & (np.abs(expected) > noise)
+        (np.abs(missed) > noise)
+        & (np.abs(missed) > 3 * faster)
+        & (np.abs(expected) > noise)
         & (np.abs(missed - expected) < 0.6 * np.abs(missed) + noise)
-    )  # fmt: skip
+    )
     return [(int(a), int(b)) for a, b in zip(first[caught], last[caught], strict=True)]
 
 
@@ -354,11 +363,15 @@ def frozen_sensor(view: RecordView) -> Iterator[Finding]:
         total = sum(b - a + 1 for a, b in runs)
         times = f"{len(runs)} times, " if len(runs) > 1 else ""
         yield view.finding(
-            "frozen sensor", "warning", f"{c.name} repeats a value while it moves",
+            "frozen sensor",
+            "warning",
+            f"{c.name} repeats a value while it moves",
             f"{times}{counted(total, 'sample')}, "
             f"{1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
-            _without(view, np.arange(longest[0], longest[1] + 1)), c.name, view.seconds(longest[0]),
-        )  # fmt: skip
+            _without(view, np.arange(longest[0], longest[1] + 1)),
+            c.name,
+            view.seconds(longest[0]),
+        )
 
 
 def clipped_sensor(view: RecordView) -> Iterator[Finding]:
@@ -410,11 +423,13 @@ def encoder(view: RecordView) -> Iterator[Finding]:
         if block is not None and block.counts_per_revolution is not None:
             key = f"counts_per_revolution = {2 * np.pi / count:.6g}"
         yield view.finding(
-            "encoder count", "warning",
+            "encoder count",
+            "warning",
             f"{c.name}: encoder count {count:.5g} {c.unit} found",
             f"{c.resolution:.5g} {c.unit} declared, {count / c.resolution:.4g} times",
-            coordinate_line(c.name, key), c.name,
-        )  # fmt: skip
+            coordinate_line(c.name, key),
+            c.name,
+        )
 
 
 # --- velocity columns ---
@@ -556,10 +571,14 @@ def input_spikes(view: RecordView) -> Iterator[Finding]:
         if len(rows := outliers.find_spikes(u)):
             size = float(np.abs(u[rows] - np.median(u)).max())
             yield view.finding(
-                "spike", "warning", f"{i.name} has spikes at sample {_list_rows(rows)}",
+                "spike",
+                "warning",
+                f"{i.name} has spikes at sample {_list_rows(rows)}",
                 f"by {size:.3g} {i.unit}, others stay within {_usual_size(u, rows):.3g}: bad rows?",
-                _without(view, rows), i.name, view.seconds(int(rows[0])),
-            )  # fmt: skip
+                _without(view, rows),
+                i.name,
+                view.seconds(int(rows[0])),
+            )
 
 
 def _usual_size(u: np.ndarray, rows: np.ndarray) -> float:
@@ -579,12 +598,15 @@ def limits(view: RecordView) -> Iterator[Finding]:
             reach = max(low - u.min(), u.max() - high)
             wide = f"limits = [{min(low, u.min()):.4g}, {max(high, u.max()):.4g}]"
             yield view.finding(
-                "limits", "warning",
+                "limits",
+                "warning",
                 f"{i.name} goes beyond its limits: the actuator gave less than the log says",
                 f"by {reach:.3g} {i.unit} in {counted(beyond.sum(), 'sample')}, "
                 f"{beyond.mean():.1%}",
-                input_line(i.name, wide), i.name, view.seconds(int(np.argmax(beyond))),
-            )  # fmt: skip
+                input_line(i.name, wide),
+                i.name,
+                view.seconds(int(np.argmax(beyond))),
+            )
 
 
 def dead_band(view: RecordView) -> Iterator[Finding]:
@@ -620,6 +642,19 @@ def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
 
 
 CHECKS: tuple[Callable[[RecordView], Iterator[Finding]], ...] = (
-    period, time_unit, gaps, sampling, dead_sensor, wild_angle, jumps, frozen_sensor,
-    clipped_sensor, encoder, padded_velocities, velocities, input_spikes, limits, dead_band,
-)  # fmt: skip
+    period,
+    time_unit,
+    gaps,
+    sampling,
+    dead_sensor,
+    wild_angle,
+    jumps,
+    frozen_sensor,
+    clipped_sensor,
+    encoder,
+    padded_velocities,
+    velocities,
+    input_spikes,
+    limits,
+    dead_band,
+)

@@ -113,8 +113,10 @@ class Regressors:
         trigonometric = []
         for j, c in enumerate(self.channels.coordinates):
             if c.kind == "angular":
-                trigonometric += [(f"sin {c.name}", np.sin(q[:, j])),
-                                  (f"cos {c.name}", np.cos(q[:, j]))]  # fmt: skip
+                trigonometric += [
+                    (f"sin {c.name}", np.sin(q[:, j])),
+                    (f"cos {c.name}", np.cos(q[:, j])),
+                ]
             if self.held[j]:
                 result.append((c.name, "position", q[:, j]))
                 result.append((f"{c.name}^3", "position", q[:, j] ** 3))
@@ -128,13 +130,17 @@ class Regressors:
                     result.append((f"{a} {b}", "position", x * y))
             for i, j in combinations_with_replacement(range(self.channels.n_q), 2):
                 product = v[:, i] * v[:, j]
-                result += [(f"{names[i]}' {names[j]}' {name}", "speed product", product * column)
-                           for name, column in trigonometric]  # fmt: skip
+                result += [
+                    (f"{names[i]}' {names[j]}' {name}", "speed product", product * column)
+                    for name, column in trigonometric
+                ]
         for k, i in enumerate(self.channels.inputs):
             result.append((i.name, "input", u[:, k]))
             if few:
-                result += [(f"{i.name} {name}", "input", u[:, k] * column)
-                           for name, column in trigonometric]  # fmt: skip
+                result += [
+                    (f"{i.name} {name}", "input", u[:, k] * column)
+                    for name, column in trigonometric
+                ]
         return result
 
     def with_names(self, q: np.ndarray, u: np.ndarray) -> "Regressors":
@@ -186,9 +192,12 @@ def make_regressors(views: Sequence[RecordView]) -> Regressors | None:
     span = np.max([x.max(axis=0) for x in q], axis=0) - np.min([x.min(axis=0) for x in q], axis=0)
     angular = first.channels.angular
     regressors = Regressors(
-        first.channels, Windows(half, 1, first.dt), _CREEP * speed,
-        ~angular | (span < _SMALL_RANGE), np.zeros(first.channels.n_u),
-    )  # fmt: skip
+        first.channels,
+        Windows(half, 1, first.dt),
+        _CREEP * speed,
+        ~angular | (span < _SMALL_RANGE),
+        np.zeros(first.channels.n_u),
+    )
     return regressors.with_names(first.q[:2], first.u[:2])
 
 
@@ -264,8 +273,9 @@ class MotionModel:
             equations: equations of the record, as they are or changed.
             index: the record.
         """
-        others = [e.right for r, e in enumerate(self.equations)
-                  if r != index and self.weights[r] > 0]  # fmt: skip
+        others = [
+            e.right for r, e in enumerate(self.equations) if r != index and self.weights[r] > 0
+        ]
         right, known = equations.right / self.scale, np.concatenate(others) / self.scale
         gram = known.T @ known / len(known) + _RIDGE * np.eye(len(self.scale))
         leverage = np.einsum("mp,pm->m", right, np.linalg.solve(gram, right.T))
@@ -321,20 +331,26 @@ def fit_motion_model(
     scale[scale == 0] = 1.0
     products = [
         _Products(
-            (e.right / scale).T @ (e.right / scale), (e.right / scale).T @ e.left,
-            np.sum(e.left**2, axis=0), len(e.left),
+            (e.right / scale).T @ (e.right / scale),
+            (e.right / scale).T @ e.left,
+            np.sum(e.left**2, axis=0),
+            len(e.left),
         )
         for e in equations
-    ]  # fmt: skip
+    ]
     share, others = weights.copy(), []
     n_q = regressors.channels.n_q
     noise = np.ones(n_q)
     for _ in range(3):
         others = [_solve(products, share, scale, without=r) for r in range(len(views))]
-        squares = np.array([
-            np.mean((e.left - e.right @ p) ** 2, axis=0) if len(e.left) else np.full(n_q, np.nan)
-            for e, p in zip(equations, others, strict=True)
-        ])  # fmt: skip
+        squares = np.array(
+            [
+                np.mean((e.left - e.right @ p) ** 2, axis=0)
+                if len(e.left)
+                else np.full(n_q, np.nan)
+                for e, p in zip(equations, others, strict=True)
+            ]
+        )
         known = np.isfinite(squares).all(axis=1)
         if not known.any():
             return None

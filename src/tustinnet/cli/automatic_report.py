@@ -12,9 +12,12 @@ from tustinnet.cli import terminal
 
 
 def report_command(
-    models: Sequence[Path], data: str, out: Path, options: Mapping[str, object],
+    models: Sequence[Path],
+    data: str,
+    out: Path,
+    options: Mapping[str, object],
     systems: Sequence[str] = (),
-) -> str:  # fmt: skip
+) -> str:
     """Command line of `tustinnet report`; options that are None are omitted, True are flags."""
     words = ["tustinnet", "report", *map(str, models), data, "--out", str(out)]
     for name, value in options.items():
@@ -47,9 +50,12 @@ class AutomaticReport:
         return shlex.join(words)
 
     def write(
-        self, models: Sequence[Path], out: Path, write_page: Callable[[str], Path],
+        self,
+        models: Sequence[Path],
+        out: Path,
+        write_page: Callable[[str], Path],
         options: Mapping[str, object],
-    ) -> str | None:  # fmt: skip
+    ) -> str | None:
         """Writes the report; an error is printed, so that the fit is not lost.
 
         Args:
@@ -66,9 +72,12 @@ class AutomaticReport:
 
         if not self.is_enabled:
             return ""
-        command = report_command(models, self.data, out, {
-            **options, "--card": self.card, "--follow-links": self.follow_links or None,
-        })  # fmt: skip
+        command = report_command(
+            models,
+            self.data,
+            out,
+            {**options, "--card": self.card, "--follow-links": self.follow_links or None},
+        )
         try:
             path = write_page(command)
         except Exception as error:

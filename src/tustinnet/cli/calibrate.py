@@ -53,9 +53,11 @@ def calibrate(
     )
     if runs.fitted:
         raise InputError(
-            "calibrate", f"{', '.join(runs.fitted[:3])}, which {model} was fitted to",
-            "records that it was not fitted to", "select them by --split",
-        )  # fmt: skip
+            "calibrate",
+            f"{', '.join(runs.fitted[:3])}, which {model} was fitted to",
+            "records that it was not fitted to",
+            "select them by --split",
+        )
     records, start = runs.records, runs.start
     predictions = predict(simulator, others, records, start, horizon=runs.horizon)
     calibration = calibrate_bands(predictions, records, start, runs.horizon)
@@ -64,8 +66,14 @@ def calibrate(
         write_system_copy(system_copy, out.parent)
     runs.print_notes()
     if json:
-        terminal.print_json({"file": str(out), "start": start, "records": calibration.records,
-                             "highest_level": calibration.highest_level})  # fmt: skip
+        terminal.print_json(
+            {
+                "file": str(out),
+                "start": start,
+                "records": calibration.records,
+                "highest_level": calibration.highest_level,
+            }
+        )
         return
     terminal.messages().print(
         f"{out}: bands from {counted(len(records), 'record')}, start '{start}'; "

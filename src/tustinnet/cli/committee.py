@@ -80,9 +80,11 @@ def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
         other = earlier.setdefault(model_digest(model), path)
         if other is not path:
             raise InputError(
-                path, f"the same model as {other}", "different models",
+                path,
+                f"the same model as {other}",
+                "different models",
                 "give it once; --weights says how much it counts",
-            )  # fmt: skip
+            )
 
 
 def _find_shared_system(models: list[Path]) -> "SystemFile | None":
@@ -91,7 +93,9 @@ def _find_shared_system(models: list[Path]) -> "SystemFile | None":
     if len({copy.sha256 for copy in copies}) > 1:
         names = ", ".join(dict.fromkeys(str(copy.path) for copy in copies))
         raise InputError(
-            "committee", f"models with different system files ({names})", "one system",
+            "committee",
+            f"models with different system files ({names})",
+            "one system",
             "name it with --system FILE.py",
-        )  # fmt: skip
+        )
     return copies[0] if copies else None

@@ -203,9 +203,12 @@ def control(
     with lock_folder(out):
         begin = time.perf_counter()
         design = design_controller(
-            simulator, task, range=training_range, records=records,
+            simulator,
+            task,
+            range=training_range,
+            records=records,
             on_message=lambda step: printer(f"designing: {step}"),
-        )  # fmt: skip
+        )
         printer(f"designed in {time.perf_counter() - begin:.1f} s")
         printer(
             f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant"
@@ -213,10 +216,15 @@ def control(
         plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
         trial = try_design(design, header, plants=plants, count=starts)
         export = export_controller(
-            simulator, design.gains, design.noise, out, deviations=design.deviations,
-            within=design.task.within, file=model,
+            simulator,
+            design.gains,
+            design.noise,
+            out,
+            deviations=design.deviations,
+            within=design.task.within,
+            file=model,
             overwrite=overwrite,
-        )  # fmt: skip
+        )
         content = summarise(design, trial.robustness, export)
         write_into(out, SUMMARY, to_json(content))
         if json:
@@ -224,16 +232,20 @@ def control(
         else:
             typer.echo("\n".join(sentences(design)))
             terminal.print_tables(
-                point_table(design), margins_table(design),
+                point_table(design),
+                margins_table(design),
                 robustness_table(trial.robustness, simulator.channels),
-            )  # fmt: skip
+            )
             typer.echo(trial.robustness.sentence)
         write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
         write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
         write_control_page(
-            design, trial, out / PAGE, training_range=training_range,
+            design,
+            trial,
+            out / PAGE,
+            training_range=training_range,
             command=shlex.join(["tustinnet", *sys.argv[1:]]),
-        )  # fmt: skip
+        )
         for note in export.notes:
             terminal.messages().print(f"note: {note}")
         terminal.messages().print(

@@ -72,10 +72,13 @@ def cross_validate(
     from tustinnet.systems.files import find_system
 
     validation = make_cross_validation_options(
-        request.choose_recipe(recipe, changes, system=system, physics=physics), system=system,
-        physics=physics, folds=folds, seeds=None if seeds is None else request.parse_seeds(seeds),
+        request.choose_recipe(recipe, changes, system=system, physics=physics),
+        system=system,
+        physics=physics,
+        folds=folds,
+        seeds=None if seeds is None else request.parse_seeds(seeds),
         starts=start or (),
-    )  # fmt: skip
+    )
     console = terminal.messages()
     inputs = request.list_input_files(data, card, system)
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite, read=inputs)
@@ -93,9 +96,14 @@ def cross_validate(
         if executor is not None:
             remove_results(out, (_FILE, _TABLE), jobs=overwrite)
         result = cross_validate(
-            records, validation, progress.follow, folder=out, executor=executor,
-            system=system and find_system(system), on_message=terminal.make_printer(quiet=quiet),
-        )  # fmt: skip
+            records,
+            validation,
+            progress.follow,
+            folder=out,
+            executor=executor,
+            system=system and find_system(system),
+            on_message=terminal.make_printer(quiet=quiet),
+        )
         table = folds_table(result)
         write_into(out, _FILE, to_json(result.as_plain()))
         write_into(out, _TABLE, table.markdown())

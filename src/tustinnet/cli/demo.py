@@ -94,12 +94,15 @@ def demo(
         tests = list(data.split("test"))
         print_step(f"4/6 free runs of the {len(tests)} test records")
         content = {
-            "data": data.name, "split": "test", "start": _START, "units": data.channels.unit,
+            "data": data.name,
+            "split": "test",
+            "start": _START,
+            "units": data.channels.unit,
             "models": {
                 label: {"mean": mean_rmse(model_scores), "rmse": rmse_by_record(model_scores)}
                 for label, model_scores in scores.items()
             },
-        }  # fmt: skip
+        }
         write_into(out, "twin_table.md", _scores_table(scores).markdown())
         write_into(out, "twin_table.json", to_json(content))
         if json:
@@ -127,8 +130,10 @@ def demo(
             typer.echo(swing_up)
     file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN], _SWING_UP]
     print_step(f"written to {out}: {', '.join(file_names)}{report or ''}")
-    print_step(f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
-               f"model.safetensors; {out / _CHOICE / 'figures'}")  # fmt: skip
+    print_step(
+        f"look again: tustinnet inspect {logs}; tustinnet show {out / _CHOICE}/"
+        f"model.safetensors; {out / _CHOICE / 'figures'}"
+    )
     require_report(report)
 
 
@@ -163,9 +168,12 @@ def _select_and_score(
 
 
 def _swing_up(
-    models: "Sequence[ReportedModel]", records: "Sequence[Experiment]", out: Path, *,
+    models: "Sequence[ReportedModel]",
+    records: "Sequence[Experiment]",
+    out: Path,
+    *,
     overwrite: bool,
-) -> str:  # fmt: skip
+) -> str:
     """Designs a controller on a model, plays it on the twin, writes it as C; returns the result.
 
     The model is the best one with equations of motion, which say what the voltage does upright.
@@ -191,10 +199,15 @@ def _swing_up(
     )
     trial = try_design(design, header, plants={"twin": qube_twin()}, variants=False, count=_RUNS)
     export_controller(
-        model, design.gains, design.noise, out / _CONTROLLER, deviations=design.deviations,
+        model,
+        design.gains,
+        design.noise,
+        out / _CONTROLLER,
+        deviations=design.deviations,
         within=design.task.within,
-        file=file, overwrite=overwrite,
-    )  # fmt: skip
+        file=file,
+        overwrite=overwrite,
+    )
     write_figure(closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
     (row,) = trial.robustness.rows
     return (

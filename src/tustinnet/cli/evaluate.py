@@ -102,8 +102,11 @@ def evaluate(
             },
         }
         if band_options is not None:
-            content["band"] = {"level": band_options.level, "of": band_options.scope,
-                               "covered": [asdict(share) for share in coverage]}  # fmt: skip
+            content["band"] = {
+                "level": band_options.level,
+                "of": band_options.scope,
+                "covered": [asdict(share) for share in coverage],
+            }
         if errors is not None:
             by_unit = rmse_ahead_by_unit(errors, channels).T.tolist()
             content["ahead"] = {
@@ -148,13 +151,28 @@ def _band_table(
     rows = []
     for row in coverage:
         low, high = (f"{100 * end:.0f}" for end in row.interval)
-        rows.append([
-            row.coordinate, row.part, f"{100 * row.inside:.1f}", f"{low} to {high}",
-            f"{row.whole} of {row.records}", f"{number(row.width)} {units[row.coordinate]}",
-            number(row.width / row.rmse, 1) if row.rmse else "", number(row.crps),
-        ])  # fmt: skip
-    columns = ["coordinate", "part", "inside [%]", "95 % interval", "records all inside",
-               "width", "width / RMSE", "CRPS"]  # fmt: skip
+        rows.append(
+            [
+                row.coordinate,
+                row.part,
+                f"{100 * row.inside:.1f}",
+                f"{low} to {high}",
+                f"{row.whole} of {row.records}",
+                f"{number(row.width)} {units[row.coordinate]}",
+                number(row.width / row.rmse, 1) if row.rmse else "",
+                number(row.crps),
+            ]
+        )
+    columns = [
+        "coordinate",
+        "part",
+        "inside [%]",
+        "95 % interval",
+        "records all inside",
+        "width",
+        "width / RMSE",
+        "CRPS",
+    ]
     share = "of the time" if band_options.scope == "time" else "of whole records"
     return Table(columns, rows, title=f"Bands of {100 * band_options.level:g} % {share}")
 
@@ -176,8 +194,10 @@ def _score_tables(
     columns = ["record", "split", *[f"RMSE [{unit}]" for unit in channels.units]]
     if start_samples:
         has_units = len(channels.units) > 1
-        columns += [f"from sample {start_samples}" + (f" [{unit}]" if has_units else "")
-                    for unit in channels.units]  # fmt: skip
+        columns += [
+            f"from sample {start_samples}" + (f" [{unit}]" if has_units else "")
+            for unit in channels.units
+        ]
     for c in channels.coordinates:
         columns += (
             [f"{c.name}, fit [%]"] if is_wide else [f"{c.name} [{c.unit}]", "NRMSE", "fit [%]"]
@@ -206,11 +226,17 @@ def _score_tables(
     tables = [Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")]
     if is_wide:
         rows = [
-            [c.name, split, number(fmean(s.coordinate_rmse[j] for s in scores)), c.unit,
-             number(fmean(s.nrmse[j] for s in scores)),
-             number(fmean(s.fit_percent[j] for s in scores), 1)]
-            for split, scores in by_split.items() for j, c in enumerate(channels.coordinates)
-        ]  # fmt: skip
+            [
+                c.name,
+                split,
+                number(fmean(s.coordinate_rmse[j] for s in scores)),
+                c.unit,
+                number(fmean(s.nrmse[j] for s in scores)),
+                number(fmean(s.fit_percent[j] for s in scores), 1),
+            ]
+            for split, scores in by_split.items()
+            for j, c in enumerate(channels.coordinates)
+        ]
         columns = ["coordinate", "split", "RMSE", "unit", "NRMSE", "fit [%]"]
         tables.append(Table(columns, rows, title="Means over the records"))
     return tables

@@ -49,20 +49,28 @@ def export(
 
     groups = request.parse_pairs("--group", group)
     if system is not None and out.resolve() in Path(system).resolve().parents:
-        raise InputError(out, f"the folder of {system}, which the command reads",
-                         "another folder")  # fmt: skip
+        raise InputError(out, f"the folder of {system}, which the command reads", "another folder")
     loaded = request.load_model(model, system)
     values = request.OptionReader(loaded.channels, read_header(model))
     point = values.read_point("--at", at)
     exports = export_model(
         loaded, find_targets(to, point), out, file=model, groups=groups, overwrite=overwrite
-    )  # fmt: skip
+    )
     if json:
-        terminal.print_json([
-            {"target": e.target, "folder": str(e.folder), "files": e.files, "notes": e.notes,
-             "steps": e.checked.steps, "difference": e.checked.difference, "note": e.checked.note}
-            for e in exports
-        ])  # fmt: skip
+        terminal.print_json(
+            [
+                {
+                    "target": e.target,
+                    "folder": str(e.folder),
+                    "files": e.files,
+                    "notes": e.notes,
+                    "steps": e.checked.steps,
+                    "difference": e.checked.difference,
+                    "note": e.checked.note,
+                }
+                for e in exports
+            ]
+        )
         return
     rows = [
         [e.target, str(e.folder), ", ".join(e.files), f"{e.checked.difference:.1e}"]

@@ -99,9 +99,12 @@ def fit(
             "add --recipe NAME, or write a plan (--plan FILE)",
         )
         selection = read_options(
-            plan, budget, found_system, on_cluster=cluster is not None,
+            plan,
+            budget,
+            found_system,
+            on_cluster=cluster is not None,
             leave_out_spoiled=leave_out_spoiled,
-        )  # fmt: skip
+        )
     else:
         of_selection = {"--plan": plan, "--budget": budget, "--cluster": cluster}
         refuse_options(
@@ -112,9 +115,11 @@ def fit(
         )
         if resume and leave_out_spoiled:
             raise InputError(
-                "--resume, --leave-out-spoiled", "both, with a single recipe", "one of them",
+                "--resume, --leave-out-spoiled",
+                "both, with a single recipe",
+                "one of them",
                 "fit anew (--overwrite), or put the lines for the card into it",
-            )  # fmt: skip
+            )
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
     request.require_system_of_card(found_system, data, card)
@@ -145,9 +150,14 @@ def fit(
         select(fit_options, selection, cluster_address=cluster, says_budget=budget is None)
     else:
         _fit_recipe(
-            fit_options, recipe_name=recipe, changes=changes, seeds=seeds, physics=physics,
-            origin=origin, start_time=start_time,
-        )  # fmt: skip
+            fit_options,
+            recipe_name=recipe,
+            changes=changes,
+            seeds=seeds,
+            physics=physics,
+            origin=origin,
+            start_time=start_time,
+        )
 
 
 def _fit_recipe(
@@ -191,9 +201,13 @@ def _fit_recipe(
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
     make_task_of = partial(
-        make_task, recipe=recipe, members=members, physics=physics_model, system=task_system,
+        make_task,
+        recipe=recipe,
+        members=members,
+        physics=physics_model,
+        system=task_system,
         origin=initial_model,
-    )  # fmt: skip
+    )
     timing_start = time.perf_counter()
     task, records = _with_timing(make_task_of(records), records, quiet=fit_options.quiet)
     timing_seconds = time.perf_counter() - timing_start
@@ -274,9 +288,15 @@ def _run_members(
 
     judges, out = fit_options.leave_out_spoiled, fit_options.out
     run = run_task(
-        task, records.name, out, fit_options.earlier, make_listener, system_file,
-        judges_records=judges, left_out=left_out,
-    )  # fmt: skip
+        task,
+        records.name,
+        out,
+        fit_options.earlier,
+        make_listener,
+        system_file,
+        judges_records=judges,
+        left_out=left_out,
+    )
     if not judges:
         return run, records
     records, sentences = leave_out(records, run.spoiled)
@@ -286,9 +306,15 @@ def _run_members(
     if not sentences:
         return run, records
     run = run_task(
-        make_task_of(records), records.name, out, "discard", make_listener, system_file,
-        judges_records=True, left_out=(*left_out, *sentences),
-    )  # fmt: skip
+        make_task_of(records),
+        records.name,
+        out,
+        "discard",
+        make_listener,
+        system_file,
+        judges_records=True,
+        left_out=(*left_out, *sentences),
+    )
     return run, records
 
 

@@ -85,8 +85,9 @@ def init(
         fit += f"{recipe} --system {shlex.quote(str(system))}{density}"
     terminal.messages().print(
         f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _load_system(which: str | None, default_density: float | None) -> "LagrangianSystem | None":

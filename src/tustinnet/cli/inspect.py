@@ -60,8 +60,14 @@ def inspect(
     from tustinnet.data.spoiled import find_without_model
 
     if is_readable(Path(data)) and not Path(data).is_dir():
-        others = {"--card": card, "--split": split, "--strict": strict, "--figure": figure,
-                  "--overwrite": overwrite, "--follow-links": follow_links}  # fmt: skip
+        others = {
+            "--card": card,
+            "--split": split,
+            "--strict": strict,
+            "--figure": figure,
+            "--overwrite": overwrite,
+            "--follow-links": follow_links,
+        }
         refuse_options(
             others,
             f"to the single file {data}",
@@ -110,15 +116,24 @@ def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
     reports = list(inspection.reports)
     terminal.print_tables(time_table(reports), _channel_table(reports, records.channels.unit))
     unstable = (
-        (r.name, f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
-         f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon")
-        for r in reports if r.held
-    )  # fmt: skip
+        (
+            r.name,
+            f"holds an unstable position from {r.held.sample * r.dt:.1f} s on (errors grow "
+            f"e-fold in {r.held.e_fold:.2g} s): score it over a horizon",
+        )
+        for r in reports
+        if r.held
+    )
     holds = (
-        (r.name, f"{i.name} has power above a tenth of the sampling rate: its course between "
-         f"samples decides the simulation ({_hold_advice(i.hold)})")
-        for r in reports for i in r.inputs if i.hold_matters
-    )  # fmt: skip
+        (
+            r.name,
+            f"{i.name} has power above a tenth of the sampling rate: its course between "
+            f"samples decides the simulation ({_hold_advice(i.hold)})",
+        )
+        for r in reports
+        for i in r.inputs
+        if i.hold_matters
+    )
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
@@ -162,8 +177,10 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
     for note in report.notes:
         typer.echo(f"note: {note}")
-    typer.echo("\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
-               f"folder: tustinnet init {path.parent}\n{report.draft}")  # fmt: skip
+    typer.echo(
+        "\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
+        f"folder: tustinnet init {path.parent}\n{report.draft}"
+    )
 
 
 def _findings_page(findings: "Iterable[Finding]", total: int) -> list[str]:
@@ -247,9 +264,11 @@ def require_sound(findings: "Iterable[Finding]") -> None:
         if finding.is_serious:
             where = f"record '{finding.records[0]}'" if finding.records else "records"
             raise InputError(
-                where, finding.text, "records without severe findings and warnings",
+                where,
+                finding.text,
+                "records without severe findings and warnings",
                 f"{finding.remedy}; or omit --strict",
-            )  # fmt: skip
+            )
 
 
 def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]], total: int) -> list[str]:
@@ -282,8 +301,18 @@ def time_table(reports: list["ExperimentReport"]) -> "Table":
     """Table of period, jitter, gaps, share at rest and end of the transient of every record."""
     from tustinnet.report.tables import Table
 
-    columns = ["record", "split", "n", "s", "dt [ms]", "log [ms]", "jitter [us]", "gaps", "rest",
-               "k_bar"]  # fmt: skip
+    columns = [
+        "record",
+        "split",
+        "n",
+        "s",
+        "dt [ms]",
+        "log [ms]",
+        "jitter [us]",
+        "gaps",
+        "rest",
+        "k_bar",
+    ]
     rows = [
         [
             r.name,

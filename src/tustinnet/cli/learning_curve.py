@@ -82,12 +82,20 @@ def learning_curve(
     try:
         sizes = [int(x) for x in (records or "").split(",") if x.strip()]
     except ValueError:
-        raise InputError("--records", f"'{records}'", "numbers, separated by commas",
-                         "for instance --records 2,4,8") from None  # fmt: skip
+        raise InputError(
+            "--records",
+            f"'{records}'",
+            "numbers, separated by commas",
+            "for instance --records 2,4,8",
+        ) from None
     curve_options = make_learning_curve_options(
-        recipe or "standard", system_options, sizes, draws=draws, start=start,
+        recipe or "standard",
+        system_options,
+        sizes,
+        draws=draws,
+        start=start,
         twin=(twin or Values.identified).value,
-    )  # fmt: skip
+    )
     console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
     inputs = request.list_input_files(data, card, system)
@@ -127,8 +135,11 @@ def _make_system_options(
     if system is not None:
         recipe = read_recipe(hybrid or "hybrid")
         if "physics" not in recipe.family.needs:
-            raise InputError("--hybrid", f"a recipe of kind '{recipe.family.kind}'",
-                             "a recipe that corrects physics")  # fmt: skip
+            raise InputError(
+                "--hybrid",
+                f"a recipe of kind '{recipe.family.kind}'",
+                "a recipe that corrects physics",
+            )
         return make_cross_validation_options(recipe, system=find_system(system), physics=physics)
     needed = {"--physics": physics, "--hybrid": hybrid, "--twin": twin}
     refuse_options(needed, "without a system", "a system", "add --system NAME|FILE.py")

@@ -33,9 +33,25 @@ app = typer.Typer(
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
 _VERBS = (
-    demo, init, inspect, fit, cross_validate, learning_curve, next_record, simulate, evaluate,
-    compare, residuals, committee, calibrate, control, export, show, report, reproduce,
-)  # fmt: skip
+    demo,
+    init,
+    inspect,
+    fit,
+    cross_validate,
+    learning_curve,
+    next_record,
+    simulate,
+    evaluate,
+    compare,
+    residuals,
+    committee,
+    calibrate,
+    control,
+    export,
+    show,
+    report,
+    reproduce,
+)
 for verb in _VERBS:
     app.command(cls=Verb)(terminal.interruptible()(verb))
 

@@ -135,9 +135,14 @@ def next_record(
     parameters smallest, for a model or for a robot's file alone (--system arm.urdf).
     """
     given = {
-        "seconds": seconds, "harmonics": harmonics, "frequency": frequency, "margin": margin,
-        "noise": noise, "starts": starts, "seed": seed,
-    }  # fmt: skip
+        "seconds": seconds,
+        "harmonics": harmonics,
+        "frequency": frequency,
+        "margin": margin,
+        "noise": noise,
+        "starts": starts,
+        "seed": seed,
+    }
     if not design:
         if model is None or proposals is None:
             raise typer.BadParameter(
@@ -146,9 +151,15 @@ def next_record(
             )
         others = {f"--{key}": value for key, value in given.items()}
         others |= {
-            "--out": out, "--rate": rate, "--within": within, "--limits": limits,
-            "--group": group, "--budget": budget, "--overwrite": overwrite, "--quiet": quiet,
-        }  # fmt: skip
+            "--out": out,
+            "--rate": rate,
+            "--within": within,
+            "--limits": limits,
+            "--group": group,
+            "--budget": budget,
+            "--overwrite": overwrite,
+            "--quiet": quiet,
+        }
         refuse_options(others, "to a ranking of proposals", "--design")
         _rank(model, proposals, horizon, system, json=json)
         return
@@ -179,8 +190,12 @@ def next_record(
     )
     if model is None:
         if system is None:
-            raise InputError("--design", "neither a model nor a system", "one of them",
-                             "for instance --system arm.urdf")  # fmt: skip
+            raise InputError(
+                "--design",
+                "neither a model nor a system",
+                "one of them",
+                "for instance --system arm.urdf",
+            )
         equations = load_system(find_system(system))
         require_inputs(equations)
         knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
@@ -190,9 +205,11 @@ def next_record(
         mechanics = equations_of_motion(fitted)
         if mechanics is None:
             raise InputError(
-                model, "a model without equations of motion", "an identified system",
+                model,
+                "a model without equations of motion",
+                "an identified system",
                 "fit one: tustinnet fit LOGS --recipe inverse-dynamics --system arm.urdf",
-            )  # fmt: skip
+            )
         equations, channels, dt = mechanics.system, fitted.channels, fitted.dt
         require_inputs(equations)
         knowledge = fitted_knowledge(mechanics, header.get("identification"), groups)
@@ -205,14 +222,20 @@ def next_record(
     )
     values = request.OptionReader(channels, header)
     box = gather_limits(
-        equations, values.read_limits("--within", within), values.read_limits("--limits", limits),
+        equations,
+        values.read_limits("--within", within),
+        values.read_limits("--limits", limits),
         channels,
-    )  # fmt: skip
+    )
     with lock_folder(out):
         result = design_record(
-            equations, knowledge, box, design_options, groups=groups,
+            equations,
+            knowledge,
+            box,
+            design_options,
+            groups=groups,
             on_progress=_make_listener(terminal.make_printer(quiet=quiet)),
-        )  # fmt: skip
+        )
         _write(result, out, json=json)
 
 

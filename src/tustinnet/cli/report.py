@@ -68,10 +68,19 @@ def report(
     runs = request.choose_free_runs(
         request.load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
     )
-    command = report_command(models, data, out, {
-        "--split": split, "--start": start, "--horizon": horizon, "--card": card,
-        "--follow-links": follow_links or None,
-    }, system or [])  # fmt: skip
+    command = report_command(
+        models,
+        data,
+        out,
+        {
+            "--split": split,
+            "--start": start,
+            "--horizon": horizon,
+            "--card": card,
+            "--follow-links": follow_links or None,
+        },
+        system or [],
+    )
     report_options = ReportOptions(runs.start, runs.horizon, links, command)
     reported = read_reported_models(files, loaded_models)
     path = write_page(reported, runs.records, out, report_options)
@@ -80,9 +89,10 @@ def report(
 
 
 def _choose_links(
-    systems: "Sequence[SystemFile | str]", models: "Sequence[Model]",
+    systems: "Sequence[SystemFile | str]",
+    models: "Sequence[Model]",
     coordinates: "Sequence[Coordinate]",
-) -> "tuple[Link, ...]":  # fmt: skip
+) -> "tuple[Link, ...]":
     """The links of a system that is named only to draw the mechanism of models without links."""
     from tustinnet.families.family import family_of
     from tustinnet.systems.files import load_system
@@ -95,8 +105,9 @@ def _choose_links(
         is_fitting = system.links and [(c.name, c.kind) for c in system.coordinates] == needed
         if has_links or not is_fitting or len(loaded_systems) > 1:
             raise InputError(
-                "--system", f"'{system.name}', which is the system of no model",
+                "--system",
+                f"'{system.name}', which is the system of no model",
                 "a model's system, or one system with links of the models' coordinates where no "
                 "model has links",
-            )  # fmt: skip
+            )
     return loaded_systems[0].links if loaded_systems else ()

@@ -90,9 +90,11 @@ def reproduce(
     folder, card = locate(data)
     if not QUBE_SERVO2.is_in(folder):
         raise InputError(
-            folder, "not the Qube-Servo 2 data", "a folder with train/fall1Velocity.csv, ...",
+            folder,
+            "not the Qube-Servo 2 data",
+            "a folder with train/fall1Velocity.csv, ...",
             "use `tustinnet fit` for your own records",
-        )  # fmt: skip
+        )
     records = load_folder(folder, card)
     scored_split = table1.choose_split(records, split)
     model_names, remark = table1.choose_models(models or (), folder)
@@ -118,9 +120,12 @@ def reproduce(
             terminal.interruptible("the same command continues"),
         ):
             rows = table1.build_rows(
-                records, folder, table_options, runs,
+                records,
+                folder,
+                table_options,
+                runs,
                 lambda name: lambda prepared: progress.follow(prepared, name),
-            )  # fmt: skip
+            )
         content, table = table1.as_json(rows, scored_split), table1.as_table(rows, scored_split)
         texts = to_json(content), table.markdown(), table.latex()
         for name, text in zip(_TABLES, texts, strict=True):

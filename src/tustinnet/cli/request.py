@@ -62,8 +62,9 @@ class FitOptions:
 def require_cores(cluster: str | None, device: "Hardware | None") -> None:
     """Raises an error if jobs of a cluster are to compute on another device than processors."""
     if cluster is not None and device not in (None, "cpu"):
-        raise InputError(f"--device {device}", "not applicable to jobs on a cluster",
-                         "cpu", "omit the option")  # fmt: skip
+        raise InputError(
+            f"--device {device}", "not applicable to jobs on a cluster", "cpu", "omit the option"
+        )
 
 
 def open_cluster(
@@ -99,10 +100,11 @@ def read_recipe_in(model: Path) -> "Mapping[str, Any]":
     header = read_header(model)
     if not isinstance(recipe := header.get("recipe"), dict):
         raise InputError(
-            f"--from {model}", f"a model of kind '{header['kind']}' that names no recipe",
+            f"--from {model}",
+            f"a model of kind '{header['kind']}' that names no recipe",
             "a model that `fit` has made by a recipe",
             "of a model of one kind, name the recipe: --recipe NAME",
-        )  # fmt: skip
+        )
     return recipe
 
 
@@ -118,8 +120,9 @@ def read_origin(
 
     for change in changes or ():
         if change.strip().startswith("model.begin"):
-            raise InputError(f"--set {change}", "--from sets the same initial values",
-                             "one of them", "omit one")  # fmt: skip
+            raise InputError(
+                f"--set {change}", "--from sets the same initial values", "one of them", "omit one"
+            )
     return load_origin(model, kept_system(model) if system is None else system)
 
 
@@ -133,9 +136,11 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
 
     if seeds is not None and not recipe.family.has_seeds:
         raise InputError(
-            "--seeds", f"an option of a training; '{recipe.name}' identifies",
-            "a recipe of a kind with weights", "an identification has no seeds",
-        )  # fmt: skip
+            "--seeds",
+            f"an option of a training; '{recipe.name}' identifies",
+            "a recipe of a kind with weights",
+            "an identification has no seeds",
+        )
     return [Member(seed) for seed in parse_seeds("1" if seeds is None else seeds)]
 
 
@@ -150,10 +155,11 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     different = {seed for seed in seeds if 0 <= seed <= _LARGEST_SEED}
     if not 0 < len(different) == len(seeds) <= _MAX_SEEDS:
         raise InputError(
-            "--seeds", f"'{text}'",
+            "--seeds",
+            f"'{text}'",
             f"a number from 1 to {_MAX_SEEDS}, or different seeds, separated by commas",
             "for instance --seeds 3, or --seeds 4,5, (a comma behind a single one)",
-        )  # fmt: skip
+        )
     return seeds
 
 
@@ -181,9 +187,11 @@ def load_records_to_fit(
     outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
     require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
     records = load_folder(
-        folder, located_card, on_message=None if strict else console.print,
+        folder,
+        located_card,
+        on_message=None if strict else console.print,
         follow_links=follow_links,
-    )  # fmt: skip
+    )
     if not strict:
         kept = _leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
@@ -219,9 +227,11 @@ def load_records(
     from tustinnet.data.loading import load_folder
 
     return load_folder(
-        *locate(data, card), on_message=terminal.messages().print, required=names,
+        *locate(data, card),
+        on_message=terminal.messages().print,
+        required=names,
         follow_links=follow_links,
-    )  # fmt: skip
+    )
 
 
 def require_apart(out: Path, folder: Path) -> None:
@@ -239,9 +249,10 @@ def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) 
     for path in paths:
         if would_be_record(path, folder, located_card):
             raise InputError(
-                path.parent, f"there {path.name} would be a record of '{located_card.name}'",
+                path.parent,
+                f"there {path.name} would be a record of '{located_card.name}'",
                 "another folder",
-            )  # fmt: skip
+            )
 
 
 def list_input_files(
@@ -276,8 +287,12 @@ def require_figures(
         for folder in {path.parent for path in files}:
             require_writable_folder(folder)
     elif overwrite:
-        raise InputError("--overwrite", "no figures that it could replace", "figures",
-                         f"add {option}, or omit it")  # fmt: skip
+        raise InputError(
+            "--overwrite",
+            "no figures that it could replace",
+            "figures",
+            f"add {option}, or omit it",
+        )
 
 
 def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Console") -> None:
@@ -340,9 +355,11 @@ def find_system_to_fit(
 
     if file is None or isinstance(file, str):
         raise InputError(
-            "--default-density", "not applicable without the file of a robot",
-            "--system FILE.urdf", "omit it",
-        )  # fmt: skip
+            "--default-density",
+            "not applicable without the file of a robot",
+            "--system FILE.urdf",
+            "omit it",
+        )
     return with_inertias(file, default_density)
 
 
@@ -366,9 +383,11 @@ def kept_system(model: Path) -> "SystemFile | None":
         trust(copy)
         return copy
     raise InputError(
-        copy.path, "Python code that was kept with the model, and not trusted on this machine",
-        "your consent", f"if you would run it yourself, add --system {copy.path}",
-    )  # fmt: skip
+        copy.path,
+        "Python code that was kept with the model, and not trusted on this machine",
+        "your consent",
+        f"if you would run it yourself, add --system {copy.path}",
+    )
 
 
 def records_of_split(data: "DataSet", split: str | None) -> "DataSet":
@@ -491,9 +510,12 @@ def _leave_out_short(
 
 
 def compute_bands(
-    path: Path, model: "Model", records: "Sequence[Experiment]", scores: "Sequence[Score]",
+    path: Path,
+    model: "Model",
+    records: "Sequence[Experiment]",
+    scores: "Sequence[Score]",
     band_options: "BandOptions",
-) -> "list[Band]":  # fmt: skip
+) -> "list[Band]":
     """Computes the bands around the free runs of a model in a file, by its calibration."""
     from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
     from tustinnet.store.header import read_header

@@ -97,12 +97,16 @@ def _residual_table(
 
     rows = [
         [
-            r.coordinate, number(r.rms), number(r.mean), number(float(r.autocorrelation[1])),
-            number(r.white_bound), f"{100 * r.outside:.0f} %",
+            r.coordinate,
+            number(r.rms),
+            number(r.mean),
+            number(float(r.autocorrelation[1])),
+            number(r.white_bound),
+            f"{100 * r.outside:.0f} %",
             *[f"{100 * share:.0f} %" for share in r.cross_outside],
         ]
         for r in reports
-    ]  # fmt: skip
+    ]
     crossed = [f"outside, {i.name}" for i in channels.inputs[: len(reports[0].cross)]]
     columns = ["coordinate", "RMS", "mean", "lag 1", "99 % bound", "outside, own", *crossed]
     return Table(columns, rows, title=title)

@@ -22,10 +22,13 @@ def show(model: options.Model, json: options.Json = False) -> None:
         return
     versions = header.get("versions", {})
     lines = [
-        *_channel_lines(header), *structure, *_fit_lines(header),
-        *_identification_lines(header), *_score_lines(header),
+        *_channel_lines(header),
+        *structure,
+        *_fit_lines(header),
+        *_identification_lines(header),
+        *_score_lines(header),
         *([("versions", ", ".join(f"{k} {v}" for k, v in versions.items()))] if versions else []),
-    ]  # fmt: skip
+    ]
     for key, value in lines:
         typer.echo(f"{key:<14}{to_printable(str(value), _LONGEST_LINE)}")
 
@@ -53,8 +56,12 @@ def _fit_lines(header: dict[str, Any]) -> Lines:
     if "recipe" in header:
         seed = f", seed {training['seed']}" if "seed" in training else ""
         lines.append(("recipe", header["recipe"]["name"] + seed))
-    texts = {"windows": "windows {}", "epochs": "epochs {}", "kept_epoch": "epoch {} kept",
-             "outcome": "{}"}  # fmt: skip
+    texts = {
+        "windows": "windows {}",
+        "epochs": "epochs {}",
+        "kept_epoch": "epoch {} kept",
+        "outcome": "{}",
+    }
     if parts := [text.format(training[key]) for key, text in texts.items() if key in training]:
         lines.append(("training", ", ".join(parts)))
     if "from" in header:
@@ -104,5 +111,7 @@ def _score_lines(header: dict[str, Any]) -> Lines:
     parts = [split, f"mean RMSE {mean}", f"start '{start}'" if start else "", length]
     lines = [("score", ", ".join(part for part in parts if part))]
     norm = " (norm over all coordinates)" if " and " in unit else ""
-    return lines + [("", f"{name} {value:.4g}{norm}" if value is not None else f"{name} diverged")
-                    for name, value in scores.get("rmse", {}).items()]  # fmt: skip
+    return lines + [
+        ("", f"{name} {value:.4g}{norm}" if value is not None else f"{name} diverged")
+        for name, value in scores.get("rmse", {}).items()
+    ]

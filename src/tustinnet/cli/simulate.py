@@ -50,9 +50,14 @@ def simulate(
     simulator = request.load_model(model, system)
     data_set = request.load_records(data, card, experiment or (), follow_links=follow_links)
     runs = request.choose_free_runs(
-        data_set, {model: simulator}, split, start, horizon,
-        names=experiment or (), has_bands=band is not None,
-    )  # fmt: skip
+        data_set,
+        {model: simulator},
+        split,
+        start,
+        horizon,
+        names=experiment or (),
+        has_bands=band is not None,
+    )
     records = runs.records
     paths = [out / simulation_name(e) for e in records]
     inputs = request.list_input_files(data, card, model, system)

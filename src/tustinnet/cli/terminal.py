@@ -290,6 +290,8 @@ def _first_device(kind: str | None, source: str, remedy: str) -> Any:
         return jax.devices(kind)[0]
     except (RuntimeError, AssertionError):  # the second for some devices that are absent
         raise InputError(
-            source, "JAX sees none", "a device that JAX sees",
+            source,
+            "JAX sees none",
+            "a device that JAX sees",
             f"{remedy}, or install JAX for your GPU: pip install 'jax[cuda13]<0.11'",
-        ) from None  # fmt: skip
+        ) from None

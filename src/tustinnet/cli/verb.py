@@ -50,13 +50,13 @@ def refuse_options(given: Mapping[str, object], case: str, expected: str, remedy
 def _require_path(name: str, path: str) -> None:
     """Raises unless a text can be a path; an empty one would be the current folder."""
     if not path.strip():
-        raise InputError(name, f"'{path}'", "a path or a name",
-                         "for the current folder, write .")  # fmt: skip
+        raise InputError(name, f"'{path}'", "a path or a name", "for the current folder, write .")
     sizes = [len(part.encode(errors="replace")) for part in path.split("/")]
     if max(sizes) > _LONGEST_PART or sum(sizes) + len(sizes) > _LONGEST:
         raise InputError(
-            name, f"'{path[:30]}...', a path of {len(path)} characters",
+            name,
+            f"'{path[:30]}...', a path of {len(path)} characters",
             f"at most {_LONGEST}, and {_LONGEST_PART} bytes in each name",
-        )  # fmt: skip
+        )
     if "\0" in path:
         raise InputError(name, "a path with a zero byte", "a path")

@@ -171,9 +171,11 @@ def design_controller(
     for mode in point.modes:
         if not mode.observable and not mode.is_stable:
             raise InputError(
-                "--at", f"{mode} cannot be observed from the encoders and does not decay",
-                "encoders that show it", "measure another coordinate, or choose another point",
-            )  # fmt: skip
+                "--at",
+                f"{mode} cannot be observed from the encoders and does not decay",
+                "encoders that show it",
+                "measure another coordinate, or choose another point",
+            )
     if range is not None and not task.trust_beyond:
         _require_recorded(model, point, range)
     sums = {k: v for k, v in task.deviations.items() if k.startswith("integral_")}
@@ -196,23 +198,25 @@ def design_controller(
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits, speeds=speeds)
         plan = _plan_motion(model, task, start, point, bounds, range)
-        beyond = None if range is None else range.extrapolation_point(
-            model.channels, plan.x[:-1], plan.u
-        )  # fmt: skip
+        beyond = (
+            None
+            if range is None
+            else range.extrapolation_point(model.channels, plan.x[:-1], plan.u)
+        )
         if beyond is not None and beyond.signal and not task.trust_beyond:
             low, high = beyond.recorded
             raise InputError(
-                "the motion", f"after {beyond.sample * model.dt:.3g} s it leaves the range of the "
+                "the motion",
+                f"after {beyond.sample * model.dt:.3g} s it leaves the range of the "
                 f"training records: {beyond.signal} reaches {beyond.value:.4g}",
                 f"recorded {low:.4g} to {high:.4g}",
                 "record such motions, limit it (--within, --limits), or add --trust-beyond",
-            )  # fmt: skip
+            )
 
         def proportional_feedback(at: OperatingPoint) -> Feedback:
             return lqr(
-                model, at.x, at.u, deviations=own, range=range, delay=task.delay,
-                limits=task.limits,
-            )  # fmt: skip
+                model, at.x, at.u, deviations=own, range=range, delay=task.delay, limits=task.limits
+            )
 
         # along the plan errors are not integrated; from its end on they are
         final = proportional_feedback(point) if task.integral else feedback
@@ -246,11 +250,13 @@ def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None
     states = np.tile(point.x, (len(inputs), 1))
     if (range.support.distance(features(model.channels, states, inputs)) > 1).all():
         raise InputError(
-            "the equilibrium", "no record has such positions at rest, or inputs near them: a model "
+            "the equilibrium",
+            "no record has such positions at rest, or inputs near them: a model "
             "without equations of motion does not know what inputs do there",
-            "records about the equilibrium", "record some (a fall from there with inputs will do), "
+            "records about the equilibrium",
+            "record some (a fall from there with inputs will do), "
             "use a grey box or a hybrid, or add --trust-beyond",
-        )  # fmt: skip
+        )
 
 
 def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> dict[str, float]:
@@ -265,9 +271,13 @@ def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> d
 
 
 def _plan_motion(
-    model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint,
-    bounds: InputLimits, range: Range | None,
-) -> Plan:  # fmt: skip
+    model: Model,
+    task: ControlTask,
+    start: OperatingPoint,
+    point: OperatingPoint,
+    bounds: InputLimits,
+    range: Range | None,
+) -> Plan:
     """A motion from a start to the equilibrium that is held.
 
     Raises:
@@ -288,10 +298,12 @@ def _plan_motion(
         for i, low, high in zip(channels.inputs, lower, upper, strict=True):
             if low == high:
                 raise InputError(
-                    "the motion", f"{i.name} never changes in the training records: there is "
-                    "nothing to plan with", f"records with {i.name}",
+                    "the motion",
+                    f"{i.name} never changes in the training records: there is "
+                    "nothing to plan with",
+                    f"records with {i.name}",
                     "record some, or add --trust-beyond",
-                )  # fmt: skip
+                )
         speeds = range.states[channels.velocity]
         for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
             if slowest < 0 < fastest:
@@ -303,9 +315,17 @@ def _plan_motion(
     best = None
     for seconds in durations:
         plan = ilqr(
-            model, start.x, point.x, max(1, round(seconds / model.dt)), goal_inputs=point.u,
-            deviations=own, range=range, within=within, limits=planned, delay=task.delay,
-        )  # fmt: skip
+            model,
+            start.x,
+            point.x,
+            max(1, round(seconds / model.dt)),
+            goal_inputs=point.u,
+            deviations=own,
+            range=range,
+            within=within,
+            limits=planned,
+            delay=task.delay,
+        )
         if plan.reached:
             return plan
         best = plan if best is None or plan.cost < best.cost else best
@@ -320,9 +340,11 @@ def _plan_motion(
     )
     end = "does not arrive" if best.converged else "did not converge"
     raise InputError(
-        "the motion", f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
-        goal, "give it more time (--seconds), wider limits, or other weights (--weight)",
-    )  # fmt: skip
+        "the motion",
+        f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
+        goal,
+        "give it more time (--seconds), wider limits, or other weights (--weight)",
+    )
 
 
 def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
@@ -380,6 +402,8 @@ def find_rest(
         if not point.is_unstable:
             return positions
     raise InputError(
-        "--swing-up", f"no stable equilibrium half a turn from {', '.join(at)}",
-        "an angle that hangs at rest there", "name the start and the goal: --at and --to",
-    )  # fmt: skip
+        "--swing-up",
+        f"no stable equilibrium half a turn from {', '.join(at)}",
+        "an angle that hangs at rest there",
+        "name the start and the goal: --at and --to",
+    )

@@ -96,9 +96,10 @@ class ControlledModel:
         """The step at many points [z, u]."""
         size = self.size
         formula = Formula(
-            lambda point: self.function(point[:size], point[size:]), size + self.n_u,
+            lambda point: self.function(point[:size], point[size:]),
+            size + self.n_u,
             where=self.where,
-        )  # fmt: skip
+        )
         compile_formula(formula, derivatives=True)
         return formula
 
@@ -122,8 +123,9 @@ class ControlledModel:
         n_x, count = self.n_x, len(self._places)
         return Formula(
             lambda point: self._step(point[:n_x], jnp.concatenate([point[n_x:]] * count)),
-            n_x + self.n_u, where=self.where,
-        )  # fmt: skip
+            n_x + self.n_u,
+            where=self.where,
+        )
 
     def tangent(
         self,
@@ -163,9 +165,10 @@ class ControlledModel:
         jacobian[:, columns] = slopes / usual[moved]
         if not np.isfinite(jacobian).all():
             raise InputError(
-                "operating point", "derivatives that are not finite",
+                "operating point",
+                "derivatives that are not finite",
                 "a point where the model is smooth",
-            )  # fmt: skip
+            )
         return jacobian[:, : self.size], jacobian[:, self.size :]
 
     def augment(
@@ -229,9 +232,11 @@ def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
         pair = given.get(i.name, i.limits)
         if pair is None:
             raise InputError(
-                f"input '{i.name}'", "it has no limits", "the least and the largest value it takes",
+                f"input '{i.name}'",
+                "it has no limits",
+                "the least and the largest value it takes",
                 f"declare them in the data card, or give them (--limits {i.name}=LOW:HIGH)",
-            )  # fmt: skip
+            )
         if not -np.inf < pair[0] < pair[1] < np.inf:
             raise InputError(
                 f"input '{i.name}'", f"limits {list(pair)}", "two numbers, the smaller one first"

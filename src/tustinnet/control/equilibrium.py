@@ -183,12 +183,18 @@ def find_equilibrium(
         y = np.concatenate([(first - target) / unit[:n_x], np.zeros(system.n_u)])
         with np.errstate(all="ignore"):
             result = scipy.optimize.minimize(
-                lambda y: (y @ y / 2, y), y, jac=True, method="SLSQP", bounds=ends,
+                lambda y: (y @ y / 2, y),
+                y,
+                jac=True,
+                method="SLSQP",
+                bounds=ends,
                 constraints={
-                    "type": "eq", "fun": lambda y: change(y)[0], "jac": lambda y: change(y)[1]
+                    "type": "eq",
+                    "fun": lambda y: change(y)[0],
+                    "jac": lambda y: change(y)[1],
                 },
                 options={"maxiter": 200, "ftol": 1e-14},
-            )  # fmt: skip
+            )
             point = centre + unit * result.x
             rate = change(result.x)[0]
         is_settled = np.isfinite(rate).all() and np.all(
@@ -213,9 +219,11 @@ def find_equilibrium(
 
 
 def _other_starts(
-    target: Float[np.ndarray, " n_x"], angular: np.ndarray, positions: list[str],
+    target: Float[np.ndarray, " n_x"],
+    angular: np.ndarray,
+    positions: list[str],
     at: Mapping[str, float],
-) -> list[Float[np.ndarray, " n_x"]]:  # fmt: skip
+) -> list[Float[np.ndarray, " n_x"]]:
     """States whose named angles are turned, one at a time."""
     starts = []
     for i, name in enumerate(positions):
@@ -228,15 +236,20 @@ def _other_starts(
 
 
 def _no_equilibrium(
-    at: Mapping[str, float], nearest: np.ndarray | None, positions: list[str], bounds: object,
+    at: Mapping[str, float],
+    nearest: np.ndarray | None,
+    positions: list[str],
+    bounds: object,
     inputs: tuple,
-) -> InputError:  # fmt: skip
+) -> InputError:
     place = ", ".join(f"{name} = {value:g}" for name, value in at.items())
     if nearest is None:
         return InputError(
-            "equilibrium", f"none at {place} under the limits of the inputs, nor near it",
-            "positions at which the model can stand still", "name others, or widen the limits",
-        )  # fmt: skip
+            "equilibrium",
+            f"none at {place} under the limits of the inputs, nor near it",
+            "positions at which the model can stand still",
+            "name others, or widen the limits",
+        )
     n_u = len(inputs)
     stands = ", ".join(
         f"{name} = {nearest[i]:.4g}" for i, name in enumerate(positions) if name in at
@@ -245,9 +258,11 @@ def _no_equilibrium(
         f"{i.name} = {value:.4g}" for i, value in zip(inputs, nearest[-n_u:], strict=True)
     )
     return InputError(
-        "equilibrium", f"none at {place} under the limits of the inputs",
-        f"the nearest one, {stands} (with {forces})", "name its positions, or widen the limits",
-    )  # fmt: skip
+        "equilibrium",
+        f"none at {place} under the limits of the inputs",
+        f"the nearest one, {stands} (with {forces})",
+        "name its positions, or widen the limits",
+    )
 
 
 def find_modes(
@@ -294,10 +309,14 @@ def find_modes(
         rate = np.log(size) / system.dt if size else -np.inf
         modes.append(
             Mode(
-                value, float(rate), float(np.angle(value) / system.dt),
-                _moving_states(vectors[:, i], system), bool(is_controllable), bool(is_observable),
+                value,
+                float(rate),
+                float(np.angle(value) / system.dt),
+                _moving_states(vectors[:, i], system),
+                bool(is_controllable),
+                bool(is_observable),
             )
-        )  # fmt: skip
+        )
     return tuple(modes)
 
 
@@ -334,6 +353,8 @@ def require_stabilisable(
     for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
             raise InputError(
-                where, f"{mode} is not controllable from the inputs and does not decay",
-                "inputs that move it", "choose another point, or another model",
-            )  # fmt: skip
+                where,
+                f"{mode} is not controllable from the inputs and does not decay",
+                "inputs that move it",
+                "choose another point, or another model",
+            )

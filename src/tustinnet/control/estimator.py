@@ -196,16 +196,21 @@ class FilterConsistency:
         sentences = []
         for j, coordinate in enumerate(self.channels.coordinates):
             verdict = (
-                "too sure of itself" if self.nis[j] > high
-                else "careful" if self.nis[j] < low else "consistent"
-            )  # fmt: skip
+                "too sure of itself"
+                if self.nis[j] > high
+                else "careful"
+                if self.nis[j] < low
+                else "consistent"
+            )
             correlated = f"correlated by up to {largest[j]:.2f}"
             white = (
-                "white" if self._outside[j] <= _BY_CHANCE
-                else f"nearly white ({correlated})" if largest[j] < _LITTLE
+                "white"
+                if self._outside[j] <= _BY_CHANCE
+                else f"nearly white ({correlated})"
+                if largest[j] < _LITTLE
                 else f"not white ({correlated}): the model lacks something that lasts longer than "
                 "a sample"
-            )  # fmt: skip
+            )
             sentences.append(
                 f"{coordinate.name}: the filter is {verdict}, innovations are "
                 f"{math.sqrt(self.nis[j]):.2f} times as large as it expects, and {white}"
@@ -250,9 +255,9 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
     resolution = _resolution(channels, parts)
     has_resolution = resolution > 0
     spread = np.asarray(model.internal_spread, np.float64)
-    guess = np.concatenate([
-        np.log(_GUESS * speed), np.zeros(min(n_z, 1)), np.zeros(np.count_nonzero(~has_resolution)),
-    ])  # fmt: skip
+    guess = np.concatenate(
+        [np.log(_GUESS * speed), np.zeros(min(n_z, 1)), np.zeros(np.count_nonzero(~has_resolution))]
+    )
 
     def noise(logarithms: Vector) -> FilterNoise:
         factors = np.exp(np.clip(logarithms, -40.0, 40.0))
@@ -282,12 +287,16 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
             "find_noise", "a model that diverges along the records", "one that simulates them"
         )
     result = scipy.optimize.minimize(
-        misfit, guess, method="Nelder-Mead",
+        misfit,
+        guess,
+        method="Nelder-Mead",
         options={
-            "maxfev": _CALLS, "xatol": 0.05, "fatol": 1e-3,
+            "maxfev": _CALLS,
+            "xatol": 0.05,
+            "fatol": 1e-3,
             "initial_simplex": np.vstack([guess, guess + 1.5 * np.eye(len(guess))]),
         },
-    )  # fmt: skip
+    )
     return noise(result.x)
 
 
@@ -316,10 +325,12 @@ def check_filter(
     tails = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
     low, high = (float(scipy.stats.chi2.ppf(tail, n)) / n for tail in tails)
     power = np.sum(pooled**2, axis=0)
-    correlations = np.stack([
-        sum(np.sum(e[:-lag] * e[lag:], axis=0) for e in series) / power
-        for lag in range(1, _LAGS + 1)
-    ])  # fmt: skip
+    correlations = np.stack(
+        [
+            sum(np.sum(e[:-lag] * e[lag:], axis=0) for e in series) / power
+            for lag in range(1, _LAGS + 1)
+        ]
+    )
     return FilterConsistency(
         channels=model.channels,
         samples=n,
@@ -337,9 +348,10 @@ def _parts(model: Model, records: Sequence[Experiment]) -> list[Experiment]:
     parts = [e[:length] for e in records if len(e) >= _SHORTEST]
     if not parts:
         raise InputError(
-            "the filter's noise", counted(len(records), "record"),
+            "the filter's noise",
+            counted(len(records), "record"),
             f"at least one of {_SHORTEST} samples or more",
-        )  # fmt: skip
+        )
     return parts[: samples // _SHORTEST]
 
 

@@ -101,10 +101,9 @@ class Solver:
         runs = len(shares)
         first = np.zeros(runs, int) if earlier is None else earlier
         rows = np.concatenate(
-            [
-                reference.u, policy.feedforward, policy.gain.reshape(count, -1), reference.z[:-1]
-            ], axis=1,
-        )  # fmt: skip
+            [reference.u, policy.feedforward, policy.gain.reshape(count, -1), reference.z[:-1]],
+            axis=1,
+        )
         longest_lead = int(first.max())
         drive = np.zeros((count + longest_lead + 1, 1, rows.shape[1]))
         drive[:count, 0], drive[count:, 0] = rows, rows[-1]
@@ -113,11 +112,14 @@ class Solver:
         states = simulate(
             self._equations,
             Runs(
-                start=np.tile(start, (runs, 1)), parameters=parameters,
-                steps=np.full(runs, count), first=first, drive=drive,
+                start=np.tile(start, (runs, 1)),
+                parameters=parameters,
+                steps=np.full(runs, count),
+                first=first,
+                drive=drive,
                 periods=np.ones(len(drive)),
             ),
-        ).reshape(runs, count + 1, -1)  # fmt: skip
+        ).reshape(runs, count + 1, -1)
         at = np.minimum(np.arange(count) + first[:, None], count - 1)
         with np.errstate(invalid="ignore", over="ignore"):
             errors = states[:, :-1] - reference.z[at]
@@ -205,9 +207,13 @@ def closed_loop_equations(system: ControlledModel) -> Equations:
         return system.function(z, jnp.minimum(jnp.maximum(command, lower), upper))
 
     return Equations(
-        step, n_x=n_z, n_u=2 * n_u + n_u * n_z + n_z, n_c=1 + 2 * n_u, continuous=False,
+        step,
+        n_x=n_z,
+        n_u=2 * n_u + n_u * n_z + n_z,
+        n_c=1 + 2 * n_u,
+        continuous=False,
         where=system.where,
-    )  # fmt: skip
+    )
 
 
 def ilqr(
@@ -273,9 +279,15 @@ def ilqr(
     u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
     u_end = bounds.clip(require_vector(u_end, system.n_u, "ilqr, goal_inputs"))
     cost = make_cost(
-        system, bounds, x_end, u_end, deviations=deviations, range=range, within=within,
+        system,
+        bounds,
+        x_end,
+        u_end,
+        deviations=deviations,
+        range=range,
+        within=within,
         end_weight=end_weight,
-    )  # fmt: skip
+    )
     before = bounds.clip(np.zeros(system.n_u))
     first = system.augment(x0, before)
     targets = _targets(system, x0, x_end) if turns else [x_end]
@@ -287,9 +299,11 @@ def ilqr(
     finite = [search for search in first_searches if np.isfinite(search[1].cost)]
     if not finite:
         raise InputError(
-            "ilqr", f"{system.where} diverges under every first guess", "a motion to begin with",
+            "ilqr",
+            f"{system.where} diverges under every first guess",
+            "a motion to begin with",
             "plan fewer steps, or give guesses",
-        )  # fmt: skip
+        )
     finite.sort(key=lambda search: search[1].cost)
     holding = _holding_gain(system, bounds, x_end, u_end, deviations, range)
     plans: list[Plan] = []
@@ -298,10 +312,17 @@ def ilqr(
             motion, is_converged, more = solver.minimise(motion, iterations - count)
             count += more
         plan = Plan(
-            x=motion.z[:, : system.n_x], u=motion.u, cost=motion.cost, converged=is_converged,
-            reached=_is_held(holding, motion.z[-1], solver.cost, bounds), iterations=count,
-            dt=system.dt, goal=solver.cost.x, before=before, delay=delay,
-        )  # fmt: skip
+            x=motion.z[:, : system.n_x],
+            u=motion.u,
+            cost=motion.cost,
+            converged=is_converged,
+            reached=_is_held(holding, motion.z[-1], solver.cost, bounds),
+            iterations=count,
+            dt=system.dt,
+            goal=solver.cost.x,
+            before=before,
+            delay=delay,
+        )
         plans.append(plan)
         if len(plans) >= _FINISHED and any(p.reached and p.converged for p in plans):
             break
@@ -309,9 +330,13 @@ def ilqr(
 
 
 def _holding_gain(
-    system: ControlledModel, limits: InputLimits, x: Float[np.ndarray, " n_x"],
-    u: Float[np.ndarray, " n_u"], deviations: Deviations | None, range: Range | None,
-) -> Float[np.ndarray, "n_u n_z"]:  # fmt: skip
+    system: ControlledModel,
+    limits: InputLimits,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    deviations: Deviations | None,
+    range: Range | None,
+) -> Float[np.ndarray, "n_u n_z"]:
     """The gain of the linear feedback that holds a goal."""
     weights = bryson_weights(system, limits, deviations, range)
     matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
@@ -319,9 +344,11 @@ def _holding_gain(
 
 
 def _is_held(
-    gain: Float[np.ndarray, "n_u n_z"], end: Float[np.ndarray, " n_z"], cost: Cost,
+    gain: Float[np.ndarray, "n_u n_z"],
+    end: Float[np.ndarray, " n_z"],
+    cost: Cost,
     limits: InputLimits,
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether feedback about the goal would need no more than a part of the inputs' limits."""
     needed = np.abs(gain @ cost.end_error(end))
     room = np.minimum(limits.upper - cost.u, cost.u - limits.lower)
@@ -365,9 +392,7 @@ def make_cost(
         penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
     matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
     end = riccati_solution(system, matrices, weights)
-    return Cost(
-        x, u, weights.states, weights.inputs, end_weight * end, lower, upper, penalty
-    )  # fmt: skip
+    return Cost(x, u, weights.states, weights.inputs, end_weight * end, lower, upper, penalty)
 
 
 def _targets(
@@ -388,9 +413,12 @@ def _targets(
 
 
 def _first_motions(
-    solvers: Sequence[Solver], start: Float[np.ndarray, " n_z"],
-    guesses: Sequence[ArrayLike | Plan] | int, steps: int, seed: int,
-) -> list[tuple[Solver, Motion]]:  # fmt: skip
+    solvers: Sequence[Solver],
+    start: Float[np.ndarray, " n_z"],
+    guesses: Sequence[ArrayLike | Plan] | int,
+    steps: int,
+    seed: int,
+) -> list[tuple[Solver, Motion]]:
     """Motions to begin searches with, and the solver of each: one for each goal.
 
     They are along the guesses, or of the goal's and random inputs. A plan keeps its own goal.

@@ -189,9 +189,11 @@ def lqr(
         sums.append(1 / (deviations or {}).get(f"integral_{name}", default) ** 2)
     sum_names = {f"integral_{name}" for name in integral}
     require_known(
-        dict.fromkeys(set(deviations or {}) - set(own)), sorted(sum_names) or ["states"], "weights",
+        dict.fromkeys(set(deviations or {}) - set(own)),
+        sorted(sum_names) or ["states"],
+        "weights",
         "integrals",
-    )  # fmt: skip
+    )
     speeds = weights.usual_speeds(model.channels)
     require_stabilisable(system, x0, u0, speeds, "lqr")
     matrices = loop_matrices(system, x0, u0, speeds, indices)
@@ -248,9 +250,11 @@ def riccati_solution(
         )
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(
-            "lqr", f"no feedback holds this point ({error})",
-            "inputs that move all states and integrals", "leave out integrals, or change weights",
-        ) from error  # fmt: skip
+            "lqr",
+            f"no feedback holds this point ({error})",
+            "inputs that move all states and integrals",
+            "leave out integrals, or change weights",
+        ) from error
 
 
 def feedback_gain(
@@ -293,13 +297,15 @@ def time_varying_lqr(
     system = controlled(model, final.delay)
     plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "time_varying_lqr")
     if settle is not None and (
-        settle.integral or _limits_of(model, settle) != _limits_of(model, final)
+        settle.integral
+        or _limits_of(model, settle) != _limits_of(model, final)
         or (settle.delay, settle.previous) != (final.delay, final.previous)
-    ):  # fmt: skip
+    ):
         raise InputError(
-            "time_varying_lqr, settle", "a feedback with integrals, or of another delay or limits",
+            "time_varying_lqr, settle",
+            "a feedback with integrals, or of another delay or limits",
             "one without integrals, with the delay and the limits of `final`",
-        )  # fmt: skip
+        )
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
     matrices = loop_matrices(system, final.x0, final.u0, final.speeds)

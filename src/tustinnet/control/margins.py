@@ -73,9 +73,11 @@ def margins(model: Model, feedback: Feedback) -> Margins:
     largest = np.abs(np.linalg.eigvals(a - b @ gain)).max()
     if largest >= 1:
         raise InputError(
-            "margins", f"the closed loop has an eigenvalue of {largest:.6g}", "below 1",
+            "margins",
+            f"the closed loop has an eigenvalue of {largest:.6g}",
+            "below 1",
             "design the feedback on this model",
-        )  # fmt: skip
+        )
     frequencies = np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
     results = []
     for j, channel in enumerate(model.channels.inputs):

@@ -149,9 +149,11 @@ class Mpc:
             states = shift(self.motion.z)
             states[:, :n_x] += turns_to(self._system, states[0, :n_x], near)
             shifted = solver.roll_out(
-                start, Motion(states, shift(self.motion.u), np.inf),
-                kept._replace(gain=shift(self._gain)), _ALL,
-            )  # fmt: skip
+                start,
+                Motion(states, shift(self.motion.u), np.inf),
+                kept._replace(gain=shift(self._gain)),
+                _ALL,
+            )
             motion = min(motion, shifted, key=lambda each: each.cost)
         for _ in itertools.repeat(None, self._iterations):
             policy = solver.policy(motion, self._damping)

@@ -47,8 +47,9 @@ class Plan:
         """The inputs before each step, the latest first, (N, count n_u)."""
         n = len(self.u)
         padded = np.concatenate([np.tile(self.before, (count, 1)), self.u])
-        return np.hstack([padded[count - j : count - j + n] for j in range(1, count + 1)] or
-                         [np.zeros((n, 0))])  # fmt: skip
+        return np.hstack(
+            [padded[count - j : count - j + n] for j in range(1, count + 1)] or [np.zeros((n, 0))]
+        )
 
     def require_for(self, n_x: int, n_u: int, dt: float, delay: int, where: str) -> None:
         """Raises unless it is a plan of a model of some size, period and delay.
@@ -59,11 +60,13 @@ class Plan:
         sizes = self.x.shape[1], self.u.shape[1]
         if sizes != (n_x, n_u):
             raise InputError(
-                where, f"a plan of {sizes[0]} states and {sizes[1]} inputs",
+                where,
+                f"a plan of {sizes[0]} states and {sizes[1]} inputs",
                 f"{n_x} and {n_u} as the model has",
-            )  # fmt: skip
+            )
         if not np.isclose(self.dt, dt, rtol=1e-6) or self.delay != delay:
             raise InputError(
-                where, f"a plan of {self.dt:g} s a sample, {counted(self.delay, 'sample')} late",
+                where,
+                f"a plan of {self.dt:g} s a sample, {counted(self.delay, 'sample')} late",
                 f"{dt:g} s a sample, {counted(delay, 'sample')} late",
-            )  # fmt: skip
+            )

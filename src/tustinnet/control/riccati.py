@@ -80,9 +80,13 @@ def _by_machine_code(
     drive = np.zeros((count + 1, 1, equations.n_u))
     drive[:count, 0] = rows
     runs = Runs(
-        start=np.concatenate([start, np.zeros(size)])[None], parameters=damping[None],
-        steps=np.array([count]), first=np.array([0]), drive=drive, periods=np.ones(count + 1),
-    )  # fmt: skip
+        start=np.concatenate([start, np.zeros(size)])[None],
+        parameters=damping[None],
+        steps=np.array([count]),
+        first=np.array([0]),
+        drive=drive,
+        periods=np.ones(count + 1),
+    )
     return simulate(equations, runs)[1:, len(start) :]
 
 
@@ -94,9 +98,12 @@ def _equations(n_z: int, n_u: int) -> Equations:
         lambda state, row, none, damping: jnp.concatenate(
             _backward_step(jnp, _solve_with_jax, n_z, n_u, state[:size], row, damping)
         ),
-        n_x=size + n_u * (n_z + 1) + 2, n_u=(n_z + n_zu + 1) * n_zu + 2 * n_u, n_c=n_u,
-        continuous=False, where="the backward pass",
-    )  # fmt: skip
+        n_x=size + n_u * (n_z + 1) + 2,
+        n_u=(n_z + n_zu + 1) * n_zu + 2 * n_u,
+        n_c=n_u,
+        continuous=False,
+        where="the backward pass",
+    )
 
 
 def _solve_with_jax(matrix: Any, right: Any) -> Any:
@@ -117,9 +124,14 @@ def _by_numpy(
 
 
 def _backward_step(
-    xp: ModuleType, solve: Callable[[Any, Any], Any], n_z: int, n_u: int, value: Any, row: Any,
+    xp: ModuleType,
+    solve: Callable[[Any, Any], Any],
+    n_z: int,
+    n_u: int,
+    value: Any,
+    row: Any,
     damping: Any,
-) -> list[Any]:  # fmt: skip
+) -> list[Any]:
     """The cost to go one step earlier and the policy there.
 
     Args:
@@ -164,9 +176,12 @@ def _backward_step(
     slope, curvature = feedforward @ q_u, feedforward @ (q_uu @ feedforward) / 2
     new_hessian = (new_hessian + new_hessian.T) / 2
     return [
-        new_hessian.reshape(-1), new_gradient, gain.reshape(-1), feedforward,
+        new_hessian.reshape(-1),
+        new_gradient,
+        gain.reshape(-1),
+        feedforward,
         xp.stack([slope, curvature]),
-    ]  # fmt: skip
+    ]
 
 
 def _bounded_minimum(xp: ModuleType, matrix: Any, vector: Any, least: Any, most: Any) -> Any:

@@ -166,9 +166,10 @@ def assess_robustness(
     for kind in variants:
         if len(kind.plants) != len(starts):
             raise InputError(
-                "assess_robustness", f"{len(starts)} starts",
+                "assess_robustness",
+                f"{len(starts)} starts",
                 f"as many as there are plants of the kind '{kind.name}', {len(kind.plants)}",
-            )  # fmt: skip
+            )
         runs = (
             closed_loop(plant, controller, estimator, steps, start, seed + i, goal).outcome
             for i, (plant, start) in enumerate(zip(kind.plants, starts, strict=True))

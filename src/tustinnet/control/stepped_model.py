@@ -72,9 +72,10 @@ class SteppedModel:
         for name, value in values.items():
             if name not in self.nominal or not np.isfinite(value):
                 raise InputError(
-                    f"a {type(self.model).__name__}", f"the parameter {name} = {value}",
+                    f"a {type(self.model).__name__}",
+                    f"the parameter {name} = {value}",
                     f"finite values of {', '.join(self.nominal) or '(it has no parameters)'}",
-                )  # fmt: skip
+                )
         return np.array([values.get(name, value) for name, value in self.nominal.items()], float)
 
     def start(self, q: Vector, v: Vector, values: Vector) -> Vector:

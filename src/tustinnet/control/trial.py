@@ -54,8 +54,9 @@ def try_design(
     """
     kinds = list(
         make_variants(design.model, design.noise, header, count=count, seed=seed)
-        if variants else ()
-    )  # fmt: skip
+        if variants
+        else ()
+    )
     others = {f"plant {name}": plant for name, plant in (plants or {}).items()}
     kinds += [
         VariantKind(name, "another plant than the model", (plant,) * count)
@@ -73,9 +74,15 @@ def try_design(
         failed = [i for i, outcome in enumerate(row.outcomes) if not outcome.is_success]
         i = failed[0] if failed else 0
         runs[kind.name] = closed_loop(
-            kind.plants[i], controller, estimator, design.steps, places[i], seed + i, design.goal,
+            kind.plants[i],
+            controller,
+            estimator,
+            design.steps,
+            places[i],
+            seed + i,
+            design.goal,
             design.model.channels,
-        )  # fmt: skip
+        )
     main = ([kinds[0].name] if variants else []) + [*others]
     return Trial(robustness, runs, {name: runs[name] for name in main})
 

@@ -97,10 +97,11 @@ def make_variants(
         several = [SteppedModel(member) for member in members]
         kinds.append(
             VariantKind(
-                "members", "the members of the committee, in turn",
+                "members",
+                "the members of the committee, in turn",
                 plants(lambda i: ModelPlant(several[i % len(several)], options=options)),
             )
-        )  # fmt: skip
+        )
     physical = next((m for m in (model, *members) if equations_in(m) is not None), None)
     if physical is not None:
         kinds += _physical_kinds(physical, header or {}, count, generator, options)
@@ -148,8 +149,11 @@ def _physical_kinds(
     if equations.system.dissipation is not None:
         rubbing = [{FRICTION: generator.uniform(1.0, _MOST_FRICTION)} for _ in range(count)]
         kinds.append(kind("friction", f"friction up to {_MOST_FRICTION:g} times", rubbing))
-    masses = [p.name for p in equations.system.parameters
-              if p.unit.startswith(_MASS) and p.name in stepped.nominal]  # fmt: skip
+    masses = [
+        p.name
+        for p in equations.system.parameters
+        if p.unit.startswith(_MASS) and p.name in stepped.nominal
+    ]
     if masses:
         heavier = []
         for _ in range(count):

@@ -50,16 +50,19 @@ def align_columns(
     if lacking is not None:
         other = next(column for column, clock in used.items() if clock is not None)
         raise InputError(
-            where, f"'{lacking}' has no times of its own, '{other}' has",
-            "columns with times, or all of them without", "name other columns",
-        )  # fmt: skip
+            where,
+            f"'{lacking}' has no times of its own, '{other}' has",
+            "columns with times, or all of them without",
+            "name other columns",
+        )
     if time is None:
         first, second = [next(n for n, c in used.items() if c == k) for k in {*used.values()}][:2]
         raise InputError(
-            where, f"'{first}' and '{second}' are sampled at different times",
+            where,
+            f"'{first}' and '{second}' are sampled at different times",
             "the times to bring them onto",
             f'set `column = "{clocks[name(card.coordinates[0].column)]}"` under [time]',
-        )  # fmt: skip
+        )
     base = columns.clocks[time]
     own = {clock: columns[clock] for clock in dict.fromkeys(used.values()) if clock is not None}
     for clock, t in own.items():
@@ -72,9 +75,11 @@ def align_columns(
     if inside.sum() < 2:
         spans = ", ".join(f"{clock} {t[0]:.6g}..{t[-1]:.6g} s" for clock, t in own.items())
         raise InputError(
-            where, f"the columns have no time in common ({spans})", "times of one clock",
+            where,
+            f"the columns have no time in common ({spans})",
+            "times of one clock",
             "name other columns, or another file",
-        )  # fmt: skip
+        )
     grid = own[base][inside]
     aligned: dict[str, Column] = {time: columns[time][inside]}
     for column, rule in rules.items():

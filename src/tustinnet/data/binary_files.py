@@ -38,10 +38,14 @@ def list_columns(path: Path, reader: Reader) -> Listing:
     _latest[_key(path, reader)] = contents
     places = _places(path, contents.arrays)
     return Listing(
-        list(places), dict(contents.others), _by_column(places, contents.clocks),
-        _by_column(places, contents.units), _numbered(places, contents.labels),
-        dict(contents.parts), list(contents.notes),
-    )  # fmt: skip
+        list(places),
+        dict(contents.others),
+        _by_column(places, contents.clocks),
+        _by_column(places, contents.units),
+        _numbered(places, contents.labels),
+        dict(contents.parts),
+        list(contents.notes),
+    )
 
 
 def read(path: Path, reader: Reader, names: list[str]) -> list[Column]:

@@ -660,21 +660,33 @@ class Card(Declaration):
                 return Input(name, unit, hold, is_delay_declared=True)
 
             factor = coordinate.factor(card.position.unit)
-            columns.append(InputColumn(
-                set_point(loop.position, coordinate.si_unit), card.position.column,
-                coordinate.sign * factor, coordinate.offset * coordinate.factor() / factor,
-            ))  # fmt: skip
+            columns.append(
+                InputColumn(
+                    set_point(loop.position, coordinate.si_unit),
+                    card.position.column,
+                    coordinate.sign * factor,
+                    coordinate.offset * coordinate.factor() / factor,
+                )
+            )
             if card.velocity is not None:
                 factor = coordinate.velocity_factor(card.velocity.unit)
-                columns.append(InputColumn(
-                    set_point(loop.velocity, f"{coordinate.si_unit}/s"), card.velocity.column,
-                    coordinate.sign * factor, 0.0,
-                ))  # fmt: skip
+                columns.append(
+                    InputColumn(
+                        set_point(loop.velocity, f"{coordinate.si_unit}/s"),
+                        card.velocity.column,
+                        coordinate.sign * factor,
+                        0.0,
+                    )
+                )
             if card.feedforward is not None:
-                columns.append(InputColumn(
-                    set_point(loop.feedforward, own.unit), card.feedforward,
-                    own.sign * own.scale, own.offset,
-                ))  # fmt: skip
+                columns.append(
+                    InputColumn(
+                        set_point(loop.feedforward, own.unit),
+                        card.feedforward,
+                        own.sign * own.scale,
+                        own.offset,
+                    )
+                )
         return columns
 
     def output_columns(self) -> list[InputColumn]:

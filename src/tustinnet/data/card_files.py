@@ -128,10 +128,12 @@ def _without_folders(paths: Iterable[Path]) -> list[Path]:
 
 def in_natural_order(files: Iterable[str]) -> list[str]:
     """Paths sorted, their numbers by value: run2 before run10."""
-    return sorted(files, key=lambda file: [
-        (int(part), "") if part.isdecimal() else (-1, part)
-        for part in re.split(r"(\d+)", file)
-    ])  # fmt: skip
+    return sorted(
+        files,
+        key=lambda file: [
+            (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file)
+        ],
+    )
 
 
 def require_inside(folder: Path, path: Path) -> None:

@@ -102,10 +102,15 @@ class Columns:
     ) -> "Columns":
         """Columns of a listing, read by a function."""
         return cls(
-            listing.names, read, notes=tuple(listing.notes), others=listing.others,
-            clocks=listing.clocks, units=listing.units, labels=listing.labels,
+            listing.names,
+            read,
+            notes=tuple(listing.notes),
+            others=listing.others,
+            clocks=listing.clocks,
+            units=listing.units,
+            labels=listing.labels,
             parts=listing.parts,
-        )  # fmt: skip
+        )
 
     def place(self, sample: int) -> str:
         """The place of a sample: the row of a text file, else its number."""

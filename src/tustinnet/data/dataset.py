@@ -45,8 +45,9 @@ class DataSet(HasChannels):
             first.channels.require_same(
                 experiment.channels, experiment.name, first.name, open_holds=False
             )
-            loops = [e.channels.controller and e.channels.controller.loops
-                     for e in (first, experiment)]  # fmt: skip
+            loops = [
+                e.channels.controller and e.channels.controller.loops for e in (first, experiment)
+            ]
             if loops[0] != loops[1]:
                 raise InputError(experiment.name, "another controller", f"that of {first.name}")
         self._complete_channels()

@@ -216,8 +216,11 @@ def require_plain(content: Mapping[str, Any], where: object) -> None:
     for _ in range(_DEEPEST + 1):
         if any(isinstance(x, int) and not -_INTEGERS <= x < _INTEGERS for x in level):
             raise InputError(where, "an integer of more than 64 bits", "a smaller number")
-        inside = [x.values() if isinstance(x, Mapping) else x for x in level
-                  if isinstance(x, Mapping | list | tuple)]  # fmt: skip
+        inside = [
+            x.values() if isinstance(x, Mapping) else x
+            for x in level
+            if isinstance(x, Mapping | list | tuple)
+        ]
         if not inside:
             return
         level = [x for values in inside for x in values]

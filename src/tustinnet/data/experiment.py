@@ -371,9 +371,11 @@ class Experiment(HasChannels):
                 )
             if hold == "band-limited" and len(self) <= HALF:
                 raise InputError(
-                    where, f"hold 'band-limited' and {len(self)} samples", f"more than {HALF}",
+                    where,
+                    f"hold 'band-limited' and {len(self)} samples",
+                    f"more than {HALF}",
                     "leave the record out, or declare another hold",
-                )  # fmt: skip
+                )
         if "band-limited" not in holds:
             return excitation(self.u, holds, delays)
         # its interpolation takes longer than a free run, and every free run needs it
@@ -394,19 +396,18 @@ class Experiment(HasChannels):
         for i in inputs:
             if i.hold == "unknown":
                 raise InputError(
-                    f"{self.name}, input '{i.name}'", f"hold 'unknown', and {purpose} needs one",
+                    f"{self.name}, input '{i.name}'",
+                    f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
-                    "declare it in the data card" + (
-                        "; `fit` tries all of them"
-                        if delays else ""
-                    ),
-                )  # fmt: skip
+                    "declare it in the data card" + ("; `fit` tries all of them" if delays else ""),
+                )
             if i.delay is None and delays:
                 raise InputError(
-                    f"{self.name}, input '{i.name}'", f"delay 'unknown', and {purpose} needs one",
+                    f"{self.name}, input '{i.name}'",
+                    f"delay 'unknown', and {purpose} needs one",
                     "a delay in seconds",
                     "declare it in the data card; `fit` searches for it",
-                )  # fmt: skip
+                )
 
     def measured_states(
         self, velocity: VelocitySource = "auto"

@@ -67,11 +67,16 @@ def inspect_file(path: Path) -> FileReport:
     draft = draft_card(path.parent, [path.name], name=path.stem, has_splits=False)
     columns = [
         ColumnReport(
-            c.name, c.role, c.numbers.range, c.numbers.distinct,
-            c.numbers.count if c.role == "position" else None, c.because, c.unit,
+            c.name,
+            c.role,
+            c.numbers.range,
+            c.numbers.distinct,
+            c.numbers.count if c.role == "position" else None,
+            c.because,
+            c.unit,
         )
         for c in draft.columns
-    ]  # fmt: skip
+    ]
     columns += [ColumnReport(name, "no numbers", remark=text) for name, text in draft.texts.items()]
     has_clock = draft.clock.column is not None
     return FileReport(

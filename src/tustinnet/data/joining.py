@@ -14,9 +14,13 @@ from tustinnet.errors import InputError
 def read_formatted(path: Path, form: FormatCard) -> Columns:
     """The columns of a file whose layout a card describes, as far as it does."""
     return read_columns(
-        path, header=form.header, delimiter=form.delimiter, decimal=form.decimal,
-        encoding=form.encoding, skips_damaged=form.damaged_rows == "skip",
-    )  # fmt: skip
+        path,
+        header=form.header,
+        delimiter=form.delimiter,
+        decimal=form.decimal,
+        encoding=form.encoding,
+        skips_damaged=form.damaged_rows == "skip",
+    )
 
 
 class _Clock(NamedTuple):
@@ -33,9 +37,11 @@ class _Clock(NamedTuple):
 
 
 def join_columns(
-    first: Columns, time: TimeCard | None, others: Mapping[str, tuple[Columns, JoinCard]],
+    first: Columns,
+    time: TimeCard | None,
+    others: Mapping[str, tuple[Columns, JoinCard]],
     where: object,
-) -> Columns:  # fmt: skip
+) -> Columns:
     """The columns of a record of several files; those of the others are called `label/column`.
 
     Args:
@@ -60,9 +66,10 @@ def join_columns(
     if has_times:
         if time is None:
             raise InputError(
-                where, "other files of the record have times, and the card has no [time]",
+                where,
+                "other files of the record have times, and the card has no [time]",
                 "the column of times of this file under [time]",
-            )  # fmt: skip
+            )
         own = _column_name(first, time.column, where)
         if own not in clocks:
             times[f"{own} in s"] = _Clock(first, own, time.factor())
@@ -88,19 +95,27 @@ def join_columns(
 
     def read(chosen: Sequence[str]) -> list[Column]:
         for columns in {id(c): c for c, _ in sources.values()}.values():
-            columns.fetch([sources[n][1] for n in chosen if n in sources
-                           and sources[n][0] is columns])  # fmt: skip
+            columns.fetch(
+                [sources[n][1] for n in chosen if n in sources and sources[n][0] is columns]
+            )
         return [
             times[name].seconds() if name in times else sources[name][0][sources[name][1]]
             for name in chosen
         ]
 
-    others_of = {f"{label}/{n}": text for label, (c, _) in others.items()
-                 for n, text in c.others.items()}  # fmt: skip
+    others_of = {
+        f"{label}/{n}": text for label, (c, _) in others.items() for n, text in c.others.items()
+    }
     return Columns(
-        tuple(sources), read, None, tuple(notes), {**first.others, **others_of},
-        {name: clock for name, clock in clocks.items() if name in sources}, units, labels,
-    )  # fmt: skip
+        tuple(sources),
+        read,
+        None,
+        tuple(notes),
+        {**first.others, **others_of},
+        {name: clock for name, clock in clocks.items() if name in sources},
+        units,
+        labels,
+    )
 
 
 def _column_name(columns: Columns, key: int | str, where: object) -> str:

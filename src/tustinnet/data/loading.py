@@ -69,9 +69,12 @@ def load_folder(
         dt = _common_period([record.experiment for record in loaded], card)
         if dt is not None:
             return load_folder(
-                folder, card.model_copy(update={"dt": dt}), on_message=on_message,
-                required=required, follow_links=follow_links,
-            )  # fmt: skip
+                folder,
+                card.model_copy(update={"dt": dt}),
+                on_message=on_message,
+                required=required,
+                follow_links=follow_links,
+            )
     remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
         if on_message is None or split not in remaining:
@@ -80,10 +83,11 @@ def load_folder(
     experiments = _begin_near_zero(loaded, card)
     if not experiments and not card.splits:
         raise InputError(
-            folder, f"no logs beside the card '{card.name}'",
+            folder,
+            f"no logs beside the card '{card.name}'",
             "files of columns, such as .csv, .parquet or .mat",
             "check the folder, or name files of its subfolders under [splits]",
-        )  # fmt: skip
+        )
     if not experiments:
         raise InputError(
             folder,
@@ -173,11 +177,12 @@ def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
         usual = statistics.median_low([e.dt for e in records])
         other = max(records, key=lambda e: abs(e.dt / usual - 1))
         raise InputError(
-            f"record '{other.name}'", f"samples {other.dt:.4g} s apart",
+            f"record '{other.name}'",
+            f"samples {other.dt:.4g} s apart",
             f"about {usual:.4g} s as in other records",
             f'leave it out, or add `dt = {usual:.4g}` to the card and `irregular = "resample"` '
             "under [time]",
-        )  # fmt: skip
+        )
     return common
 
 
@@ -431,13 +436,22 @@ def _read_record(
     t, dt = _times(reader, card, len(q))
     columns.release()
     record = Experiment(
-        name=name, t=t, q=q, u=u, outputs=outputs if outputs.shape[1] else None,
-        channels=card.channels(dt), v=v,
+        name=name,
+        t=t,
+        q=q,
+        u=u,
+        outputs=outputs if outputs.shape[1] else None,
+        channels=card.channels(dt),
+        v=v,
         v_measured=bool(velocities) and all(c.measured for c in velocities),
-        first_row=reader.rows[0] if reader.rows else 0, split=split, k_bar=entry and entry.k_bar,
-        groups=tuple(groups.items()), source=entry.file if entry else "", sha256=sha256,
+        first_row=reader.rows[0] if reader.rows else 0,
+        split=split,
+        k_bar=entry and entry.k_bar,
+        groups=tuple(groups.items()),
+        source=entry.file if entry else "",
+        sha256=sha256,
         notes=(*columns.notes, *notes),
-    )  # fmt: skip
+    )
     if card.time is not None:
         record = _check_times(record, card.time, reader)
     return _LoadedRecord(record, wrapped)
@@ -454,9 +468,10 @@ def _rows_within(
     end = elapsed[-1] if n else 0.0
     if first == n or seconds[1] > end + dt + near:
         raise InputError(
-            reader.where, f"seconds {seconds[0]:g}..{seconds[1]:g}",
+            reader.where,
+            f"seconds {seconds[0]:g}..{seconds[1]:g}",
             f"a range within the {end:g} s that the file's record spans",
-        )  # fmt: skip
+        )
     return int(first), int(stop)
 
 

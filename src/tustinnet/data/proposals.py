@@ -87,8 +87,11 @@ def read_proposals(path: Path, channels: Channels, values: ValueReader) -> list[
     for table in read_declaration(path, _ProposalFile).proposals:
         where = f"{path}, proposal '{table.name}'"
         if unknown := sorted(table.start.keys() - set(keys)):
-            raise InputError(f"{where}, start", f"no coordinate '{unknown[0]}'",
-                             f"some of {', '.join(keys)}, as in the model")  # fmt: skip
+            raise InputError(
+                f"{where}, start",
+                f"no coordinate '{unknown[0]}'",
+                f"some of {', '.join(keys)}, as in the model",
+            )
         start = values.read(f"{where}, start", table.start)
         if not all(abs(value) <= _FAR for (value,) in start.values()):
             raise InputError(f"{where}, start", "out of range", f"at most {_FAR:g} rad or m")
@@ -126,6 +129,9 @@ def _inputs(table: _ProposalTable, where: str, folder: Path, channels: Channels)
     columns.fetch(names)
     u = np.stack([np.asarray(columns[name], float) for name in names], axis=1)
     if len(u) < 2 or not np.isfinite(u).all():
-        raise InputError(f"{where}, {table.inputs}", "fewer than 2 samples, or not finite",
-                         "finite inputs, a row a sample")  # fmt: skip
+        raise InputError(
+            f"{where}, {table.inputs}",
+            "fewer than 2 samples, or not finite",
+            "finite inputs, a row a sample",
+        )
     return u

@@ -68,9 +68,13 @@ def read_columns(
     with convert_errors(path, f"cannot be read as {suffix}", "a whole file of that format"):
         if suffix in _TEXT:
             return read_text(
-                path, header=header, delimiter=delimiter, decimal=decimal, encoding=encoding,
+                path,
+                header=header,
+                delimiter=delimiter,
+                decimal=decimal,
+                encoding=encoding,
                 skips_damaged=skips_damaged,
-            )  # fmt: skip
+            )
         reader: Reader = READERS[suffix]
         if reader.extra:
             require_package(reader.library.partition(".")[0], reader.extra, path)

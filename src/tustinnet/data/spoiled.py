@@ -179,9 +179,9 @@ def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[Spoi
             f"{held.e_fold:.2g} s: judge it over a horizon (--horizon "
             f"{4 * held.e_fold:.2g}), or leave it out"
         )
-        parts.append(replace(
-            spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False
-        ))  # fmt: skip
+        parts.append(
+            replace(spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False)
+        )
     return parts
 
 

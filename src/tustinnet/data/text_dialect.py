@@ -38,13 +38,70 @@ _ANYWHERE = re.compile(
 _MARKS = "' \u00a0\u202f"  # other marks between thousands
 
 _UNITS = {
-    *ANGLE, *LENGTH, *TIME, "v", "mv", "kv", "a", "ma", "n", "kn", "nm", "mnm", "hz", "khz", "w",
-    "kw", "kg", "g", "pa", "kpa", "mpa", "bar", "psi", "k", "c", "degc", "ohm", "f", "j", "rpm",
-    "%", "-", "\u00b0", "\u00b0c", "\u00b5s", "\u00b5m", "count", "counts", "ticks", "1", "bool",
-    "sec", "min", "h",
-    "second", "seconds", "degree", "degrees", "radian", "radians", "volt", "volts", "amp", "amps",
-    "ampere", "amperes", "meter", "meters", "metre", "metres", "newton", "newtons", "km",
-}  # fmt: skip
+    *ANGLE,
+    *LENGTH,
+    *TIME,
+    "v",
+    "mv",
+    "kv",
+    "a",
+    "ma",
+    "n",
+    "kn",
+    "nm",
+    "mnm",
+    "hz",
+    "khz",
+    "w",
+    "kw",
+    "kg",
+    "g",
+    "pa",
+    "kpa",
+    "mpa",
+    "bar",
+    "psi",
+    "k",
+    "c",
+    "degc",
+    "ohm",
+    "f",
+    "j",
+    "rpm",
+    "%",
+    "-",
+    "\u00b0",
+    "\u00b0c",
+    "\u00b5s",
+    "\u00b5m",
+    "count",
+    "counts",
+    "ticks",
+    "1",
+    "bool",
+    "sec",
+    "min",
+    "h",
+    "second",
+    "seconds",
+    "degree",
+    "degrees",
+    "radian",
+    "radians",
+    "volt",
+    "volts",
+    "amp",
+    "amps",
+    "ampere",
+    "amperes",
+    "meter",
+    "meters",
+    "metre",
+    "metres",
+    "newton",
+    "newtons",
+    "km",
+}
 
 Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and their text
 
@@ -107,9 +164,11 @@ def decode(path: Path, encoding: str | None) -> tuple[str, str]:
             return content.decode(encoding), ""
         except UnicodeError as error:
             raise InputError(
-                path, f"not a text file in {encoding} ({describe_error(error)})",
-                "the encoding of the file", "correct `encoding` under [format], or leave it out",
-            ) from None  # fmt: skip
+                path,
+                f"not a text file in {encoding} ({describe_error(error)})",
+                "the encoding of the file",
+                "correct `encoding` under [format], or leave it out",
+            ) from None
     wide = _utf16(content)
     if wide is not None:
         text = content.decode(wide, "replace").removeprefix("\ufeff")
@@ -219,9 +278,11 @@ def _decimal_mark(commas: set[str], points: set[str], where: object) -> str:
         if groups_by_comma != groups_by_point:
             return "." if groups_by_comma else ","
     raise InputError(
-        where, f"'{min(commas)}' and '{min(points or commas)}' do not say which mark is decimal",
-        "one mark", 'set `decimal = "."` or `","` under [format]',
-    )  # fmt: skip
+        where,
+        f"'{min(commas)}' and '{min(points or commas)}' do not say which mark is decimal",
+        "one mark",
+        'set `decimal = "."` or `","` under [format]',
+    )
 
 
 # --- rows of names and units ---
@@ -321,9 +382,11 @@ class Table:
         while top > 0 and not self.is_remark(rows[top - 1]):
             has_values = any(map(self.is_value, rows[top - 1]))
             # above a row of units also names such as 1 and 2, of channels
-            is_named = top == sample - 1 and _are_units(rows[top]) and not self.is_sample(
-                rows[top - 1], is_whole=True
-            )  # fmt: skip
+            is_named = (
+                top == sample - 1
+                and _are_units(rows[top])
+                and not self.is_sample(rows[top - 1], is_whole=True)
+            )
             if top < sample and has_values and not is_named:
                 break
             top -= 1
@@ -335,8 +398,9 @@ def find_table(rows: Sequence[Sequence[str]], dialect: Dialect) -> Table:
     width = Counter(map(len, rows)).most_common(1)[0][0]
     samples = [row for row in rows if len(row) == width]
     table = Table(width, tuple(range(width)), dialect)
-    numeric = [j for j in range(width)
-               if 2 * sum(table.is_value(row[j]) for row in samples) > len(samples)]  # fmt: skip
+    numeric = [
+        j for j in range(width) if 2 * sum(table.is_value(row[j]) for row in samples) > len(samples)
+    ]
     return Table(width, tuple(numeric), dialect)
 
 

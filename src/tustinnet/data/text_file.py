@@ -116,14 +116,15 @@ def read_text(
             cells = _cells(path, _lines(plain.text.decode())[0], dialect)
         cells = cells.slice(found.rows)
         if file.pairs is not None:
-            return [_of_pair(cells, index[name], file.pairs, path, dialect, rows)
-                    for name in requested]  # fmt: skip
+            return [
+                _of_pair(cells, index[name], file.pairs, path, dialect, rows) for name in requested
+            ]
         return [
             _numbers(
                 cells.to_series(index[name]), dialect, path, name, rows, has_header=found.rows > 0
             )
             for name in requested
-        ]  # fmt: skip
+        ]
 
     described = (
         dialect if delimiter is None else Dialect(",", dialect.decimal, dialect.thousands)
@@ -155,8 +156,11 @@ def _spread_if_long(
     names = columns.names
     if not header_rows or len(names) != _LONG_TABLE:
         return columns
-    texts = [n for n, cell in zip(names, _texts(table, header_rows), strict=True)
-             if not (dialect.is_number(cell) or is_date(cell))]  # fmt: skip
+    texts = [
+        n
+        for n, cell in zip(names, _texts(table, header_rows), strict=True)
+        if not (dialect.is_number(cell) or is_date(cell))
+    ]
     if len(texts) != 1:
         return columns
     cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()
@@ -479,8 +483,9 @@ def _numbers(
         raise InputError(
             f"{path} row {rows[sample]}, {name}",
             f"the text '{text[:40]}'" if text else "an empty cell",
-            "a date or time, as in the first row" if has_dates else "a number", remedy,
-        )  # fmt: skip
+            "a date or time, as in the first row" if has_dates else "a number",
+            remedy,
+        )
     return numbers.to_numpy()
 
 

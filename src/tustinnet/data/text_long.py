@@ -58,6 +58,9 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
     note = f"a row for each value: columns by '{label}'"
     units = {time: columns.units[time]} if time in columns_by_name and time in columns.units else {}
     return Columns(
-        tuple(columns_by_name), lambda wanted: [columns_by_name[name] for name in wanted],
-        notes=(*columns.notes, note), clocks=clocks, units=units,
-    )  # fmt: skip
+        tuple(columns_by_name),
+        lambda wanted: [columns_by_name[name] for name in wanted],
+        notes=(*columns.notes, note),
+        clocks=clocks,
+        units=units,
+    )

@@ -20,28 +20,51 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
     measured = None if runs.measured is None else runs.measured[rows]
     counts = runs.measured_samples
     counts = np.zeros(len(rows), int) if counts is None else counts
-    states = _states(equations, substeps, runs.start, runs.parameters, runs.drive[rows],
-                     _periods(runs, rows), measured, counts)  # fmt: skip
+    states = _states(
+        equations,
+        substeps,
+        runs.start,
+        runs.parameters,
+        runs.drive[rows],
+        _periods(runs, rows),
+        measured,
+        counts,
+    )
     return _run_after_run(runs, np.asarray(states))
 
 
 def compare(
-    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
-    directions: Directions, samples: Samples,
-) -> Comparison:  # fmt: skip
+    equations: Equations,
+    residual: ResidualFormula,
+    runs: Runs,
+    substeps: int,
+    directions: Directions,
+    samples: Samples,
+) -> Comparison:
     """Products of residuals and derivatives, see `runs.compare`."""
     longest = int(np.max(runs.steps, initial=0))
     rows = _rows(runs, longest)
     running = np.arange(longest + 1) <= runs.steps[:, None]
     weight = samples.weight[rows] * running[:, :, None]
     products, gradient, cost, error = _products(
-        equations, residual, substeps, directions.parameters, runs.start, runs.parameters,
-        directions.seeds, runs.drive[rows], _periods(runs, rows), samples.target[rows], weight,
-    )  # fmt: skip
+        equations,
+        residual,
+        substeps,
+        directions.parameters,
+        runs.start,
+        runs.parameters,
+        directions.seeds,
+        runs.drive[rows],
+        _periods(runs, rows),
+        samples.target[rows],
+        weight,
+    )
     return Comparison(
-        np.array(products), np.array(gradient), np.array(cost),
+        np.array(products),
+        np.array(gradient),
+        np.array(cost),
         _run_after_run(runs, np.asarray(error)),
-    )  # fmt: skip
+    )
 
 
 def evaluate(
@@ -140,9 +163,15 @@ def _next_state(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _states(
-    equations: Equations, substeps: int, start: Array, parameters: Array, drive: Array,
-    periods: Array, measured: Array | None, measured_samples: Array,
-) -> Array:  # fmt: skip
+    equations: Equations,
+    substeps: int,
+    start: Array,
+    parameters: Array,
+    drive: Array,
+    periods: Array,
+    measured: Array | None,
+    measured_samples: Array,
+) -> Array:
     def run(x0: Array, p: Array, u: Array, h: Array, measured: Array | None, count: Array) -> Array:
         def step(x: Array, k: Array) -> tuple[Array, Array]:
             current = x
@@ -160,10 +189,18 @@ def _states(
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
 def _products(
-    equations: Equations, residual: ResidualFormula, substeps: int, by_parameters: bool,
-    start: Array, parameters: Array, seeds: Array, drive: Array, periods: Array, target: Array,
+    equations: Equations,
+    residual: ResidualFormula,
+    substeps: int,
+    by_parameters: bool,
+    start: Array,
+    parameters: Array,
+    seeds: Array,
+    drive: Array,
+    periods: Array,
+    target: Array,
     weight: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array, Array]:
     n_p, n_y = equations.n_p, residual.n_y
     n_d = seeds.shape[1]
     # the derivative of the parameters along each direction
@@ -181,8 +218,10 @@ def _products(
             jacobian = dx[:, :n_y] * derivative * weight[k]
             products, gradient, cost = sums
             return (
-                products + jacobian @ jacobian.T, gradient + jacobian @ r, cost + jnp.sum(r**2)
-            ), jnp.where(is_counted, error, 0.0)  # fmt: skip
+                products + jacobian @ jacobian.T,
+                gradient + jacobian @ r,
+                cost + jnp.sum(r**2),
+            ), jnp.where(is_counted, error, 0.0)
 
         def step(carried: tuple[Any, ...], k: Array) -> tuple[tuple[Any, ...], Array]:
             x, dx, sums = carried

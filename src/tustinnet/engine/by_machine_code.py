@@ -57,18 +57,30 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
 
     def run(group: int) -> None:
         function(
-            group, group + 1, _address(table), _address(constants), substeps, runs.drive.shape[1],
-            *map(_address, arrays), _address(measured), measured.shape[1], _address(states),
-        )  # fmt: skip
+            group,
+            group + 1,
+            _address(table),
+            _address(constants),
+            substeps,
+            runs.drive.shape[1],
+            *map(_address, arrays),
+            _address(measured),
+            measured.shape[1],
+            _address(states),
+        )
 
     _side_by_side(run, len(table) // lanes)
     return states[:, :n_x]
 
 
 def compare(
-    equations: Equations, residual: ResidualFormula, runs: Runs, substeps: int,
-    directions: Directions, samples: Samples,
-) -> Comparison:  # fmt: skip
+    equations: Equations,
+    residual: ResidualFormula,
+    runs: Runs,
+    substeps: int,
+    directions: Directions,
+    samples: Samples,
+) -> Comparison:
     """Products of residuals and derivatives, see `runs.compare`."""
     lanes = width()
     extended, at_samples, start = _with_sampled_states(equations, runs.start)
@@ -79,9 +91,11 @@ def compare(
     )
     n_r, n_d, n_x = seeds.shape
     result = Comparison(
-        np.zeros((n_r, n_d, n_d)), np.zeros((n_r, n_d)), np.zeros(n_r),
+        np.zeros((n_r, n_d, n_d)),
+        np.zeros((n_r, n_d)),
+        np.zeros(n_r),
         np.zeros((runs.samples, residual.n_y)),
-    )  # fmt: skip
+    )
     table = _table(runs, lanes)
     arrays = [*_arrays(runs), _contiguous(seeds)]
     target, weight = _contiguous(samples.target), _contiguous(samples.weight)
@@ -92,11 +106,23 @@ def compare(
         work = np.zeros((n_d * (3 * n_x + n_d + 1) + 1) * lanes + _ALIGNED // 8)
         work = work[-work.ctypes.data % _ALIGNED // 8 :]
         function(
-            group, group + 1, _address(table), _address(constants), substeps, runs.drive.shape[1],
-            *map(_address, arrays), n_d, by_p, _address(target), _address(weight),
-            _address(work), _address(result.error), _address(result.products),
-            _address(result.gradient), _address(result.cost),
-        )  # fmt: skip
+            group,
+            group + 1,
+            _address(table),
+            _address(constants),
+            substeps,
+            runs.drive.shape[1],
+            *map(_address, arrays),
+            n_d,
+            by_p,
+            _address(target),
+            _address(weight),
+            _address(work),
+            _address(result.error),
+            _address(result.products),
+            _address(result.gradient),
+            _address(result.cost),
+        )
 
     _side_by_side(run, len(table) // lanes)
     # only the lower triangles were computed
@@ -142,9 +168,10 @@ def evaluate(
 def compile_formula(formula: Formula, *, derivatives: bool) -> None:
     """Compiles a formula whatever the number of points; see `runs.compile_formula`."""
     _operations[formula] = max(
-        _FEW_OPERATIONS, _FEW_POINTS * formula.program.executed,
+        _FEW_OPERATIONS,
+        _FEW_POINTS * formula.program.executed,
         _FEW_POINTS * formula.derivatives.executed,
-    )  # fmt: skip
+    )
     _function(map_kernel, "map", MAP, formula, width(), derivatives=derivatives)
 
 

@@ -97,9 +97,13 @@ class Emission:
     """
 
     def __init__(
-        self, function: Function, program: Program, inputs: Mapping[str, str],
-        constants: Constants, pointer: str,
-    ) -> None:  # fmt: skip
+        self,
+        function: Function,
+        program: Program,
+        inputs: Mapping[str, str],
+        constants: Constants,
+        pointer: str,
+    ) -> None:
         self.function, self.program, self.inputs = function, program, inputs
         self.constants, self.pointer = constants, pointer
         self.module: Module = function.module
@@ -350,8 +354,13 @@ class Emission:
 
 _LOGIC = {"and": "and", "or": "or", "not": "xor"}
 _COMPARISONS: dict[str, Any] = {
-    "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une",
-}  # fmt: skip
+    "lt": "olt",
+    "le": "ole",
+    "gt": "ogt",
+    "ge": "oge",
+    "eq": "oeq",
+    "ne": "une",
+}
 
 
 def _arithmetic(op: str) -> Callable[..., str]:

@@ -17,10 +17,24 @@ from tustinnet.engine.text import SYMBOL, Function, Module, float_bits
 
 # called for one lane after the other, by their names in the C library
 SCALAR = {
-    "tan": 1, "asin": 1, "acos": 1, "atan": 1, "sinh": 1, "cosh": 1, "asinh": 1, "acosh": 1,
-    "atanh": 1, "expm1": 1, "log": 1, "log1p": 1, "pow": 2, "atan2": 2, "fmod": 2, "sin": 1,
+    "tan": 1,
+    "asin": 1,
+    "acos": 1,
+    "atan": 1,
+    "sinh": 1,
+    "cosh": 1,
+    "asinh": 1,
+    "acosh": 1,
+    "atanh": 1,
+    "expm1": 1,
+    "log": 1,
+    "log1p": 1,
+    "pow": 2,
+    "atan2": 2,
+    "fmod": 2,
+    "sin": 1,
     "cos": 1,
-}  # fmt: skip
+}
 
 _HALF_PI = Fraction(314159265358979323846264338327950288419716939937510582097494, 2 * 10**59)
 _LOG_2 = Fraction(693147180559945309417232121458176568075500134360255254120680, 10**60)
@@ -36,8 +50,13 @@ def _parts(number: Fraction, count: int) -> list[float]:
     for i in range(count):
         part = float(rest)
         if i < count - 1:
-            scale = Fraction(2) ** (33 - Fraction(part).numerator.bit_length() + 1
-                                    + Fraction(part).denominator.bit_length() - 1)  # fmt: skip
+            scale = Fraction(2) ** (
+                33
+                - Fraction(part).numerator.bit_length()
+                + 1
+                + Fraction(part).denominator.bit_length()
+                - 1
+            )
             part = float(Fraction(int(rest * scale)) / scale)
         parts.append(part)
         rest -= Fraction(part)
@@ -70,8 +89,9 @@ def scalar(module: Module, name: str) -> str:
         count = SCALAR[name]
         symbol = SYMBOL.format(name)
         arguments = [f"%a{i}" for i in range(count)]
-        f = module.function(f"each.{name}", ", ".join(f"{module.v} {a}" for a in arguments),
-                            module.v)  # fmt: skip
+        f = module.function(
+            f"each.{name}", ", ".join(f"{module.v} {a}" for a in arguments), module.v
+        )
         numbers = [
             f.value(
                 f'call double @"{symbol}"('

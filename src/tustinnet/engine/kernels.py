@@ -150,8 +150,11 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
             s.now(k)
             states = s.rows("result")
             for i in range(n_x):
-                seed = s.where(s.active, _beside(f, [f.whole("mul", r, n_x) for r in states], i,
-                                                 "%seeds"), zero)  # fmt: skip
+                seed = s.where(
+                    s.active,
+                    _beside(f, [f.whole("mul", r, n_x) for r in states], i, "%seeds"),
+                    zero,
+                )
                 f.store(f.apply("fadd", f.load(adjoint, i), seed), adjoint, i)
             with f.when(f.value(f"icmp sgt i64 {k}, 0")):
                 before = f.whole("sub", k, 1)
@@ -160,9 +163,18 @@ def write_backward(module: Module, equations: Equations, constants: Constants) -
                 _gather(f, s.rows("first"), n_u, "%drive", u)
                 place = f.whole("add", begin, before)
                 f.call_procedure(
-                    "adjoints", arguments, constants="%constants", x=x, u=u, p=p, adjoint=adjoint,
-                    by_p=by_p, span="%span", place=place, layers="%layers",
-                )  # fmt: skip
+                    "adjoints",
+                    arguments,
+                    constants="%constants",
+                    x=x,
+                    u=u,
+                    p=p,
+                    adjoint=adjoint,
+                    by_p=by_p,
+                    span="%span",
+                    place=place,
+                    layers="%layers",
+                )
         s.hand_over(by_p, n_p, "%by_p")
         s.hand_over(adjoint, n_x, "%by_start")
 
@@ -393,10 +405,12 @@ class _Lanes:
     def where(self, truths: list[str], a: str, b: str) -> str:
         """One or the other number, chosen for every lane."""
         f, n = self.f, self.f.module.n
-        return f.together([
-            f.value(f"select i1 {truth}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
-            for lane, truth in enumerate(truths)
-        ])  # fmt: skip
+        return f.together(
+            [
+                f.value(f"select i1 {truth}, {n} {f.lane(a, lane)}, {n} {f.lane(b, lane)}")
+                for lane, truth in enumerate(truths)
+            ]
+        )
 
 
 class _Simulation(_Lanes):
@@ -448,9 +462,16 @@ class _Simulation(_Lanes):
     def dynamics(self, x: str, out: str, name: str = DYNAMIC) -> None:
         """Writes a call of the equations at a state."""
         self.f.call_procedure(
-            name, DYNAMICS, constants="%constants", x=x, u=self.u, p=self.p, out=out,
-            by_x=self.by_x, by_p=self.by_p,
-        )  # fmt: skip
+            name,
+            DYNAMICS,
+            constants="%constants",
+            x=x,
+            u=self.u,
+            p=self.p,
+            out=out,
+            by_x=self.by_x,
+            by_p=self.by_p,
+        )
 
     def advance(self, k: str) -> None:
         """Writes the step from a sample to the next."""
@@ -490,8 +511,9 @@ class _Simulation(_Lanes):
         parts = f.value(f"sitofp i64 %substeps to {m.n}")
         share = f.everywhere(f.value(f"fdiv {m.n} 1.0, {parts}"))
         zero = m.number(0.0)
-        h = f.apply("fmul", share, self.where(self._running(k), self.beside(1, 0, "%periods"),
-                                               zero))  # fmt: skip
+        h = f.apply(
+            "fmul", share, self.where(self._running(k), self.beside(1, 0, "%periods"), zero)
+        )
         half, sixth = f.apply("fmul", h, m.number(0.5)), f.apply("fmul", h, m.number(1 / 6))
         width = f.whole("mul", "%order", n_u)
         bases = [f.whole("mul", row, width) for row in self.rows("first")]
@@ -507,8 +529,9 @@ class _Simulation(_Lanes):
                     self._inputs_at(f.everywhere(f.value(f"fdiv {m.n} {later}, {parts}")))
                 self.dynamics(self.x if stage == 0 else self._ahead, self.slope)
                 for j in range(n_x):
-                    self._update(stage, scale, f.load(self.slope, j), (self.x, self._ahead,
-                                                                      self._total), j)  # fmt: skip
+                    self._update(
+                        stage, scale, f.load(self.slope, j), (self.x, self._ahead, self._total), j
+                    )
                 self.stage_tangents(stage, scale)
 
     def _update(
@@ -548,9 +571,14 @@ class _Sensitivities(_Simulation):
     """
 
     def __init__(
-        self, f: Function, equations: Equations, structures: Mapping[str, _Structure],
-        residual: ResidualFormula, constants: Constants, group: str,
-    ) -> None:  # fmt: skip
+        self,
+        f: Function,
+        equations: Equations,
+        structures: Mapping[str, _Structure],
+        residual: ResidualFormula,
+        constants: Constants,
+        group: str,
+    ) -> None:
         super().__init__(f, equations, group, has_sample_steps=SAMPLE in structures)
         n_x = equations.n_x
         self._structures, self._residual, self._constants = structures, residual, constants
@@ -588,8 +616,9 @@ class _Sensitivities(_Simulation):
             weights.append(weight)
             errors.append(f.select(is_counted[i], error, zero))
         self.keep(k, errors, "%errors")
-        emission = Emission(f, self._residual.program, {"error": self._error}, self._constants,
-                            "%constants")  # fmt: skip
+        emission = Emission(
+            f, self._residual.program, {"error": self._error}, self._constants, "%constants"
+        )
         outputs = emission.outputs()
         residuals, derivatives = [], []
         for i, weight in enumerate(weights):

@@ -204,14 +204,18 @@ def _with_shapes(equations: Equations, function: Callable[..., Any]) -> Callable
         state, inputs = np.asarray(state), np.asarray(inputs)  # in less time than np.shape takes
         if state.shape != state_shape:
             raise InputError(
-                equations.where, f"a state of shape {state.shape}", f"{state_shape}",
+                equations.where,
+                f"a state of shape {state.shape}",
+                f"{state_shape}",
                 "give all positions, then all velocities, then the internal states",
-            )  # fmt: skip
+            )
         if inputs.shape != input_shape:
             raise InputError(
-                equations.where, f"inputs of shape {inputs.shape}", f"{input_shape}",
+                equations.where,
+                f"inputs of shape {inputs.shape}",
+                f"{input_shape}",
                 "give an array with a number for each input",
-            )  # fmt: skip
+            )
         return function(state, inputs)
 
     return step

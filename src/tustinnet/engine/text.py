@@ -104,9 +104,10 @@ class Function:
         """The function as text."""
         free = [f'call void @"{SYMBOL.format("free")}"(ptr {name})' for name in self._allocated]
         lines = [
-            text for line in self._lines
+            text
+            for line in self._lines
             for text in ([*free, line] if line.startswith("ret ") else [line])
-        ]  # fmt: skip
+        ]
         body = "\n".join(["entry:", *self._entry, *lines])
         return f"{self._head} {{\n{body}\n}}\n"
 

@@ -66,9 +66,16 @@ class Rollouts:
         self.states.defvjp(self._forward, self._backward)
 
     def compare(
-        self, weights: list[Array], p: Array, c: Array, x0: Array, u: Array,
-        residual: ResidualFormula, target: Array, weight: Array,
-    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        self,
+        weights: list[Array],
+        p: Array,
+        c: Array,
+        x0: Array,
+        u: Array,
+        residual: ResidualFormula,
+        target: Array,
+        weight: Array,
+    ) -> tuple[Array, Array, Array]:
         """Products of residuals and their derivatives by `x0`; they cannot be differentiated.
 
         Args:
@@ -226,9 +233,8 @@ def _target(
 
 @cache
 def _make_target(
-    kernel: str, equations: Equations, lanes: int, is_double: bool,
-    residual: ResidualFormula | None,
-) -> _Target:  # fmt: skip
+    kernel: str, equations: Equations, lanes: int, is_double: bool, residual: ResidualFormula | None
+) -> _Target:
     module, constants = Module(lanes, "double" if is_double else "float"), Constants()
     if kernel == "run":
         write_run(module, equations, constants)
@@ -313,9 +319,18 @@ def _call_run(f: Function) -> None:
     table, groups, _ = _lane_table(f, arguments[3])
     data = _data(f, "constants parameters start drive states", [*arguments, *results])
     f.call_procedure(
-        "run", RUN, **data, begin=0, end=groups, lanes=table, substeps=1, order=1, periods="null",
-        measured="null", n_measured=0,
-    )  # fmt: skip
+        "run",
+        RUN,
+        **data,
+        begin=0,
+        end=groups,
+        lanes=table,
+        substeps=1,
+        order=1,
+        periods="null",
+        measured="null",
+        n_measured=0,
+    )
 
 
 def _call_compare(f: Function) -> None:
@@ -329,9 +344,19 @@ def _call_compare(f: Function) -> None:
     v, align = f.module.v, f.module.align
     work = f.value(f"alloca {v}, i64 {f.whole('add', size, 1)}, align {align}")
     f.call_procedure(
-        "compare", COMPARE, **data, begin=0, end=groups, lanes=table, substeps=1, order=1,
-        periods="null", n_d=n_d, n_by_p=0, work=work,
-    )  # fmt: skip
+        "compare",
+        COMPARE,
+        **data,
+        begin=0,
+        end=groups,
+        lanes=table,
+        substeps=1,
+        order=1,
+        periods="null",
+        n_d=n_d,
+        n_by_p=0,
+        work=work,
+    )
 
 
 def _call_backward(f: Function) -> None:

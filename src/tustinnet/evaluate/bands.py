@@ -179,10 +179,11 @@ class Calibration:
         require_level(level, len(self.records))
         if (self.start, self.horizon) != (start, horizon):
             raise InputError(
-                "--band", f"start '{start}'{_over(horizon)}",
+                "--band",
+                f"start '{start}'{_over(horizon)}",
                 f"'{self.start}'{_over(self.horizon)}, as the model was calibrated",
                 "name these, or calibrate anew",
-            )  # fmt: skip
+            )
 
     def as_header(self) -> dict[str, Any]:
         """The calibration as plain values, as model files have it."""
@@ -235,10 +236,12 @@ def require_level(level: float, records: int) -> None:
     if level > highest_level(records) + _ROUNDING:
         needed = math.ceil(level / (1 - level) - _ROUNDING)
         raise InputError(
-            f"a band of {100 * level:g} %", f"{records} calibration records, which cannot promise "
-            f"more than {100 * highest_level(records):.1f} %", f"{needed} records or more",
+            f"a band of {100 * level:g} %",
+            f"{records} calibration records, which cannot promise "
+            f"more than {100 * highest_level(records):.1f} %",
+            f"{needed} records or more",
             "calibrate with more records, or request a lower level",
-        )  # fmt: skip
+        )
 
 
 def find_alternatives(model: Model, header: Mapping[str, Any], where: object) -> Sequence[Model]:
@@ -255,10 +258,11 @@ def find_alternatives(model: Model, header: Mapping[str, Any], where: object) ->
     alternatives = family_of(model).alternatives(model, dict(header))
     if not alternatives:
         raise InputError(
-            where, "a model without members or errors of its parameters: nothing says how sure it "
-            "is", "a committee, or an identified system",
+            where,
+            "a model without members or errors of its parameters: nothing says how sure it is",
+            "a committee, or an identified system",
             "put several seeds or folds together (tustinnet committee)",
-        )  # fmt: skip
+        )
     return alternatives
 
 
@@ -363,9 +367,11 @@ def calibrate_bands(
     for prediction in predictions:
         if not (np.isfinite(prediction.simulated).all() and np.isfinite(prediction.spread).all()):
             raise InputError(
-                prediction.record, "a free run that diverges", "finite ones",
+                prediction.record,
+                "a free run that diverges",
+                "finite ones",
                 "calibrate over a horizon",
-            )  # fmt: skip
+            )
     parts = [
         _calibrate_coordinate(predictions, [e.q[:, j] for e in experiments], j)
         for j in range(experiments[0].channels.n_q)

@@ -106,9 +106,11 @@ def rank_proposals(
     finite = sorted((g for g in gains if np.isfinite(g.value)), key=lambda g: -g.value)
     if not finite:
         raise InputError(
-            "next-record", "no proposal that the model can simulate to finite numbers",
-            "one at least", "fit it to more records, or propose gentler ones",
-        )  # fmt: skip
+            "next-record",
+            "no proposal that the model can simulate to finite numbers",
+            "one at least",
+            "fit it to more records, or propose gentler ones",
+        )
     others = [name for name in predicted if name not in {g.name for g in finite}]
     diverging = [InformationGain(n, float("nan"), "the model cannot simulate it") for n in others]
     return ProposalRanking(criterion, unit, (*finite, *diverging))
@@ -126,9 +128,15 @@ def _predict_records(model: Model, proposals: Sequence[Proposal]) -> dict[str, E
         simulator = simulators[groups]
         zero = np.zeros((n, channels.n_q))
         blank = Experiment(
-            name=p.name, t=np.arange(n) * channels.dt, q=zero, u=p.u, channels=channels,
-            v=zero.copy(), v_measured=True, groups=tuple(p.groups.items()),
-        )  # fmt: skip
+            name=p.name,
+            t=np.arange(n) * channels.dt,
+            q=zero,
+            u=p.u,
+            channels=channels,
+            v=zero.copy(),
+            v_measured=True,
+            groups=tuple(p.groups.items()),
+        )
         signal = input_signals(simulator, [blank])
         inputs = initial_inputs(simulator, signal)
         u = None if inputs is None else jnp.asarray(inputs[0])
@@ -200,13 +208,15 @@ def parameter_covariance(
     """
     values = {name: float(x) for name, x in model.values.items()}
     rows = [
-        i
-        for i, e in enumerate(identification["estimates"])
-        if e["error"] and e["name"] in values
-    ]  # fmt: skip
+        i for i, e in enumerate(identification["estimates"]) if e["error"] and e["name"] in values
+    ]
     if not rows:
-        raise InputError("next-record", "a model whose parameters have no errors",
-                         "one whose parameters have some", "fit it to more records")  # fmt: skip
+        raise InputError(
+            "next-record",
+            "a model whose parameters have no errors",
+            "one whose parameters have some",
+            "fit it to more records",
+        )
     estimates = [identification["estimates"][i] for i in rows]
     names = [e["name"] for e in estimates]
     space = search_space_for(model.system, values, names)

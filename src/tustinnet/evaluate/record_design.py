@@ -100,35 +100,52 @@ class DesignOptions:
         for option, value, is_valid, expected in (
             ("--seconds", self.seconds, 0 < self.seconds <= 1e4, "above 0, and at most 10000"),
             ("--harmonics", self.harmonics, 2 <= self.harmonics <= 50, "from 2 to 50"),
-            ("--rate", 1 / self.dt, 0 < self.dt <= self.seconds / 10,
-             "samples a second, at least 10 in the record"),
+            (
+                "--rate",
+                1 / self.dt,
+                0 < self.dt <= self.seconds / 10,
+                "samples a second, at least 10 in the record",
+            ),
             ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
             ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
             ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
-            ("--frequency", self.frequency or 0.0,
-             self.frequency is None or 0 < self.frequency <= 1e4, "above 0, and at most 10000 Hz"),
-            ("--noise", self.noise or 0.0, self.noise is None or 0 < self.noise <= 10,
-             "a share of the force, above 0"),
-        ):  # fmt: skip
+            (
+                "--frequency",
+                self.frequency or 0.0,
+                self.frequency is None or 0 < self.frequency <= 1e4,
+                "above 0, and at most 10000 Hz",
+            ),
+            (
+                "--noise",
+                self.noise or 0.0,
+                self.noise is None or 0 < self.noise <= 10,
+                "a share of the force, above 0",
+            ),
+        ):
             if not is_valid:
                 raise InputError(option, f"{value:g}", expected)
         periods = 1.0 if self.frequency is None else self.seconds * self.frequency
         if periods < 1 - 1e-6 or abs(periods - round(periods)) > 1e-6 * periods:
             raise InputError(
-                "--frequency", f"{periods:.4g} periods in {self.seconds:g} s", "a whole number",
+                "--frequency",
+                f"{periods:.4g} periods in {self.seconds:g} s",
+                "a whole number",
                 f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
-            )  # fmt: skip
+            )
         if self.seconds / self.dt > _MOST:
             raise InputError(
-                "--rate", f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
-                f"at most {_MOST:.0e}", "fewer seconds, or a lower rate",
-            )  # fmt: skip
+                "--rate",
+                f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
+                f"at most {_MOST:.0e}",
+                "fewer seconds, or a lower rate",
+            )
         if self.highest > 0.1 / self.dt:
             raise InputError(
-                "--harmonics", f"a highest frequency of {self.highest:.4g} Hz",
+                "--harmonics",
+                f"a highest frequency of {self.highest:.4g} Hz",
                 f"at most a tenth of the sampling rate, {0.1 / self.dt:.4g} Hz",
                 "fewer harmonics, a lower --frequency or a higher --rate",
-            )  # fmt: skip
+            )
 
     @property
     def base_frequency(self) -> float:
@@ -254,11 +271,17 @@ class RecordDesign:
             "random_errors_by_these": self.by_random,
             "stopped": self.stopped,
             "base_parameters": [
-                {"name": b.name, "unit": b.unit, "terms": dict(b.terms), "file": b.file,
-                 "known": b.known, "expected": b.expected}
+                {
+                    "name": b.name,
+                    "unit": b.unit,
+                    "terms": dict(b.terms),
+                    "file": b.file,
+                    "known": b.known,
+                    "expected": b.expected,
+                }
                 for b in self.base_parameters
             ],
-        }  # fmt: skip
+        }
 
 
 class DesignProgress(NamedTuple):
@@ -331,30 +354,36 @@ def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None
     for per, name in needed.items():
         if per not in groups:
             raise InputError(
-                _PLACE, f"no group '{per}', which '{name}' is per",
-                "the group of the record to be made", f"--group {per}=NAME",
-            )  # fmt: skip
+                _PLACE,
+                f"no group '{per}', which '{name}' is per",
+                "the group of the record to be made",
+                f"--group {per}=NAME",
+            )
     if unknown := [name for name in groups if name not in needed]:
         raise InputError(
-            "--group", f"'{unknown[0]}', which nothing in the system is per",
+            "--group",
+            f"'{unknown[0]}', which nothing in the system is per",
             f"one of {', '.join(needed)}" if needed else "no --group",
-        )  # fmt: skip
+        )
 
 
 def require_inputs(system: LagrangianSystem) -> None:
     """Raises unless forces follow from a motion, and a system has an input for each coordinate."""
     if system.internal:
         raise InputError(
-            _PLACE, f"the system '{system.name}' has internal states "
-            f"({', '.join(system.internal)})", "forces by position, velocity and inputs alone",
+            _PLACE,
+            f"the system '{system.name}' has internal states ({', '.join(system.internal)})",
+            "forces by position, velocity and inputs alone",
             _RANK,
-        )  # fmt: skip
+        )
     n, n_u = len(system.coordinates), len(system.inputs)
     if n_u != n:
         raise InputError(
-            _PLACE, f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
-            "an input for each coordinate", _RANK,
-        )  # fmt: skip
+            _PLACE,
+            f"{counted(n_u, 'input')} of {counted(n, 'coordinate')} of '{system.name}'",
+            "an input for each coordinate",
+            _RANK,
+        )
 
 
 def gather_limits(
@@ -381,12 +410,18 @@ def gather_limits(
     if unknown := [name for name in within if name not in names]:
         raise InputError("--within", f"no '{unknown[0]}'", f"one of {', '.join(names)}")
     if unknown := [name for name in inputs if name not in [i.name for i in system.inputs]]:
-        raise InputError("--limits", f"no input '{unknown[0]}'",
-                         f"one of {', '.join(i.name for i in system.inputs)}")  # fmt: skip
+        raise InputError(
+            "--limits",
+            f"no input '{unknown[0]}'",
+            f"one of {', '.join(i.name for i in system.inputs)}",
+        )
     for name, (low, high) in within.items():
         if name not in names[: len(coordinates)] and not low < 0 < high:
-            raise InputError(f"--within {name}={low:g}:{high:g}", "one direction alone",
-                             "limits on both sides of 0")  # fmt: skip
+            raise InputError(
+                f"--within {name}={low:g}:{high:g}",
+                "one direction alone",
+                "limits on both sides of 0",
+            )
     bounds = [inputs.get(i.name, i.limits) for i in channels.inputs]
     limits = []
     for k, c in enumerate(coordinates):
@@ -402,9 +437,11 @@ def gather_limits(
         ):
             if value is None:
                 raise InputError(
-                    f"system '{system.name}'", f"no limits of the {what} of '{c.name}'",
-                    "limits of every position and velocity", f"for instance --within {name}={size}",
-                )  # fmt: skip
+                    f"system '{system.name}'",
+                    f"no limits of the {what} of '{c.name}'",
+                    "limits of every position and velocity",
+                    f"for instance --within {name}={size}",
+                )
         limits.append(own)
     return DesignLimits(tuple(limits), tuple(bounds))
 
@@ -485,10 +522,21 @@ def design_record(
     u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
     channels = replace(system.channels, dt=options.dt)
     return RecordDesign(
-        channels, options, limits, motion, t, q, v, a, u, force, noise,
+        channels,
+        options,
+        limits,
+        motion,
+        t,
+        q,
+        v,
+        a,
+        u,
+        force,
+        noise,
         _base_parameters(dynamics, combinations, pivots, file, before, expected),
-        float(np.median(ratios)), stopped,
-    )  # fmt: skip
+        float(np.median(ratios)),
+        stopped,
+    )
 
 
 class _Shapes:
@@ -553,13 +601,16 @@ class _Box:
         middles, halves = [], []
         ranges: list[list[tuple[float, float] | None]] = [
             [own.position for own in limits.motion],
-            *([None if x is None else (-x, x) for x in column] for column in (
-                [own.velocity for own in limits.motion],
-                [own.acceleration for own in limits.motion],
-            )),
+            *(
+                [None if x is None else (-x, x) for x in column]
+                for column in (
+                    [own.velocity for own in limits.motion],
+                    [own.acceleration for own in limits.motion],
+                )
+            ),
             list(limits.inputs),
             [None if own.force is None else (-own.force, own.force) for own in limits.motion],
-        ]  # fmt: skip
+        ]
         for column in ranges:
             for ends in column:
                 low, high = ends or (-np.inf, np.inf)
@@ -727,9 +778,11 @@ class _Problem:
         weighted = (own * self._weights[:, None]) @ np.linalg.inv(matrix) @ selection.T
         by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
         along = np.einsum(
-            "nqe,nkqe->nk", weighted, slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
+            "nqe,nkqe->nk",
+            weighted,
+            slopes[n:].reshape(n, 2 * n_m, *slopes.shape[1:]),
             optimize=True,
-        )  # fmt: skip
+        )
         changed = actuation[n:].reshape(n, 2 * n_m, -1)
         limited = np.einsum("nf,nkf->nk", by_share[:, n_m:], changed)
         both = limited - along
@@ -740,9 +793,14 @@ class _Problem:
 def _blank_record(system: LagrangianSystem, groups: Mapping[str, str]) -> Any:
     """A record of some groups, without a motion."""
     return from_arrays(
-        np.zeros((2, len(system.coordinates))), np.zeros((2, len(system.inputs))), dt=1.0,
-        coordinates=system.coordinates, inputs=system.inputs, name="to be made", groups=groups,
-    )  # fmt: skip
+        np.zeros((2, len(system.coordinates))),
+        np.zeros((2, len(system.inputs))),
+        dt=1.0,
+        coordinates=system.coordinates,
+        inputs=system.inputs,
+        name="to be made",
+        groups=groups,
+    )
 
 
 def _require_actuated(
@@ -759,24 +817,29 @@ def _require_actuated(
     is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
     if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():
         raise InputError(
-            _PLACE, f"the inputs of '{system.name}' do not drive every coordinate",
-            "an input for each coordinate", _RANK,
-        )  # fmt: skip
+            _PLACE,
+            f"the inputs of '{system.name}' do not drive every coordinate",
+            "an input for each coordinate",
+            _RANK,
+        )
     points = _random_points(shapes, 8, rng)
     forces = dynamics.actuation(points)[:, n:]
     if np.abs(dynamics.remainder(points)).max() > _NULL * np.abs(forces).max():
         raise InputError(
-            _PLACE, f"an input of '{system.name}' that does not act linearly",
-            "forces that are linear in the inputs", _RANK,
-        )  # fmt: skip
+            _PLACE,
+            f"an input of '{system.name}' that does not act linearly",
+            "forces that are linear in the inputs",
+            _RANK,
+        )
     for i, channel in enumerate(system.inputs):
         k = int(np.argmax(sizes[:, i]))
         if limits.inputs[i] is None and limits.motion[k].force is None:
             raise InputError(
-                f"system '{system.name}'", f"no limits of the input '{channel.name}' at "
-                f"'{system.coordinates[k].name}'", "limits of every input",
+                f"system '{system.name}'",
+                f"no limits of the input '{channel.name}' at '{system.coordinates[k].name}'",
+                "limits of every input",
                 f"for instance --limits {channel.name}=-10:10",
-            )  # fmt: skip
+            )
 
 
 def _random_points(
@@ -818,10 +881,12 @@ def _random_motion(
     what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
     name = system.inputs[k % n].name if what == "input" else name
     raise InputError(
-        f"system '{system.name}'", f"no pose within the limits: it needs {nearest[k]:.3g} times "
-        f"the {what} limit of '{name}' at rest", "poses that actuators can hold",
+        f"system '{system.name}'",
+        f"no pose within the limits: it needs {nearest[k]:.3g} times "
+        f"the {what} limit of '{name}' at rest",
+        "poses that actuators can hold",
         "check the limits, or give others by --within and --limits",
-    )  # fmt: skip
+    )
 
 
 def _limit_shares(
@@ -892,9 +957,13 @@ def _search(
 
     for penalty in _PENALTIES if iterations else ():
         vector = scipy.optimize.minimize(
-            lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty), vector,
-            method="L-BFGS-B", jac=True, callback=step, options={"maxiter": iterations},
-        ).x  # fmt: skip
+            lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty),
+            vector,
+            method="L-BFGS-B",
+            jac=True,
+            callback=step,
+            options={"maxiter": iterations},
+        ).x
         if time.monotonic() > deadline:
             return vector.reshape(x.shape), True
     return vector.reshape(x.shape), False
@@ -983,8 +1052,14 @@ def _base_parameters(
             for j in np.flatnonzero(np.abs(row) > _SMALLEST_TERM)
             if j != i
         }
-        parameters.append(BaseParameter(
-            names[i], dynamics.space.free_parameters[i].unit, terms, float(unit * file[b]),
-            None if known is None else float(unit * known[b]), float(unit * expected[b]),
-        ))  # fmt: skip
+        parameters.append(
+            BaseParameter(
+                names[i],
+                dynamics.space.free_parameters[i].unit,
+                terms,
+                float(unit * file[b]),
+                None if known is None else float(unit * known[b]),
+                float(unit * expected[b]),
+            )
+        )
     return tuple(sorted(parameters, key=lambda parameter: parameter.remaining))

@@ -83,9 +83,11 @@ class _PieceErrors:
     def part(self, pieces: slice) -> "_PieceErrors":
         """Some of the pieces."""
         return _PieceErrors(
-            self.curvature[pieces], self.gradient[pieces], self.constant[pieces],
+            self.curvature[pieces],
+            self.gradient[pieces],
+            self.constant[pieces],
             self.motion[pieces],
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,13 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
     alike = [i for i in range(len(records)) if i not in unlike]
     parts = [
         spoiled_record(
-            records[i], "other conditions",
+            records[i],
+            "other conditions",
             f"short simulations are {ratio:.2g} times as far off with the parameters of other "
             "records as with its own: another payload, device or setting?",
         )
         for i, ratio in unlike.items()
-    ]  # fmt: skip
+    ]
     # most records have no stretch for which it is asked
     with_friction = cache(lambda: _make_errors(_with_friction(pieces, records, samples), records))
     parts += _find_stretches(
@@ -262,11 +265,14 @@ def _with_friction(
     size_of_change = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=(0, 1, 2))) + 1e-300
     usual = np.sqrt(np.mean(np.concatenate([p.residual for p in pieces]) ** 2))
     return [
-        replace(p, by_parameter=np.concatenate(
-            [p.by_parameter, change * (usual / size_of_change)], axis=-1
-        ))
+        replace(
+            p,
+            by_parameter=np.concatenate(
+                [p.by_parameter, change * (usual / size_of_change)], axis=-1
+            ),
+        )
         for p, change in zip(pieces, changes, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> list[_PieceErrors]:

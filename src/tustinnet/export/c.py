@@ -123,9 +123,13 @@ def compile_c(sources: Sequence[Path], to: Path, flags: Sequence[str]) -> None:
     """
     command = [*find_compiler(), *flags, *(s.name for s in sources), "-o", str(to), "-lm"]
     process = subprocess.run(
-        command, cwd=sources[0].parent, capture_output=True, text=True, errors="replace",
+        command,
+        cwd=sources[0].parent,
+        capture_output=True,
+        text=True,
+        errors="replace",
         check=False,
-    )  # fmt: skip
+    )
     if process.returncode:
         error = (process.stderr.strip().splitlines() or ["without a message"])[0]
         raise NotRunnable(f"{command[0]} does not compile it: {error}")
@@ -165,10 +169,12 @@ def _readme(source: Source) -> str:
             for i, channel in enumerate(source.channels.inputs)
         ]
     return fill_template(
-        "readme.md", period=float(source.channels.dt), states="\n".join(states),
+        "readme.md",
+        period=float(source.channels.dt),
+        states="\n".join(states),
         inputs="\n".join(inputs) or "| none | | | |",
         notes="\n".join(f"- {note}" for note in source.notes) or "None.",
-    )  # fmt: skip
+    )
 
 
 def markdown_cell(text: str) -> str:

@@ -12,9 +12,13 @@ from tustinnet.program.program import Loop, Node, Program
 # operations in C; all others are functions of math.h of the same name
 # `larger` and `smaller`, unlike fmax and fmin, keep NaN as NumPy does
 _FORMS = {
-    **INFIX, "abs": "M(fabs)({})", "rem": "M(fmod)({}, {})",
-    "max": "larger({}, {})", "min": "smaller({}, {})", "sign": "sign_of({})",
-}  # fmt: skip
+    **INFIX,
+    "abs": "M(fabs)({})",
+    "rem": "M(fmod)({}, {})",
+    "max": "larger({}, {})",
+    "min": "smaller({}, {})",
+    "sign": "sign_of({})",
+}
 
 
 class Code:
@@ -46,8 +50,9 @@ class Code:
     def text(self) -> str:
         """The text of the file, constants first."""
         helpers = called_functions("helpers.c", "".join(self._functions))
-        return "\n".join(part.strip("\n") + "\n" for part in
-                         (*self._arrays, *helpers, *self._functions))  # fmt: skip
+        return "\n".join(
+            part.strip("\n") + "\n" for part in (*self._arrays, *helpers, *self._functions)
+        )
 
 
 class _CWriter:
@@ -132,8 +137,9 @@ class _CWriter:
         return self._place[i]
 
     def _free_array(self, size: int) -> str:
-        candidates = sorted(self._free, key=lambda name: (self._sizes[name] < size,
-                                                       abs(self._sizes[name] - size)))  # fmt: skip
+        candidates = sorted(
+            self._free, key=lambda name: (self._sizes[name] < size, abs(self._sizes[name] - size))
+        )
         name = candidates[0] if candidates else f"v{len(self._sizes)}"
         if candidates:
             self._free.remove(name)
@@ -175,8 +181,10 @@ class _CWriter:
             self._store(place, offset, a)
             carried.append(offset)
             offset += size
-        rows = [f"{self._at(a)} + turn * {size}"
-                for a, size in zip(tables, loop.split(loop.sizes)[2], strict=True)]  # fmt: skip
+        rows = [
+            f"{self._at(a)} + turn * {size}"
+            for a, size in zip(tables, loop.split(loop.sizes)[2], strict=True)
+        ]
         arguments = [*map(self._at, constants), *(_plus(place, k) for k in carried), *rows]
         copy = []
         if not changed:
@@ -230,8 +238,10 @@ class _CWriter:
     def _formula(self, i: int, *, real: bool = False) -> str:
         """The formula of a node; of a vector, that of one element."""
         node = self._nodes[i]
-        operands = [self._truth(a) if node.takes_truth(k) else self._real(a)
-                    for k, a in enumerate(node.args)]  # fmt: skip
+        operands = [
+            self._truth(a) if node.takes_truth(k) else self._real(a)
+            for k, a in enumerate(node.args)
+        ]
         text = apply_form(_FORMS.get(node.op), f"M({node.op})", operands)
         return f"(model_real)({text})" if real and node.truth else text
 

@@ -20,10 +20,20 @@ _WRITTEN_OUT = 30_000  # operations up to which a loop is written out
 _COPIED = ("number", "table", "pick", "part")  # cheaper to make again than to pass on
 # operations that have another name in CasADi
 _NAMES = {
-    "add": "plus", "sub": "minus", "mul": "times", "div": "rdivide", "max": "fmax", "min": "fmin",
-    "pow": "power", "rem": "fmod", "abs": "fabs", "and": "logic_and", "or": "logic_or",
-    "not": "logic_not", "select": "if_else",
-}  # fmt: skip
+    "add": "plus",
+    "sub": "minus",
+    "mul": "times",
+    "div": "rdivide",
+    "max": "fmax",
+    "min": "fmin",
+    "pow": "power",
+    "rem": "fmod",
+    "abs": "fabs",
+    "and": "logic_and",
+    "or": "logic_or",
+    "not": "logic_not",
+    "select": "if_else",
+}
 
 Values = dict[int, Any]  # expressions by the numbers of nodes
 
@@ -166,9 +176,10 @@ def _write_graph(program: Program, values: Values) -> None:
             if stage[i] == now and _is_mx(node):
                 args = [values[a] for a in node.args]
                 values[i] = (
-                    _repeated(node.data, args) if node.op == "loop"
+                    _repeated(node.data, args)
+                    if node.op == "loop"
                     else casadi.mtimes(casadi.DM(program.tables[node.data]), *args)
-                )  # fmt: skip
+                )
         symbols = {i: casadi.SX.sym(f"n{i}", program.nodes[i].size) for i in inputs}
         scalars = dict(symbols)
         _write_scalars(program, scalars, inner)

@@ -57,7 +57,9 @@ def check_export(source: Source, target: Target, stepper: Stepper) -> CheckResul
     difference = float(np.max(np.abs(exported - expected) / (1 + np.abs(expected)), initial=0.0))
     if not difference <= target.bound:
         raise InputError(
-            f"--to {target.name}", f"a step differs from the model's by {difference:.1e}",
-            f"at most {target.bound:.0e}", "nothing was written",
-        )  # fmt: skip
+            f"--to {target.name}",
+            f"a step differs from the model's by {difference:.1e}",
+            f"at most {target.bound:.0e}",
+            "nothing was written",
+        )
     return CheckResult(len(exported), difference)

@@ -74,9 +74,10 @@ class Rules:
         self._require_random_values()
         if not (0 <= self.noise < np.inf and 0 < self.margin < np.inf):
             raise InputError(
-                "environment", f"noise {self.noise}, margin {self.margin}",
+                "environment",
+                f"noise {self.noise}, margin {self.margin}",
                 "shares of the range's width, the noise from 0 on, the margin above 0",
-            )  # fmt: skip
+            )
         if not (self.inputs[:, 1] > self.inputs[:, 0]).any():
             raise InputError(
                 "environment", "no input that the training records move", "one to act with"
@@ -92,14 +93,18 @@ class Rules:
             raise InputError("randomise", f"{self.randomise}", "True, False or a share below 1")
         if not self.source.physical_values:
             raise InputError(
-                "randomise", "a model without physical parameters", "a grey box, or a hybrid",
+                "randomise",
+                "a model without physical parameters",
+                "a grey box, or a hybrid",
                 "leave it out",
-            )  # fmt: skip
+            )
         if self.randomise is True and not self._draw_by_errors(1, 0):
             raise InputError(
-                "randomise", "the file of the model has no errors of its parameters",
-                "a model that was identified", "give a share, as randomise=0.2",
-            )  # fmt: skip
+                "randomise",
+                "the file of the model has no errors of its parameters",
+                "a model that was identified",
+                "give a share, as randomise=0.2",
+            )
 
     def _draw_by_errors(self, count: int, seed: int) -> list[dict[str, float]]:
         """Values drawn from the errors of the identification; none where there are no errors."""
@@ -123,9 +128,11 @@ class Rules:
         """The range of states and inputs."""
         if self.source.range is None:
             raise InputError(
-                "environment", "the range of the model's training records is unknown", "a range",
+                "environment",
+                "the range of the model's training records is unknown",
+                "a range",
                 'give range={"states": [[low, high], ...], "inputs": [[low, high], ...]}',
-            )  # fmt: skip
+            )
         return self.source.range
 
     @property
@@ -176,9 +183,10 @@ class Rules:
         given = np.asarray(state, float)
         if given.shape not in (x.shape, x[channels.measured].shape):
             raise InputError(
-                where, f"{given.size} numbers",
+                where,
+                f"{given.size} numbers",
                 f"positions and velocities of {channels.n_q} coordinates",
-            )  # fmt: skip
+            )
         x[: given.size] = given
         if given.size < len(x):
             x = self.with_expected_internal(x[None])[0]

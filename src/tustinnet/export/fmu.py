@@ -202,22 +202,33 @@ class _Description:
         """`modelDescription.xml`."""
         newer = version == 3
         root = Xml.Element(
-            "fmiModelDescription", fmiVersion=f"{version}.0",
-            modelName=self.title, description=self.text, generationTool="tustinnet",
+            "fmiModelDescription",
+            fmiVersion=f"{version}.0",
+            modelName=self.title,
+            description=self.text,
+            generationTool="tustinnet",
             variableNamingConvention="flat",
-        )  # fmt: skip
+        )
         root.set("instantiationToken" if newer else "guid", token)
         simulated = Xml.SubElement(
-            root, "CoSimulation", modelIdentifier=IDENTIFIER,
+            root,
+            "CoSimulation",
+            modelIdentifier=IDENTIFIER,
             canHandleVariableCommunicationStepSize="false",
-        )  # fmt: skip
+        )
         if newer:
-            more = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true",
-                    "fixedInternalStepSize": repr(self.period)}  # fmt: skip
+            more = {
+                "canGetAndSetFMUState": "true",
+                "canSerializeFMUState": "true",
+                "fixedInternalStepSize": repr(self.period),
+            }
         else:
-            more = {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
-                    "canInterpolateInputs": "true",
-                    "canNotUseMemoryManagementFunctions": "true"}  # fmt: skip
+            more = {
+                "canGetAndSetFMUstate": "true",
+                "canSerializeFMUstate": "true",
+                "canInterpolateInputs": "true",
+                "canNotUseMemoryManagementFunctions": "true",
+            }
             files = Xml.SubElement(simulated, "SourceFiles")
             for name in _compiled(sources):
                 Xml.SubElement(files, "File", name=name)
@@ -253,10 +264,12 @@ class _Description:
         for reference, (name, unit) in enumerate((*self.states, *self.inputs)):
             is_state = reference < len(self.states)
             about = {
-                "name": name, "valueReference": str(reference),
-                "causality": "output" if is_state else "input", "variability": "continuous",
+                "name": name,
+                "valueReference": str(reference),
+                "causality": "output" if is_state else "input",
+                "variability": "continuous",
                 **({"initial": "exact"} if is_state else {}),
-            }  # fmt: skip
+            }
             add(about, "0", unit)
             if is_state and newer:
                 Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
@@ -265,14 +278,22 @@ class _Description:
         time = len(self.states) + len(self.inputs)
         if newer:
             Xml.SubElement(
-                variables, "Float64", name="time", causality="independent", unit="s",
-                valueReference=str(time), variability="continuous",
-            )  # fmt: skip
+                variables,
+                "Float64",
+                name="time",
+                causality="independent",
+                unit="s",
+                valueReference=str(time),
+                variability="continuous",
+            )
         for reference, (name, unit, value) in enumerate(self.parameters, time + 1):
             about = {
-                "name": name, "valueReference": str(reference), "causality": "local",
-                "variability": "constant", "initial": "exact",
-            }  # fmt: skip
+                "name": name,
+                "valueReference": str(reference),
+                "causality": "local",
+                "variability": "constant",
+                "initial": "exact",
+            }
             add(about, repr(value), unit)
 
 

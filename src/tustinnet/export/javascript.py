@@ -21,9 +21,7 @@ from tustinnet.program.program import Loop, Node, Program
 MODULE = "model.mjs"
 
 # operations in JavaScript; all others are functions of `Math` of the same name
-_FORMS = {
-    **INFIX, "rem": "{} % {}", "pow": "power({}, {})", "eq": "{} === {}", "ne": "{} !== {}"
-}  # fmt: skip
+_FORMS = {**INFIX, "rem": "{} % {}", "pow": "power({}, {})", "eq": "{} === {}", "ne": "{} !== {}"}
 
 
 class JavaScript(Target):
@@ -38,8 +36,9 @@ class JavaScript(Target):
         body, outputs = writer.program(source.step, inputs)
         code = "\n".join(body) + writer.declarations
         ranges = source.range and {
-            "states": source.range.states.tolist(), "inputs": source.range.inputs.tolist()
-        }  # fmt: skip
+            "states": source.range.states.tolist(),
+            "inputs": source.range.inputs.tolist(),
+        }
         text = fill_template(
             MODULE,
             states=_text(source.states),
@@ -69,11 +68,18 @@ class _Node:
 
     def __init__(self, node: str, module: Path) -> None:
         self._process = subprocess.Popen(
-            [node, "--input-type=module", "--eval", fill_template("steps.mjs"),
-             str(module.resolve())],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            [
+                node,
+                "--input-type=module",
+                "--eval",
+                fill_template("steps.mjs"),
+                str(module.resolve()),
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             encoding="utf-8",
-        )  # fmt: skip
+        )
         self._finalizer = weakref.finalize(self, _end, self._process)
 
     def __call__(self, x: Vector, u: Vector) -> Vector:
@@ -130,9 +136,12 @@ class _JavaScriptWriter:
         return lines, {name: values[i] for name, i in program.outputs.items()}
 
     def _value(
-        self, node: Node, args: list[tuple[Node, str]], tables: Sequence[np.ndarray],
+        self,
+        node: Node,
+        args: list[tuple[Node, str]],
+        tables: Sequence[np.ndarray],
         lines: list[str],
-    ) -> str:  # fmt: skip
+    ) -> str:
         match node.op:
             case "table":
                 return self._constant(tables[node.data])

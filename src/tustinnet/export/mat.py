@@ -44,13 +44,21 @@ class Matrices(Target):
         t = compute_tangent(source, *operating_point(source, self.point))
         states, inputs = mat_cells(source.states), mat_cells(source.input_names)
         columns = {"x": t.x, "u": t.u, "drift": t.drift}
-        return {FILE: mat_file({
-            "A": t.a, "B": t.b,
-            "C": np.eye(source.n_x), "D": np.zeros((source.n_x, source.n_w)),
-            "dt": source.channels.dt,
-            "states": states, "inputs": inputs, "outputs": states,
-            **{name: values[:, None] for name, values in columns.items()},
-        })}  # fmt: skip
+        return {
+            FILE: mat_file(
+                {
+                    "A": t.a,
+                    "B": t.b,
+                    "C": np.eye(source.n_x),
+                    "D": np.zeros((source.n_x, source.n_w)),
+                    "dt": source.channels.dt,
+                    "states": states,
+                    "inputs": inputs,
+                    "outputs": states,
+                    **{name: values[:, None] for name, values in columns.items()},
+                }
+            )
+        }
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """An affine step by the matrices of the file, read by scipy."""

@@ -80,15 +80,18 @@ class RobotTarget(Target):
         robot = robot_in(source.model)
         if robot is None:
             raise InputError(
-                f"--to {self.name}", "not applicable to a model that was not made from the file of "
-                "a robot", "one that was", "fit with --system arm.urdf or robot.xml",
-            )  # fmt: skip
+                f"--to {self.name}",
+                "not applicable to a model that was not made from the file of a robot",
+                "one that was",
+                "fit with --system arm.urdf or robot.xml",
+            )
         path = robot[1].path
         if path.suffix not in self.endings:
             raise InputError(
-                f"--to {self.name}", f"the robot was made from {path.name}",
+                f"--to {self.name}",
+                f"the robot was made from {path.name}",
                 f"--to {'mjcf' if self.name == 'urdf' else 'urdf'}",
-            )  # fmt: skip
+            )
         return robot
 
 

@@ -125,9 +125,10 @@ class Source:
         """The step for the engine, many [x, w] at once."""
         n_x = self.n_x
         return Formula(
-            lambda point: self.function(point[:n_x], point[n_x:]), n_x + self.n_w,
+            lambda point: self.function(point[:n_x], point[n_x:]),
+            n_x + self.n_w,
             where=f"the model ({type(self.model).__name__})",
-        )  # fmt: skip
+        )
 
     @cached_property
     def physical_values(self) -> dict[str, float]:
@@ -256,9 +257,11 @@ def require_stepping(model: object) -> None:
         )
     if not isinstance(model, Model) or not model.dt > 0:
         raise InputError(
-            "export", f"a {type(model).__name__} in continuous time",
-            "a model that steps from sample to sample", "make it discrete (discretise)",
-        )  # fmt: skip
+            "export",
+            f"a {type(model).__name__} in continuous time",
+            "a model that steps from sample to sample",
+            "make it discrete (discretise)",
+        )
 
 
 def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> InputLayout:

@@ -47,21 +47,24 @@ def compute_tangent(
     n_x, n_u = source.n_x, source.channels.n_u
     if np.shape(x) != (n_x,) or np.shape(u) != (n_u,):
         raise InputError(
-            "operating point", f"x of shape {np.shape(x)}, u of shape {np.shape(u)}",
+            "operating point",
+            f"x of shape {np.shape(x)}, u of shape {np.shape(u)}",
             f"({n_x},) and ({n_u},)",
-        )  # fmt: skip
+        )
     state = np.asarray(x, float)
     inputs = np.tile(np.asarray(u, float), len(source.input_layout.offsets))
     formula = Formula(
-        lambda point: source.function(point[:n_x], point[n_x:]), n_x + len(inputs),
+        lambda point: source.function(point[:n_x], point[n_x:]),
+        n_x + len(inputs),
         where="operating point",
-    )  # fmt: skip
+    )
     following, jacobian = value_and_jacobian(formula, np.concatenate([state, inputs]))
     if not (np.isfinite(following).all() and np.isfinite(jacobian).all()):
         raise InputError(
-            "operating point", "derivatives that are not finite",
+            "operating point",
+            "derivatives that are not finite",
             "a point where the model is smooth",
-        )  # fmt: skip
+        )
     return Tangent(state, inputs, jacobian[:, :n_x], jacobian[:, n_x:], following - state)
 
 

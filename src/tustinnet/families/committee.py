@@ -216,9 +216,10 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
         total = shares.sum()
     if shares.shape != (len(models),) or not (shares >= 0).all() or not 0 < total < np.inf:
         raise InputError(
-            "committee", f"{len(models)} models, weights {shares.tolist()}",
+            "committee",
+            f"{len(models)} models, weights {shares.tolist()}",
             "one model or more, each with a weight; finite weights from 0 on, not all 0",
-        )  # fmt: skip
+        )
     return _group_members(models, shares / total)
 
 
@@ -226,18 +227,22 @@ def _require_member(model: Model, first: Model, where: str) -> None:
     """Raises unless a model can be averaged with the first one."""
     if not isinstance(model, Model):
         raise InputError(
-            where, f"a {type(model).__name__}", "a model that steps from sample to sample",
+            where,
+            f"a {type(model).__name__}",
+            "a model that steps from sample to sample",
             "make it discrete (discretise)",
-        )  # fmt: skip
+        )
     if isinstance(model, Committee):
         raise InputError(where, "a committee", "a single model", "give its members instead")
     first.channels.require_same(model.channels, where, "the first model", open_holds=False)
     delays, first_delays = ([i.delay for i in m.inputs] for m in (model, first))
     if delays != first_delays:
         raise InputError(
-            where, f"delays of the inputs of {delays} s", f"{first_delays} s as in the first model",
+            where,
+            f"delays of the inputs of {delays} s",
+            f"{first_delays} s as in the first model",
             "members share the inputs of a record",
-        )  # fmt: skip
+        )
 
 
 def _group_members(members: Sequence[Model], weights: Any) -> Committee:
@@ -283,9 +288,11 @@ class CommitteeFamily(Family):
         systems = dict.fromkeys(name for part in members for name in systems_in(part))
         if len(systems) > 1:
             raise InputError(
-                "committee", f"members of the systems {', '.join(systems)}",
-                "members of one system", "a model file is of one system at most",
-            )  # fmt: skip
+                "committee",
+                f"members of the systems {', '.join(systems)}",
+                "members of one system",
+                "a model file is of one system at most",
+            )
         return {MEMBERS: members}, arrays
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Committee:

@@ -284,9 +284,10 @@ def check_description(header: Mapping[str, Any], where: object) -> None:
         check_description(part, f"{where}, {name}")
         if _channels(part) != _channels(header) or not _is_same_period(part["dt"], header["dt"]):
             raise InputError(
-                f"{where}, {name}", "other channels or another period than the whole model",
+                f"{where}, {name}",
+                "other channels or another period than the whole model",
                 "the same ones",
-            )  # fmt: skip
+            )
 
 
 def _channels(header: Mapping[str, Any]) -> list[tuple[str, str | None]]:

@@ -170,12 +170,15 @@ class EulerLagrangeFamily(IdentifiedFamily):
         drawn = draw_values(model, header, _ALTERNATIVES)
         equations = self.equations(model)
         return [
-            replace(model, continuous=LagrangianModel(
-                equations.system,
-                equations.values | {name: jnp.asarray(value) for name, value in values.items()},
-            ))
+            replace(
+                model,
+                continuous=LagrangianModel(
+                    equations.system,
+                    equations.values | {name: jnp.asarray(value) for name, value in values.items()},
+                ),
+            )
             for values in drawn
-        ]  # fmt: skip
+        ]
 
 
 FAMILY = EulerLagrangeFamily()
@@ -284,11 +287,12 @@ def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path
     now = _compute_probes(model)
     if now.shape != stored.shape:
         raise InputError(
-            where, f"the system '{model.system.name}' has changed since the model was identified: "
+            where,
+            f"the system '{model.system.name}' has changed since the model was identified: "
             "its coordinates or internal states are others, or begin otherwise",
             "the system as it was",
             "identify it again, or give the file as it was then with --system FILE.py",
-        )  # fmt: skip
+        )
     both = np.isfinite(stored) & np.isfinite(now)
     unit = np.max(np.abs(stored), axis=0, where=np.isfinite(stored), initial=1e-12)
     off = np.where(both, np.abs(now - stored) / unit, np.isfinite(stored) != np.isfinite(now))

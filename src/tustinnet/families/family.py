@@ -168,10 +168,11 @@ class Family(ABC):
         """Raises unless a model to begin with is of this family."""
         if not self.owns(model):
             raise InputError(
-                "--from", f"a model of kind '{family_of(model).kind}'",
+                "--from",
+                f"a model of kind '{family_of(model).kind}'",
                 f"one of kind '{self.kind}', which the recipe makes",
                 "leave --recipe out to go on with the model's own recipe",
-            )  # fmt: skip
+            )
 
     @abstractmethod
     def describe(self, model: Any) -> tuple[Header, Arrays]:
@@ -279,15 +280,17 @@ class TrainedFamily(Family):
         self.require_own(origin)
         fresh, trained = model.simplify(), origin.simplify()
         (header, arrays), (trained_header, trained_arrays) = (
-            self.describe(fresh), self.describe(trained),
-        )  # fmt: skip
+            self.describe(fresh),
+            self.describe(trained),
+        )
         shapes = {name: a.shape for name, a in arrays.items()}
         if header != trained_header or shapes != {n: a.shape for n, a in trained_arrays.items()}:
             raise InputError(
-                "--from", f"a model with {_differences(trained_header, header)}",
+                "--from",
+                f"a model with {_differences(trained_header, header)}",
                 f"{_differences(header, trained_header)}, as the recipe has it",
                 "leave --recipe and --set of [model] out: the model's own recipe is the usual one",
-            )  # fmt: skip
+            )
         leaves, structure = jax.tree.flatten(fresh)
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
         return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
@@ -351,9 +354,10 @@ def family_of(model: Any) -> Family:
         if FAMILIES[kind].owns(model):
             return FAMILIES[kind]
     raise InputError(
-        f"a {type(model).__name__}", "a model of no registered family",
+        f"a {type(model).__name__}",
+        "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
-    )  # fmt: skip
+    )
 
 
 def describe_part(part: Model, prefix: str) -> tuple[Header, Arrays]:

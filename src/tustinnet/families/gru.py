@@ -149,8 +149,10 @@ class GRUFamily(TrainedFamily):
     def describe(self, model: GRU) -> tuple[Header, Arrays]:
         """Hidden units, warm-up and taps for the header; all arrays."""
         structure = {
-            "hidden": len(model.internal), "warm_up": model.warm_up, "input_taps": list(model.taps),
-        }  # fmt: skip
+            "hidden": len(model.internal),
+            "warm_up": model.warm_up,
+            "input_taps": list(model.taps),
+        }
         return {"structure": structure}, named_arrays(model)
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> GRU:

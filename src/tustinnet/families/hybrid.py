@@ -255,9 +255,11 @@ class HybridFamily(TrainedFamily):
         trained = cast(HybridModel, origin)
         if model.fades_at_rest != trained.fades_at_rest:
             raise InputError(
-                "--from", f"a correction with fades_at_rest = {trained.fades_at_rest}",
-                f"{model.fades_at_rest}, as the recipe has it", "leave --recipe and --set out",
-            )  # fmt: skip
+                "--from",
+                f"a correction with fades_at_rest = {trained.fades_at_rest}",
+                f"{model.fades_at_rest}, as the recipe has it",
+                "leave --recipe and --set out",
+            )
         family = cast(TrainedFamily, family_of(model.correction))
         correction = family.with_weights_from(model.correction, trained.correction)
         return replace(model, correction=cast(AccelerationModel, correction))

@@ -94,8 +94,9 @@ class LinearFamily(TrainedFamily):
         channels, n_z = experiments[0].channels, hyper.internal
         x = [e.measured_states(velocity) for e in experiments]
         before, change = (
-            np.concatenate([a[:-1] for a in x]), np.concatenate([np.diff(a, axis=0) for a in x])
-        )  # fmt: skip
+            np.concatenate([a[:-1] for a in x]),
+            np.concatenate([np.diff(a, axis=0) for a in x]),
+        )
         u = np.concatenate([e.held_inputs for e in experiments])
         offset = np.where(np.arange(2 * channels.n_q) < channels.n_q, before.mean(axis=0), 0.0)
         moving = np.tile(moving_coordinates(experiments), 2)

@@ -112,8 +112,17 @@ def blank_scaling(
     """Units of the right sizes, all 0, for the arrays of a file to be put into."""
     angular = int(channels.angular.sum())
     linear = channels.n_q - angular
-    sizes = (linear, linear, channels.n_q, channels.n_u, channels.n_q, memory,
-             2 * angular * centred, angular * centred, 2 * len(pairs))  # fmt: skip
+    sizes = (
+        linear,
+        linear,
+        channels.n_q,
+        channels.n_u,
+        channels.n_q,
+        memory,
+        2 * angular * centred,
+        angular * centred,
+        2 * len(pairs),
+    )
     return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes), pairs=pairs)
 
 

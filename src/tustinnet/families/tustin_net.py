@@ -99,9 +99,11 @@ class TustinNet(AccelerationModel):
         deflected = self.remembered > 0
         if deflected != (self.rest is not None) or (deflected and not self.internal):
             raise InputError(
-                "remembered", f"a share of {self.remembered:g} with memory of "
-                f"{self.relaxation_times} s and rest {self.rest}", "memory and rest beside a share",
-            )  # fmt: skip
+                "remembered",
+                f"a share of {self.remembered:g} with memory of "
+                f"{self.relaxation_times} s and rest {self.rest}",
+                "memory and rest beside a share",
+            )
         features = feature_count(
             self.channels, len(self.internal), len(self.taps) or 1, len(self.network.scaling.pairs)
         )
@@ -238,9 +240,13 @@ class TustinNetFamily(NetworkFamily):
 
         def build(key: PRNGKeyArray) -> TustinNet:
             model = random_tustin_net(
-                channels, scaling, key,
-                relaxation_times=hyper.memory, taps=hyper.input_taps, **hyper.layers,
-            )  # fmt: skip
+                channels,
+                scaling,
+                key,
+                relaxation_times=hyper.memory,
+                taps=hyper.input_taps,
+                **hyper.layers,
+            )
             return replace(model, remembered=share, rest=rest)
 
         if not hyper.linear:

@@ -84,9 +84,10 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
         return range(len(place))
     if not part.isdigit() or int(part) >= len(place):
         raise InputError(
-            "--set", f"'{change}': no place '{part}' in a list of {len(place)}",
+            "--set",
+            f"'{change}': no place '{part}' in a list of {len(place)}",
             f"a number from 0 to {len(place) - 1}, or * for all",
-        )  # fmt: skip
+        )
     return [int(part)]
 
 

@@ -370,9 +370,15 @@ def data_header(name: str, records: Sequence[Experiment]) -> dict[str, Any]:
         "quanta": quanta,
         "columns": {c.name: [*c.column] for c in records[0].coordinates if c.column},
         "records": [
-            {"name": e.name, "split": e.split, "source": e.source, "sha256": e.sha256,
-             "rows": [*e.logged_rows], "fingerprint": make_fingerprint(e, quanta)}
+            {
+                "name": e.name,
+                "split": e.split,
+                "source": e.source,
+                "sha256": e.sha256,
+                "rows": [*e.logged_rows],
+                "fingerprint": make_fingerprint(e, quanta),
+            }
             | ({"groups": dict(e.groups)} if e.groups else {})
             for e in records
         ],
-    }  # fmt: skip
+    }

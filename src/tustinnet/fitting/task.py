@@ -99,8 +99,9 @@ class Task:
             InputError: the recipe of an identification.
         """
         if not isinstance(self.recipe, TrainingRecipe):
-            raise InputError(f"recipe '{self.recipe.name}'", "nothing to train",
-                             "a recipe with stages")  # fmt: skip
+            raise InputError(
+                f"recipe '{self.recipe.name}'", "nothing to train", "a recipe with stages"
+            )
         return self.recipe
 
     @property
@@ -111,8 +112,11 @@ class Task:
             InputError: the recipe of a training.
         """
         if not isinstance(self.recipe, IdentificationRecipe):
-            raise InputError(f"recipe '{self.recipe.name}'", "nothing to identify",
-                             "a recipe of a kind that is identified")  # fmt: skip
+            raise InputError(
+                f"recipe '{self.recipe.name}'",
+                "nothing to identify",
+                "a recipe of a kind that is identified",
+            )
         return self.recipe
 
     def with_members(self, members: Sequence[Member]) -> "Task":
@@ -158,17 +162,26 @@ def make_task(
     for name, part in {"system": system, "physics": physics}.items():
         kind = f"a recipe of kind '{family.kind}'"
         if part is None and name in family.needs:
-            raise InputError(f"recipe '{recipe.name}'", f"no {name}", f"a {name}: --{name} ...",
-                             f"{kind} needs it")  # fmt: skip
+            raise InputError(
+                f"recipe '{recipe.name}'",
+                f"no {name}",
+                f"a {name}: --{name} ...",
+                f"{kind} needs it",
+            )
         if part is not None and name not in family.needs:
-            raise InputError(f"--{name}", f"not applicable to {kind}",
-                             f"a recipe that takes a {name}",
-                             f"leave it out, or add --recipe {_DEFAULT_RECIPES[name]}")  # fmt: skip
+            raise InputError(
+                f"--{name}",
+                f"not applicable to {kind}",
+                f"a recipe that takes a {name}",
+                f"leave it out, or add --recipe {_DEFAULT_RECIPES[name]}",
+            )
     if physics is not None and not family_of(physics).correctable:
         raise InputError(
-            "--physics", f"a model of kind '{family_of(physics).kind}', which is trained already",
-            "a model that a network can correct", "identify one with --system first",
-        )  # fmt: skip
+            "--physics",
+            f"a model of kind '{family_of(physics).kind}', which is trained already",
+            "a model that a network can correct",
+            "identify one with --system first",
+        )
     require_feedback(recipe, data)
     _require_members(members, recipe)
     loaded = None if system is None else load_system_or_template(system)
@@ -188,7 +201,7 @@ def require_feedback(recipe: Recipe, data: DataSet) -> None:
             f"not applicable to models of kind '{recipe.family.kind}' (recipe '{recipe.name}')",
             f"a recipe of kind {' or '.join(kinds)}",
             "add --recipe grey and --system FILE, or take [controller] out of the card",
-        )  # fmt: skip
+        )
 
 
 def begin_with(
@@ -212,13 +225,14 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
     if not recipe.family.has_seeds and list(members) != [Member()]:
         raise InputError(
             "seeds", "an identification has no seeds", "a recipe of a kind with weights"
-        )  # fmt: skip
+        )
     rates = [m.rate for m in members]
     if not members or not all(r > 0 for r in rates) or len(set(members)) < len(members):
         raise InputError(
-            "fit", f"seeds {[m.seed for m in members]}, rates {rates}",
+            "fit",
+            f"seeds {[m.seed for m in members]}, rates {rates}",
             "different seeds and different factors above 0",
-        )  # fmt: skip
+        )
 
 
 def resolve_system(

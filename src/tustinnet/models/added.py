@@ -192,26 +192,30 @@ def _require_additions(system: LagrangianSystem, added: Sequence[PlacedForce]) -
         needs_load = isinstance(force.law, Friction) and force.law.needs_load
         if needs_load and system.potential is None:
             raise InputError(
-                WHERE, f"'{force}': the system '{system.name}' has no potential energy",
+                WHERE,
+                f"'{force}': the system '{system.name}' has no potential energy",
                 "a load, as of gravity",
-            )  # fmt: skip
+            )
         for name, parameter in zip(force.parameter_names, force.law.parameters, strict=True):
             if name in force.own:
                 if parameter.is_level and not _is_coulomb_level(system, name, force.index):
                     raise InputError(
-                        WHERE, f"'{force}' adds to a Coulomb friction of the level '{name}', and "
+                        WHERE,
+                        f"'{force}' adds to a Coulomb friction of the level '{name}', and "
                         f"that of the system '{system.name}' is none at the coordinate",
                         f"p['{name}'] * jnp.tanh(v / w) in its dissipation",
                         "call the parameter otherwise; of a robot's elastic joint: "
                         "tn.load_robot(friction=...)",
-                    )  # fmt: skip
+                    )
                 continue
             is_before = name in system.added_parameters or name not in of_system
             if name in owners and not (parameter.shared and is_before):
                 raise InputError(
-                    WHERE, f"'{force}' brings '{name}', which {owners[name]} has already",
-                    "forces that differ", "leave it out, or call the other one otherwise",
-                )  # fmt: skip
+                    WHERE,
+                    f"'{force}' brings '{name}', which {owners[name]} has already",
+                    "forces that differ",
+                    "leave it out, or call the other one otherwise",
+                )
             owners[name] = f"'{force}'"
 
 

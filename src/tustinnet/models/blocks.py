@@ -241,9 +241,10 @@ class Network(eqx.Module):
         """Raises unless it has so many features and outputs."""
         if self.shape != (n_features, n_outputs):
             raise InputError(
-                "network", f"{self.shape[0]} features and {self.shape[1]} outputs",
+                "network",
+                f"{self.shape[0]} features and {self.shape[1]} outputs",
                 f"{n_features} and {n_outputs}",
-            )  # fmt: skip
+            )
 
     def simplify(self) -> "Network":
         """An equal network with the stem merged into the first hidden layer."""

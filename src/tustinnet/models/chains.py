@@ -34,13 +34,24 @@ STANDARD = {
     **{f"inertia_{axes}": "kg m^2" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")},
 }
 # the places of the spreads in the upper triangular factor
-_PLACES = dict(zip((*DIAGONAL, *OFF_DIAGONAL), ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
-                   strict=True))  # fmt: skip
+_PLACES = dict(
+    zip((*DIAGONAL, *OFF_DIAGONAL), ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True)
+)
 # (9, 3): the matrix of the vector product a x b, written in a row, is linear in a
-_CROSS = np.array([
-    [0, 0, 0], [0, 0, -1], [0, 1, 0], [0, 0, 1], [0, 0, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0],
-    [0, 0, 0],
-], float)  # fmt: skip
+_CROSS = np.array(
+    [
+        [0, 0, 0],
+        [0, 0, -1],
+        [0, 1, 0],
+        [0, 0, 1],
+        [0, 0, 0],
+        [-1, 0, 0],
+        [0, -1, 0],
+        [1, 0, 0],
+        [0, 0, 0],
+    ],
+    float,
+)
 
 
 @dataclass(frozen=True)

@@ -129,9 +129,11 @@ class Model(Stateful):
     def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state `period` [s] after `x`, for models that can step by any period."""
         raise InputError(
-            f"a {type(self).__name__}", "steps from timestamp to timestamp",
-            f"steps of its sampling period, {self.dt:g} s", "resample the record",
-        )  # fmt: skip
+            f"a {type(self).__name__}",
+            "steps from timestamp to timestamp",
+            f"steps of its sampling period, {self.dt:g} s",
+            "resample the record",
+        )
 
     @property
     def step_layout(self) -> StepLayout:

@@ -162,10 +162,12 @@ class PDFeedback(FeedbackLaw):
         """
         computed = {loop.input: k for k, loop in enumerate(self.controller.loops)}
         names = [i.name for i in self.channels.inputs]
-        return jnp.stack([
-            outputs[computed[i.name]] if i.name in computed else w[names.index(i.name)]
-            for i in self.controller.inputs
-        ])  # fmt: skip
+        return jnp.stack(
+            [
+                outputs[computed[i.name]] if i.name in computed else w[names.index(i.name)]
+                for i in self.controller.inputs
+            ]
+        )
 
 
 @lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
@@ -192,15 +194,16 @@ def with_controller(
         return plant
     if twice := sorted({p.name for p in gains} & {p.name for p in plant.parameters}):
         raise InputError(
-            f"system '{plant.name}'", f"a parameter '{twice[0]}', as the controller has a gain",
+            f"system '{plant.name}'",
+            f"a parameter '{twice[0]}', as the controller has a gain",
             "another name",
-        )  # fmt: skip
+        )
     set_points = {name for loop in controller.loops for name in loop.set_points}
     holds = {i.hold for i in channels.inputs if i.name in set_points}
     states = tuple(name for loop in controller.loops for name in _loop_states(loop))
     feedback = PDFeedback(
         plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"}, states
-    )  # fmt: skip
+    )
     closed = _close_with_states(feedback) if states else _close(feedback)
     return replace(
         plant,

@@ -564,9 +564,13 @@ _COULOMB = ForceParameter(
 )
 # over a whole record the search would make up for other errors by it, so it is fixed
 _SMOOTH_SPEED = ForceParameter(
-    "smooth_speed", "w", "{position}/s", lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
-    fixed=True, shared=True,
-)  # fmt: skip
+    "smooth_speed",
+    "w",
+    "{position}/s",
+    lambda m: (m.slow, m.slow / 10.0, m.slow * 10.0),
+    fixed=True,
+    shared=True,
+)
 _OWN_COULOMB = replace(_COULOMB, own=OWN_LEVEL)
 _OWN_SMOOTH_SPEED = replace(_SMOOTH_SPEED, own=OWN_WIDTH)
 _BREAKAWAY = ForceParameter("breakaway", "b", "{force}", _positive(lambda m: m.largest_force))
@@ -577,16 +581,22 @@ _PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflec
 
 _CURVE_WEIGHTS = tuple(
     ForceParameter(
-        f"curve_{kind}{i}", f"{letter}_{i}", "{force}", _either_sign(lambda m: m.largest_force),
+        f"curve_{kind}{i}",
+        f"{letter}_{i}",
+        "{force}",
+        _either_sign(lambda m: m.largest_force),
         prior=lambda m: m.force,
     )
     for kind, letter in (("odd", "a"), ("even", "b"))
     for i in range(1, len(CURVE_SPEEDS) + 1)
-)  # fmt: skip
+)
 _LOAD_SHARE = ForceParameter(
-    "load_friction", "s", "1", _from_zero(lambda m: LARGEST_LOAD_SHARE),
+    "load_friction",
+    "s",
+    "1",
+    _from_zero(lambda m: LARGEST_LOAD_SHARE),
     prior=lambda m: 0.3 * LARGEST_LOAD_SHARE,
-)  # fmt: skip
+)
 
 
 def _undeflected(q: Value, *values: Value) -> Any:
@@ -595,9 +605,14 @@ def _undeflected(q: Value, *values: Value) -> Any:
 
 
 def _lugre_rate(
-    v: Value, z: Value, level: Value, more: Value, stribeck_speed: Value, deflection: Value,
+    v: Value,
+    z: Value,
+    level: Value,
+    more: Value,
+    stribeck_speed: Value,
+    deflection: Value,
     damping: Value,
-) -> Any:  # fmt: skip
+) -> Any:
     """The rate of LuGre friction by the parameters of its law."""
     return lugre_rate(v, z, level, level + more, stribeck_speed, level / deflection)
 
@@ -608,7 +623,9 @@ _LAWS: tuple[Law, ...] = (
         help="viscous friction, `b v` against the motion",
         parameters=(
             ForceParameter(
-                "viscous", "b", "{force} s/{position}",
+                "viscous",
+                "b",
+                "{force} s/{position}",
                 _from_zero(lambda m: m.largest_force / m.speed),
             ),
         ),
@@ -654,7 +671,9 @@ _LAWS: tuple[Law, ...] = (
         help="linear spring, `k q` towards q = 0; k of either sign",
         parameters=(
             ForceParameter(
-                "spring", "k", "{force}/{position}",
+                "spring",
+                "k",
+                "{force}/{position}",
                 _either_sign(lambda m: m.largest_force / m.position),
             ),
         ),
@@ -665,7 +684,9 @@ _LAWS: tuple[Law, ...] = (
         help="cubic spring, `k q³` towards q = 0; k of either sign",
         parameters=(
             ForceParameter(
-                "cubic", "k", "{force}/{position}^3",
+                "cubic",
+                "k",
+                "{force}/{position}^3",
                 _either_sign(lambda m: m.largest_force / m.position**3),
             ),
         ),
@@ -678,7 +699,9 @@ _LAWS: tuple[Law, ...] = (
         "motion: the more a cable is wound, the more it rubs",
         parameters=(
             ForceParameter(
-                "rubbing", "g", "{force}/{position}",
+                "rubbing",
+                "g",
+                "{force}/{position}",
                 _from_zero(lambda m: m.largest_force / m.position),
             ),
             _SMOOTH_SPEED,
@@ -703,7 +726,9 @@ _LAWS: tuple[Law, ...] = (
         "rest, 1 where the coordinate was deflected just now",
         parameters=(
             ForceParameter(
-                "maxwell", "k", "{force}/{position}",
+                "maxwell",
+                "k",
+                "{force}/{position}",
                 _positive(lambda m: m.largest_force / m.travel),
             ),
             ForceParameter("relaxation", "r", "1/s", _relaxation_rates),
@@ -736,7 +761,9 @@ _LAWS: tuple[Law, ...] = (
             _STRIBECK_SPEED,
             _PRESLIDING,
             ForceParameter(
-                "bristle_damping", "e", "{force} s/{position}",
+                "bristle_damping",
+                "e",
+                "{force} s/{position}",
                 _from_zero(lambda m: m.largest_force / m.speed),
             ),
         ),
@@ -779,5 +806,5 @@ _LAWS: tuple[Law, ...] = (
         rate=lambda u, w, time_constant, share: lag_rate(u, w, time_constant),
         initial=lambda u, time_constant, share: share * u,
     ),
-)  # fmt: skip
+)
 LAWS = {law.name: law for law in _LAWS}

@@ -24,9 +24,14 @@ def model_for_groups(model: Model, groups: Mapping[str, str], where: str) -> Mod
 
     def with_groups(some: Mapping[str, str]) -> Model:
         record = from_arrays(
-            np.zeros((2, model.channels.n_q)), np.zeros((2, model.channels.n_u)), dt=model.dt,
-            coordinates=model.coordinates, inputs=model.inputs, name=where, groups=some,
-        )  # fmt: skip
+            np.zeros((2, model.channels.n_q)),
+            np.zeros((2, model.channels.n_u)),
+            dt=model.dt,
+            coordinates=model.coordinates,
+            inputs=model.inputs,
+            name=where,
+            groups=some,
+        )
         return model.for_record(record)
 
     chosen = with_groups(groups)
@@ -36,7 +41,9 @@ def model_for_groups(model: Model, groups: Mapping[str, str], where: str) -> Mod
         except InputError:
             continue
         raise InputError(
-            where, f"group '{name}', which nothing in the model is per",
-            "groups that its values are by", "leave it out",
-        )  # fmt: skip
+            where,
+            f"group '{name}', which nothing in the model is per",
+            "groups that its values are by",
+            "leave it out",
+        )
     return chosen

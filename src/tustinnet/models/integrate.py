@@ -139,9 +139,10 @@ def discretise(
     most = MOST_UNROLLED if unrolled else MOST_SUBSTEPS
     if not dt > 0 or not 1 <= substeps <= most:
         raise InputError(
-            "discretise", f"period {dt} s, {substeps} substeps",
+            "discretise",
+            f"period {dt} s, {substeps} substeps",
             f"a positive period and 1 to {most} substeps",
-        )  # fmt: skip
+        )
     of_model = model.channels.inputs
     of_records = of_model if inputs is None else inputs
     # a hold that a search has found is in the records' inputs, whatever the system's file says

@@ -75,26 +75,31 @@ def require_links(links: Sequence[Link], coordinates: Sequence[Coordinate], wher
         name = link.coordinate
         if name not in names or moved.count(name) > 1:
             raise InputError(
-                where, f"a link of the coordinate '{name}'",
+                where,
+                f"a link of the coordinate '{name}'",
                 f"one link each of {', '.join(names)}, at most",
-            )  # fmt: skip
+            )
         kind = "linear" if link.shape in _SLIDING else "angular"
         if link.shape != "rod" and coordinates[names.index(name)].kind != kind:
             problem = f"the shape '{link.shape}' of the link of '{name}'"
             raise InputError(where, problem, f"this shape only for {kind} coordinates")
         if link.parent not in (None, BASE, *moved[:i]):
             raise InputError(
-                where, f"the link of '{name}' on '{link.parent}'",
-                f"{', '.join([*moved[:i], BASE])}", "list a link after the one that carries it",
-            )  # fmt: skip
+                where,
+                f"the link of '{name}' on '{link.parent}'",
+                f"{', '.join([*moved[:i], BASE])}",
+                "list a link after the one that carries it",
+            )
 
 
 def parent_indices(links: Sequence[Link]) -> list[int | None]:
     """The index of each link's parent, None for the base."""
     places = {link.coordinate: i for i, link in enumerate(links)}
     return [
-        (i - 1 if i else None) if link.parent is None
-        else None if link.parent == BASE
+        (i - 1 if i else None)
+        if link.parent is None
+        else None
+        if link.parent == BASE
         else places[link.parent]
         for i, link in enumerate(links)
-    ]  # fmt: skip
+    ]

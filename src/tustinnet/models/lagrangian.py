@@ -340,17 +340,20 @@ class LagrangianSystem:
             if by_group := p.by_group(dict.fromkeys(names)):
                 reserved = p.for_group(next(iter(by_group))).name
                 raise InputError(
-                    f"system '{self.name}'", f"a parameter '{reserved}'",
-                    "another name", f"'{p.name}' has values of such names, one per {p.per}",
-                )  # fmt: skip
+                    f"system '{self.name}'",
+                    f"a parameter '{reserved}'",
+                    "another name",
+                    f"'{p.name}' has values of such names, one per {p.per}",
+                )
         if not self.coordinates:
             raise InputError(f"system '{self.name}'", "no coordinates", "at least one")
         require_links(self.links, self.coordinates, f"system '{self.name}'")
         if self.limits and len(self.limits) != len(self.coordinates):
             raise InputError(
-                f"system '{self.name}'", f"limits of {len(self.limits)} coordinates",
+                f"system '{self.name}'",
+                f"limits of {len(self.limits)} coordinates",
                 f"of all {len(self.coordinates)}, or none",
-            )  # fmt: skip
+            )
         self._require_shapes()
 
     def nominal(self) -> dict[str, float]:
@@ -472,8 +475,9 @@ class LagrangianSystem:
         u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
         z = jax.ShapeDtypeStruct((len(self.memory_states),), jnp.float32)
         # without the optional ones: a function that requires one is refused
-        p = {x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters
-             if not x.optional}  # fmt: skip
+        p = {
+            x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters if not x.optional
+        }
         functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
         functions = [("kinetic", self.kinetic, (q, v, p), ())]
         if self.potential:
@@ -495,10 +499,11 @@ class LagrangianSystem:
             except KeyError as error:
                 if error.args[0] in self.optional:
                     raise InputError(
-                        where, f"asks for the parameter {error}, which is optional",
+                        where,
+                        f"asks for the parameter {error}, which is optional",
                         f"p.get({error}, 0.0)",
                         "records that do not need the term are simulated without it",
-                    ) from error  # fmt: skip
+                    ) from error
                 raise InputError(
                     where,
                     f"asks for the parameter {error}",
@@ -509,9 +514,11 @@ class LagrangianSystem:
                 remedy = tracing_remedy(error)
                 problem = type(error).__name__ if remedy else describe_error(error)
                 raise InputError(
-                    where, f"fails with {problem}", "a function of jax arrays",
+                    where,
+                    f"fails with {problem}",
+                    "a function of jax arrays",
                     remedy or "write it with jax.numpy",
-                ) from error  # fmt: skip
+                ) from error
             if result.shape != shape:
                 raise InputError(
                     where,
@@ -554,9 +561,11 @@ class LagrangianSystem:
             except TypeError as error:
                 problem, _, expected = str(error).partition("; expected ")
                 raise InputError(
-                    f"system '{self.name}', {name}", problem, expected,
+                    f"system '{self.name}', {name}",
+                    problem,
+                    expected,
                     "u are the inputs, p the parameters by name",
-                ) from error  # fmt: skip
+                ) from error
             others = (q, v, z) if "z" in letters else (q, v)
             functions.append((name, function, (*others, *inputs, p), shape))
         return functions

@@ -53,14 +53,17 @@ class Parameter:
             require_name(self.per, f"{where}, per")
             if self.fixed:
                 raise InputError(
-                    where, f"fixed, and one per {self.per}", "one of both",
+                    where,
+                    f"fixed, and one per {self.per}",
+                    "one of both",
                     "a recipe's `fixed` may hold the value of each",
-                )  # fmt: skip
+                )
         if self.optional and (self.nominal or self.fixed or self.per is not None):
             raise InputError(
-                where, "optional, and fixed, one per group or with another nominal value than 0",
+                where,
+                "optional, and fixed, one per group or with another nominal value than 0",
                 "a nominal value of 0: without its term a system is as if it were 0",
-            )  # fmt: skip
+            )
         if outside := [x for x in self.usual if not self.lower <= x <= self.upper or not x]:
             expected = f"values within {limits} beside 0"
             raise InputError(where, f"the usual value {outside[0]:g}", expected)
@@ -118,13 +121,17 @@ def require_group_value(
     choices, value = f"one of {', '.join(valued)}" if valued else "", groups.get(str(p.per))
     if value is None:
         raise InputError(
-            where, f"no group '{p.per}', which '{p.name}' is per", choices,
+            where,
+            f"no group '{p.per}', which '{p.name}' is per",
+            choices,
             f'in the card (or the proposal), give the record `groups = {{ {p.per} = "..." }}`; '
             f"of an export add --group {p.per}=...",
-        )  # fmt: skip
+        )
     if value not in valued:
         raise InputError(
-            where, f"{p.per} '{value}', for which '{p.name}' has no value", choices,
+            where,
+            f"{p.per} '{value}', for which '{p.name}' has no value",
+            choices,
             f"identify with training records of that {p.per}",
-        )  # fmt: skip
+        )
     return value

@@ -145,8 +145,10 @@ class _Backward:
                 numbers, first = tape.split(adjoint), 0
                 for a in node.args:
                     size = tape[a].size
-                    self._add(a, tape.vector(numbers[first : first + size])
-                              if size > 1 else numbers[first])  # fmt: skip
+                    self._add(
+                        a,
+                        tape.vector(numbers[first : first + size]) if size > 1 else numbers[first],
+                    )
                     first += size
             case "product":
                 matrix = tape.matrix(node.data)

@@ -79,8 +79,9 @@ def write_with_tangents(
     writer = _Forward(tape, program, inputs, tangents)
     values, by_node = [], []
     for node in program.nodes:
-        value, derivatives = writer.node(node, [values[a] for a in node.args],
-                                         [by_node[a] for a in node.args])  # fmt: skip
+        value, derivatives = writer.node(
+            node, [values[a] for a in node.args], [by_node[a] for a in node.args]
+        )
         values.append(value)
         by_node.append(derivatives)
     ends = program.outputs.items()

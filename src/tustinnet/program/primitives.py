@@ -338,9 +338,12 @@ MOVES: dict[str, Callable[..., Any]] = {
 }
 # primitives that move by indices: places of the moved operands, the others must be constant
 INDEXED = {
-    "gather": (0,), "dynamic_slice": (0,), "dynamic_update_slice": (0, 1), "scatter": (0, 2),
+    "gather": (0,),
+    "dynamic_slice": (0,),
+    "dynamic_update_slice": (0, 1),
+    "scatter": (0, 2),
     "tile": (0,),
-}  # fmt: skip
+}
 
 
 def move_by_index(primitive: Any, params: dict[str, Any], operands: list[Any]) -> Ids:

@@ -43,10 +43,16 @@ _REMEDIES = {
 }
 # primitives with a program of their own that is run once, and the parameter that holds it
 _CALLS = {
-    "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr",
-    "checkpoint": "jaxpr", "remat2": "jaxpr",
-}  # fmt: skip
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "remat": "jaxpr",
+    "checkpoint": "jaxpr",
+    "remat2": "jaxpr",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,9 +287,12 @@ class _Reader:
         return [*carried, *stacked]
 
     def _loop_node(
-        self, params: dict[str, Any], constants: list[Value], carried: list[Value],
+        self,
+        params: dict[str, Any],
+        constants: list[Value],
+        carried: list[Value],
         rows: list[Value],
-    ) -> list[Value] | None:  # fmt: skip
+    ) -> list[Value] | None:
         """Results of a loop as one node; None where it is better written out."""
         length, closed = params["length"], params["jaxpr"]
         if length < 2 or len(closed.out_avals) > len(carried) or params["reverse"]:
@@ -291,8 +300,11 @@ class _Reader:
         if any(isinstance(v, Matrix) for v in constants):
             return None  # inputs of a loop's body are vectors only
         # computed constants are passed in, other constants stand in the body
-        passed = {f"constant{i}": self.ids(v).ravel() for i, v in enumerate(constants)
-                  if isinstance(v, Numbers)}  # fmt: skip
+        passed = {
+            f"constant{i}": self.ids(v).ravel()
+            for i, v in enumerate(constants)
+            if isinstance(v, Numbers)
+        }
         starts = {f"carried{i}": self.ids(v).ravel() for i, v in enumerate(carried)}
         collected = {f"given{i}": self.ids(v).ravel() for i, v in enumerate(rows)}
         sizes = {k: len(ids) for k, ids in (passed | starts).items()}
@@ -303,8 +315,11 @@ class _Reader:
 
         names = [*(f"constant{i}" for i in range(len(constants))), *starts, *collected]
         inputs: list[Value] = []
-        counters = [name for name, aval in zip(names, closed.in_avals, strict=True)
-                    if name in sizes and aval.dtype.kind in "iu"]  # fmt: skip
+        counters = [
+            name
+            for name, aval in zip(names, closed.in_avals, strict=True)
+            if name in sizes and aval.dtype.kind in "iu"
+        ]
         for i, (name, aval) in enumerate(zip(names, closed.in_avals, strict=True)):
             if name in sizes:
                 ids = np.array(tape.split(tape.input(name)), int)

@@ -280,8 +280,10 @@ class NodeTerm:
 
     def apply(self, op: str, *others: "NodeTerm | float") -> "NodeTerm":
         """An operation on this node and others, or numbers, in this order."""
-        operands = (other.number if isinstance(other, NodeTerm) else self.tape.number(other)
-                    for other in others)  # fmt: skip
+        operands = (
+            other.number if isinstance(other, NodeTerm) else self.tape.number(other)
+            for other in others
+        )
         return NodeTerm(self.tape, self.tape.apply(op, self.number, *operands))
 
     def choose(self, first: "NodeTerm | float", other: "NodeTerm | float") -> "NodeTerm":

@@ -24,18 +24,21 @@ def comparison_table(
     channels = records[0].channels
     # RMSE of each record (rows) by each model, for coordinates of each unit
     errors = {
-        unit: [[s[i].rmse_by_unit(channels)[unit] for s in scores.values()]
-               for i in range(len(records))]
+        unit: [
+            [s[i].rmse_by_unit(channels)[unit] for s in scores.values()]
+            for i in range(len(records))
+        ]
         for unit in channels.units
-    }  # fmt: skip
+    }
     scales = {unit: scale_of(x for row in rows for x in row) for unit, rows in errors.items()}
 
     def cells(chosen: Sequence[int]) -> list[str]:
         """Means over some records: for each model one of each unit."""
         return [
             number(fmean(errors[unit][i][k] for i in chosen), scale=scales[unit])
-            for k in range(len(scores)) for unit in channels.units
-        ]  # fmt: skip
+            for k in range(len(scores))
+            for unit in channels.units
+        ]
 
     splits = [e.split or "all" for e in records]
     rows = [

@@ -35,34 +35,39 @@ def point_table(design: ControlDesign) -> Table:
     extra = [f"integral of {name}" for name in integrals]
     extra += [
         f"{i.name}, {k + 1} samples ago" if k else f"{i.name}, a sample ago"
-        for k in range(feedback.previous) for i in channels.inputs
-    ]  # fmt: skip
+        for k in range(feedback.previous)
+        for i in channels.inputs
+    ]
     rows += [
         [name, "0", "", *(f"{g:.4g}" for g in feedback.gain[:, n_x + j])]
         for j, name in enumerate(extra)
     ]
     return Table(
-        ["state", "value", "unit", *(f"gain of {name}" for name in inputs)], rows,
+        ["state", "value", "unit", *(f"gain of {name}" for name in inputs)],
+        rows,
         title="The equilibrium, and the feedback about it",
-    )  # fmt: skip
+    )
 
 
 def margins_table(design: ControlDesign) -> Table:
     """Gain, phase and delay margins of the loop at each input."""
     rows = [
         [
-            m.input, _factor(m.gain_down), _factor(m.gain_up),
+            m.input,
+            _factor(m.gain_down),
+            _factor(m.gain_up),
             f"{np.degrees(m.phase):.3g} deg" if np.isfinite(m.phase) else "any",
             f"{1e3 * m.delay:.3g} ms" if np.isfinite(m.delay) else "any",
             f"{m.crossover / (2 * np.pi):.3g} Hz" if np.isfinite(m.crossover) else "–",
         ]
         for m in design.margins.inputs
-    ]  # fmt: skip
+    ]
     peak = design.margins.sensitivity_peak
     return Table(
-        ["loop at", "gain from", "gain to", "phase", "delay", "crossover"], rows,
+        ["loop at", "gain from", "gain to", "phase", "delay", "crossover"],
+        rows,
         title=f"Margins with all states known; peak of the sensitivity {peak:.3g}",
-    )  # fmt: skip
+    )
 
 
 def _factor(value: float) -> str:
@@ -80,10 +85,17 @@ def robustness_table(robustness: Robustness, channels: Channels) -> Table:
         share = f"{row.successes} of {len(row.outcomes)}"
         rows.append([row.kind, row.help, share, *worst, f"{row.energy:.3g}", time])
     return Table(
-        ["plants", "how they differ from the model", "succeed",
-         *(f"worst {name}" for name in names), "energy", "held from"],
-        rows, title="The controller on plants that differ from the model",
-    )  # fmt: skip
+        [
+            "plants",
+            "how they differ from the model",
+            "succeed",
+            *(f"worst {name}" for name in names),
+            "energy",
+            "held from",
+        ],
+        rows,
+        title="The controller on plants that differ from the model",
+    )
 
 
 def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResult]) -> Figure:
@@ -111,16 +123,27 @@ def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResul
             for i, (label, run) in reversed([*enumerate(runs.items())]):
                 t = run.dt * np.arange(len(run.states))
                 plot_line(
-                    axes, t, run.states[:, j], color=COLOURS[i % len(COLOURS)], label=label,
+                    axes,
+                    t,
+                    run.states[:, j],
+                    color=COLOURS[i % len(COLOURS)],
+                    label=label,
                     linewidth=1.4 if i == 0 else 1.0,
-                )  # fmt: skip
+                )
             axes.set_ylabel(f"{c.name} [{c.unit}]")
         for j, (axes, i) in enumerate(zip(lower, channels.inputs, strict=True)):
             for k, (label, run) in reversed([*enumerate(runs.items())]):
                 t = run.dt * np.arange(len(run.inputs))
                 colour = INPUT if len(runs) == 1 else COLOURS[k % len(COLOURS)]
-                plot_line(axes, t, run.inputs[:, j], color=colour, label=label, linewidth=0.8,
-                          drawstyle="steps-post")  # fmt: skip
+                plot_line(
+                    axes,
+                    t,
+                    run.inputs[:, j],
+                    color=colour,
+                    label=label,
+                    linewidth=0.8,
+                    drawstyle="steps-post",
+                )
             for end in (design.feedback.lower[j], design.feedback.upper[j]):
                 axes.axhline(end, color=MEASURED, linewidth=0.6, linestyle=":")
             axes.set_ylabel(f"{i.name} [{i.unit}]" if i.unit else i.name)
@@ -138,8 +161,14 @@ def robustness_figure(robustness: Robustness) -> Figure:
         places = np.arange(len(rows))
         axes.barh(places, [row.share for row in rows], color=COLOURS[2], height=0.65)
         for place, row in enumerate(rows):
-            axes.text(0.01, place, f"{row.successes} of {len(row.outcomes)}", va="center",
-                      color="white" if row.share > 0.2 else "black", fontsize=7.5)  # fmt: skip
+            axes.text(
+                0.01,
+                place,
+                f"{row.successes} of {len(row.outcomes)}",
+                va="center",
+                color="white" if row.share > 0.2 else "black",
+                fontsize=7.5,
+            )
         labels = [textwrap.shorten(f"{row.kind}: {row.help}", _LABEL) for row in rows]
         axes.set_yticks(places, labels)
         axes.invert_yaxis()
@@ -234,7 +263,9 @@ def summarise(
             "sensitivity_peak": design.margins.sensitivity_peak,
             "peak_frequency": design.margins.peak_frequency,
         },
-        "motion": None if plan is None else {
+        "motion": None
+        if plan is None
+        else {
             "seconds": len(plan.u) * plan.dt,
             "iterations": plan.iterations,
             "cost": plan.cost,
@@ -248,13 +279,18 @@ def summarise(
         },
         "robustness": [
             {
-                "kind": row.kind, "help": row.help, "runs": len(row.outcomes),
-                "successes": row.successes, "worst": dict(row.worst), "energy": row.energy,
-                "time_to_reach": row.time_to_reach, "failures": row.failures,
+                "kind": row.kind,
+                "help": row.help,
+                "runs": len(row.outcomes),
+                "successes": row.successes,
+                "worst": dict(row.worst),
+                "energy": row.energy,
+                "time_to_reach": row.time_to_reach,
+                "failures": row.failures,
             }
             for row in robustness.rows
         ],
         "verdict": robustness.sentence,
         "check": {"steps": export.checked.steps, "difference": export.checked.difference},
         "files": list(export.files),
-    }  # fmt: skip
+    }

@@ -9,9 +9,12 @@ from tustinnet.data.drafting.draft import Draft, DraftColumn
 from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
 
 _COLOURS = {
-    "time": COLOURS[4], "coordinate": MEASURED, "velocity": COLOURS[2], "input": INPUT,
+    "time": COLOURS[4],
+    "coordinate": MEASURED,
+    "velocity": COLOURS[2],
+    "input": INPUT,
     "set point": COLOURS[1],
-}  # fmt: skip
+}
 _UNUSED = "#8f8f8f"
 _MOST = 30  # columns that are drawn, those of the card first
 _COLUMNS = 2

@@ -110,9 +110,12 @@ def free_run_figure(
             figsize=(11.0 if is_beside else 7.0, height * n_q + 0.5), layout="constrained"
         )
         panels = figure.subplots(
-            rows_each * n_q, columns, sharex=True, squeeze=False,
+            rows_each * n_q,
+            columns,
+            sharex=True,
+            squeeze=False,
             height_ratios=(5, 3) * n_q if rows_each == 2 else None,
-        )  # fmt: skip
+        )
         position_panels = panels[::rows_each, 0]
         error_panels: Any = panels[:, 1] if is_beside else panels[1::2, 0]
         t = e.t - e.t[0]
@@ -268,9 +271,13 @@ def inspection_figure(
                     axes.set_title(f"{coordinate.name} [{coordinate.unit}]", fontsize=9)
             for i, channel in enumerate(e.inputs):
                 panels[row, -1].plot(
-                    t, e.u[:, i], linewidth=0.6, color=(INPUT, *COLOURS)[i % 6], label=channel.name,
+                    t,
+                    e.u[:, i],
+                    linewidth=0.6,
+                    color=(INPUT, *COLOURS)[i % 6],
+                    label=channel.name,
                     drawstyle="steps-post" if channel.hold in (None, "zero-order") else "default",
-                )  # fmt: skip
+                )
             panels[row, 0].set_ylabel(e.name, rotation=0, ha="right", va="center", fontsize=8)
         if first.inputs:
             units = ", ".join(dict.fromkeys(c.unit for c in first.inputs))

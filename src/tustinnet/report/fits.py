@@ -23,15 +23,17 @@ def members_table(run: Run) -> Table:
     rows = []
     for member, cells in zip(run.members, zip(*map(numbers, columns), strict=True), strict=True):
         result = member.result
-        rows.append([
-            result.member.name.removeprefix("seed-"),
-            *cells,
-            " + ".join(map(str, result.detail("windows"))),
-            " + ".join(map(str, result.detail("epochs"))),
-            str(result.detail("kept_epoch")),
-            f"{result.seconds:.0f}",
-            result.outcome.split(":")[0],
-        ])  # fmt: skip
+        rows.append(
+            [
+                result.member.name.removeprefix("seed-"),
+                *cells,
+                " + ".join(map(str, result.detail("windows"))),
+                " + ".join(map(str, result.detail("epochs"))),
+                str(result.detail("kept_epoch")),
+                f"{result.seconds:.0f}",
+                result.outcome.split(":")[0],
+            ]
+        )
     if is_several:
         cells = []
         for column in columns:
@@ -65,8 +67,10 @@ def parameter_table(result: Identification) -> Table:
     rows = [estimate_cells(e) for e in shown]
     has_room = not is_many([*result.estimates, *result.fixed])
     if has_room:
-        rows += [[name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
-                 for name, value in result.fixed.items()]  # fmt: skip
+        rows += [
+            [name, f"{value:.4g}", result.system.parameter(name).unit, "fixed", "", "", ""]
+            for name, value in result.fixed.items()
+        ]
     refined = result.refit and result.refit.values
     title = f"{result.system.name}; {estimates_title(result.trust, refined)}"
     left_out = []
@@ -132,9 +136,14 @@ def estimate_cells(e: Estimate) -> list[str]:
         interval = f"{e.interval[0]:.{digits}g}..{e.interval[1]:.{digits}g}"
     bound = f"at the {e.bound} bound" if e.bound else ""
     return [
-        e.name, f"{e.value:.{digits}g}", e.unit, error, interval, naive_error,
+        e.name,
+        f"{e.value:.{digits}g}",
+        e.unit,
+        error,
+        interval,
+        naive_error,
         f"{e.lower:.3g}..{e.upper:.3g} {bound}".strip(),
-    ]  # fmt: skip
+    ]
 
 
 def digits_of(value: float, error: float | None) -> int:

@@ -189,8 +189,9 @@ class _Trainings:
         self._last = now
         self._console.print(
             f"{self._name}: {100 * done / self._total:.0f} %, {figures}",
-            highlight=False, soft_wrap=True,
-        )  # fmt: skip
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def duration(seconds: float) -> str:

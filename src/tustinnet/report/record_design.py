@@ -22,8 +22,10 @@ def motion_table(design: RecordDesign) -> Table:
         assert own.position is not None
         cells = [f"{q.min():.3g}..{q.max():.3g} of {own.position[0]:.3g}..{own.position[1]:.3g}"]
         for values, limit in (
-            (design.v, own.velocity), (design.a, own.acceleration), (design.force, own.force),
-        ):  # fmt: skip
+            (design.v, own.velocity),
+            (design.a, own.acceleration),
+            (design.force, own.force),
+        ):
             largest = np.abs(values[:, j]).max()
             cells.append(f"{largest:.3g}" + ("" if limit is None else f" of {limit:.3g}"))
         rows.append([f"{c.name} [{c.unit}]", *cells])
@@ -40,12 +42,15 @@ def error_table(design: RecordDesign) -> Table:
     has_records = any(b.known is not None for b in parameters)
     rows = [
         [
-            _label(b), b.unit, f"{b.file:.3g}",
+            _label(b),
+            b.unit,
+            f"{b.file:.3g}",
             *([f"{b.known:.3g}"] if b.known is not None else []),
-            f"{b.expected:.3g}", f"{100 * b.remaining:.2g} %",
+            f"{b.expected:.3g}",
+            f"{100 * b.remaining:.2g} %",
         ]
         for b in shown
-    ]  # fmt: skip
+    ]
     if len(shown) < len(parameters):
         rows.insert(_SHOWN, [f"({len(parameters) - len(shown)} more)", *[""] * (len(rows[0]) - 1)])
     before = ["records so far"] if has_records else []
@@ -78,8 +83,10 @@ def sentences(design: RecordDesign) -> list[str]:
     if has_records:
         better = [b.known / b.expected for b in design.base_parameters if b.known is not None]
         mean = float(np.exp(np.mean(np.log(better))))
-        lines.insert(1, f"it makes the errors of the records so far {mean:.2f} times smaller "
-                        "(geometric mean)")  # fmt: skip
+        lines.insert(
+            1,
+            f"it makes the errors of the records so far {mean:.2f} times smaller (geometric mean)",
+        )
     lines.append(f"forces that are taken to stay unexplained: {noise}")
     if design.stopped:
         lines.append("the time ended before the search: --budget gives it more")
@@ -106,15 +113,22 @@ def design_figure(design: RecordDesign) -> "Figure":
         panels = figure.subplots(n, 4, sharex=True, squeeze=False)
         for j, c in enumerate(design.channels.coordinates):
             own = design.limits.motion[j]
-            rates = [None if x is None else (-x, x)
-                     for x in (own.velocity, own.acceleration, own.force)]  # fmt: skip
+            rates = [
+                None if x is None else (-x, x) for x in (own.velocity, own.acceleration, own.force)
+            ]
             force_unit = "N m" if c.kind == "angular" else "N"
             for axes, values, ends, what in zip(
-                panels[j], (design.q, design.v, design.a, design.force), (own.position, *rates),
-                (f"position [{c.unit}]", f"velocity [{c.unit}/s]", f"acceleration [{c.unit}/s²]",
-                 f"force [{force_unit}]"),
+                panels[j],
+                (design.q, design.v, design.a, design.force),
+                (own.position, *rates),
+                (
+                    f"position [{c.unit}]",
+                    f"velocity [{c.unit}/s]",
+                    f"acceleration [{c.unit}/s²]",
+                    f"force [{force_unit}]",
+                ),
                 strict=True,
-            ):  # fmt: skip
+            ):
                 colour = INPUT if values is design.force else MEASURED
                 axes.plot(design.t, values[:, j], color=colour)
                 axes.set_title(what if j == 0 or c.kind == "linear" else "", loc="left", fontsize=8)

@@ -20,8 +20,13 @@ def candidates_table(choice: Choice) -> Table:
     """Table of the candidates and committees that have scores, the best first."""
     results = _sort_scored(choice)
     best, starts = choice.result(choice.best), choice.starts
-    means = {s.name: [mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
-                      for start in starts] for s in results}  # fmt: skip
+    means = {
+        s.name: [
+            mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
+            for start in starts
+        ]
+        for s in results
+    }
     scale = scale_of(mean[0] for cells in means.values() for mean in cells if mean is not None)
 
     def cell(mean: float, error: float) -> str:
@@ -41,20 +46,29 @@ def candidates_table(choice: Choice) -> Table:
             against = sign + cell(difference.mean, difference.standard_error)
             if difference.records != count:
                 against += f" (on {difference.records})"
-        rows.append([
-            s.name,
-            *["" if mean is None else cell(*mean) for mean in means[s.name]],
-            against,
-            *[unexplained(s)] * by_forces,
-            str(count),
-            str(len(s.fits_by_fold)),
-            str(len({fit.seed for fit in s.fits})),
-            f"{s.seconds:.0f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                s.name,
+                *["" if mean is None else cell(*mean) for mean in means[s.name]],
+                against,
+                *[unexplained(s)] * by_forces,
+                str(count),
+                str(len(s.fits_by_fold)),
+                str(len({fit.seed for fit in s.fits})),
+                f"{s.seconds:.0f}",
+            ]
+        )
     unit = choice.unit
-    columns = ["candidate", *[f"RMSE [{unit}], {start}" for start in starts],
-               f"worse than {best.name} by", *["unexplained force [%]"] * by_forces,
-               "records", "folds", "seeds", "seconds"]  # fmt: skip
+    columns = [
+        "candidate",
+        *[f"RMSE [{unit}], {start}" for start in starts],
+        f"worse than {best.name} by",
+        *["unexplained force [%]"] * by_forces,
+        "records",
+        "folds",
+        "seeds",
+        "seconds",
+    ]
     title = "free runs of records that a model was not fitted to, mean ± standard error"
     title += norm_words(unit)
     return Table(columns, rows, title=title)

@@ -121,9 +121,15 @@ def _draw_side_view(axes: Axes) -> None:
 
 
 def _draw_rod(
-    axes: Axes, zero: float, turn: float, length: float, colour: str,
-    angle_name: str, length_name: str, named_length: float,
-) -> None:  # fmt: skip
+    axes: Axes,
+    zero: float,
+    turn: float,
+    length: float,
+    colour: str,
+    angle_name: str,
+    length_name: str,
+    named_length: float,
+) -> None:
     """Draws a rod at the angle `turn` from the direction `zero`, with its angle and a length."""
     along, normal = _ring(zero + turn)[:2], _ring(zero + turn + np.pi / 2)[:2]
     _line(axes, np.outer((0, length), _ring(zero)[:2]), _FAINT, "--")
@@ -243,8 +249,12 @@ def _box(axes: Axes, centre: Pair, size: Pair, text: str = "", face: str = "whit
 
 
 def _label(
-    axes: Axes, at: ArrayLike, text: str, size: float = 9, colour: str = MEASURED,
+    axes: Axes,
+    at: ArrayLike,
+    text: str,
+    size: float = 9,
+    colour: str = MEASURED,
     ha: Literal["left", "center", "right"] = "center",
-) -> None:  # fmt: skip
+) -> None:
     x, y = np.asarray(at)
     axes.text(x, y, text, fontsize=size, color=colour, ha=ha, va="center", parse_math=True)

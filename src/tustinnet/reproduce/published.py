@@ -89,8 +89,9 @@ def published_scaling(
             "no linear coordinate",
             "use the recipe 'standard' or 'transfer'",
         )
-    sizes = [(np.abs(e.velocities("file")).mean(axis=0), np.abs(e.q).mean(axis=0))
-             for e in experiments]  # fmt: skip
+    sizes = [
+        (np.abs(e.velocities("file")).mean(axis=0), np.abs(e.q).mean(axis=0)) for e in experiments
+    ]
     ratios = [np.divide(v, q, out=np.ones_like(v), where=(v > 0) & (q > 0)) for v, q in sizes]
     return scaling_of_increments(np.mean(ratios, axis=0), channels)
 

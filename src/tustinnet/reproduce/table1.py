@@ -101,9 +101,11 @@ def choose_models(names: Sequence[str], folder: Path) -> tuple[list[str], str]:
             )
     if AUTHORS in model_names and not weights.is_dir():
         raise InputError(
-            weights, "no such folder", "the authors' stored weights",
+            weights,
+            "no such folder",
+            "the authors' stored weights",
             "put them there or leave 'authors' out of --models",
-        )  # fmt: skip
+        )
     return list(dict.fromkeys(model_names)), ""
 
 

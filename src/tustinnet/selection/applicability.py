@@ -30,8 +30,11 @@ def applicable_candidates(
     if budget is not None and not 0 < budget < math.inf:
         raise InputError("--budget", f"{budget:g} s", "a time above 0")
     if context.system is not None and not any(_identifies(c) for c in plan.candidates):
-        raise InputError("--system", f"not applicable to the plan '{plan.name}'",
-                         "a plan with a candidate that identifies a system")  # fmt: skip
+        raise InputError(
+            "--system",
+            f"not applicable to the plan '{plan.name}'",
+            "a plan with a candidate that identifies a system",
+        )
     scales = coordinate_timescales(list(context.data)).values()
     speed = "fast" if any(scale.is_fast for scale in scales) else "slow"
     omitted: dict[str, str] = {}  # the reason by candidate

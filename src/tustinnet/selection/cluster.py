@@ -108,9 +108,11 @@ class _Workers:
         self._cores = len(jax.devices("cpu"))
         if not self._places:
             raise InputError(
-                "cluster", f"no machine with {self._cores} cores, which a job is given",
-                "a machine with as many", "set JAX_NUM_CPU_DEVICES to give a job fewer",
-            )  # fmt: skip
+                "cluster",
+                f"no machine with {self._cores} cores, which a job is given",
+                "a machine with as many",
+                "set JAX_NUM_CPU_DEVICES to give a job fewer",
+            )
         folder = context.folder.resolve()
         self._mark = folder / f".shared-{uuid.uuid4().hex}{PART}"
         self._mark.touch()
@@ -212,8 +214,11 @@ def _make_work() -> Callable[[bytes, bytes, dict[str, Any]], Any]:
         try:
             from tustinnet.selection.cluster import perform_here
         except ImportError as error:
-            return host, (f"cannot load tustinnet ({error})", "the package on every machine",
-                          "pip install tustinnet there")  # fmt: skip
+            return host, (
+                f"cannot load tustinnet ({error})",
+                "the package on every machine",
+                "pip install tustinnet there",
+            )
         return host, perform_here(sent, order, setup)
 
     return work
@@ -295,9 +300,12 @@ def _find_head(address: str) -> str | None:
         return None
     parts = re.fullmatch(r"([^\s/:]+|\[[0-9a-fA-F:]+\]):(\d{1,5})", name)
     if parts is None:
-        raise InputError(_where(name, address), "no address",
-                         "auto, or HOST:PORT of a cluster's head",
-                         "for instance 10.0.0.5:6379")  # fmt: skip
+        raise InputError(
+            _where(name, address),
+            "no address",
+            "auto, or HOST:PORT of a cluster's head",
+            "for instance 10.0.0.5:6379",
+        )
     try:
         socket.create_connection((parts[1].strip("[]"), int(parts[2])), _CONNECTS).close()
     except (OSError, OverflowError, UnicodeError) as error:
@@ -323,9 +331,11 @@ def _where(head: str, address: str) -> str:
 
 def _no_answer(where: str, why: str) -> InputError:
     return InputError(
-        where, f"does not answer ({why})", "the head of a running cluster",
+        where,
+        f"does not answer ({why})",
+        "the head of a running cluster",
         "start one there: ray start --head --port 6379",
-    )  # fmt: skip
+    )
 
 
 def _join(ray: Any, address: str | None) -> None:

@@ -66,8 +66,10 @@ def score_committees(
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
         if average.best is not None and len(close) < 2 <= len(by_name):
-            on_message(f"{average.name}: left out, the others are more than {_CLOSE:g} times as "
-                       f"far off as {close[0]}")  # fmt: skip
+            on_message(
+                f"{average.name}: left out, the others are more than {_CLOSE:g} times as "
+                f"far off as {close[0]}"
+            )
             continue
         members = average.members_among(close if average.best is not None else list(by_name))
         if members and members not in committees.values():
@@ -214,7 +216,9 @@ def combine(members: Sequence[Model], weights: Sequence[float]) -> Model:
     systems = dict.fromkeys(e.system.name for e in equations if e is not None)
     if len(systems) > 1:
         raise InputError(
-            "committee", f"members of the systems {', '.join(systems)}", "members of one system",
+            "committee",
+            f"members of the systems {', '.join(systems)}",
+            "members of one system",
             "a model file is of one system at most",
-        )  # fmt: skip
+        )
     return members[0] if len(members) == 1 else committee(members, weights)

@@ -85,10 +85,8 @@ class CrossValidationResult:
             summary[start] = {
                 "mean": mean,
                 "standard_error": error,
-                "by_seed": {
-                    str(seed): float(np.mean(by_seed[seed])) for seed in sorted(by_seed)
-                },
-            }  # fmt: skip
+                "by_seed": {str(seed): float(np.mean(by_seed[seed])) for seed in sorted(by_seed)},
+            }
         return summary
 
     def as_plain(self) -> dict[str, Any]:
@@ -156,8 +154,11 @@ def make_cross_validation_options(
     family = recipe.family
     corrects = "physics" in family.needs
     if physics is not None and not corrects:
-        raise InputError("--physics", f"not applicable to a recipe of kind '{family.kind}'",
-                         "a recipe that corrects physics")  # fmt: skip
+        raise InputError(
+            "--physics",
+            f"not applicable to a recipe of kind '{family.kind}'",
+            "a recipe that corrects physics",
+        )
     if seeds is not None and not family.has_seeds:
         raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
@@ -168,7 +169,7 @@ def make_cross_validation_options(
             "--physics",
             f"a recipe of kind '{identification.family.kind}', whose models are trained",
             "a recipe whose models a network can correct",
-        )  # fmt: skip
+        )
     needs_system = "system" in identification.family.needs
     if system is None:
         system = resolve_system(identification, None)
@@ -259,11 +260,13 @@ def cross_validate(
             physics[result.fold] = result.scores[0].model
 
     results = run_jobs(
-        jobs, workers, on_result=on_result,
+        jobs,
+        workers,
+        on_result=on_result,
         prepare=lambda job: (
             replace(job, physics=physics.get(job.fold)) if job.candidate == _RECIPE else job
         ),
-    )  # fmt: skip
+    )
     fits = sorted((r for r in results if r.candidate == _RECIPE), key=lambda r: r.fold)
     return CrossValidationResult(
         recipe=recipe.name,

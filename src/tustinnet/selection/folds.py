@@ -65,10 +65,11 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
     records = records_without_test(data)
     if not 3 <= folds <= len(records):
         raise InputError(
-            "--folds", f"{folds} folds of {len(records)} records",
+            "--folds",
+            f"{folds} folds of {len(records)} records",
             f"3 to {len(records)}" if len(records) >= 3 else "at least 3 records",
             "one fold is scored, one chooses, the others train",
-        )  # fmt: skip
+        )
 
     def order(e: Experiment) -> tuple[str, str, str]:
         return kind_of(e.name), str(e.split), e.name
@@ -102,9 +103,11 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
         edges = [round(i * len(e) / count) for i in range(count + 1)]
         if edges[1] < _SHORTEST:
             raise InputError(
-                e.name, f"{len(e)} samples: cut into {count} to be judged, {edges[1]} each",
-                f"at least {_SHORTEST} in a piece", "record longer, or name a recipe (--recipe)",
-            )  # fmt: skip
+                e.name,
+                f"{len(e)} samples: cut into {count} to be judged, {edges[1]} each",
+                f"at least {_SHORTEST} in a piece",
+                "record longer, or name a recipe (--recipe)",
+            )
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
         ]

@@ -323,5 +323,7 @@ class Halving:
         figures = ", ".join(f"{name} {mean:.3g}" for name, mean in means)
         self._on_message(f"round {number + 1} of {rounds}, {folds}: {figures}{on}")
         if self._omitted:
-            self._on_message(f"the budget ended this round early: no time was left for "
-                             f"{self._omitted} of its fits")  # fmt: skip
+            self._on_message(
+                f"the budget ended this round early: no time was left for "
+                f"{self._omitted} of its fits"
+            )

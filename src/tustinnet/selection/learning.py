@@ -96,20 +96,25 @@ def make_learning_curve_options(
     network = read_recipe(network)
     if network.family.needs:
         raise InputError(
-            f"recipe '{network.name}'", f"kind '{network.family.kind}'",
-            "the recipe of a network by itself", "physics are drawn with --system",
-        )  # fmt: skip
+            f"recipe '{network.name}'",
+            f"kind '{network.family.kind}'",
+            "the recipe of a network by itself",
+            "physics are drawn with --system",
+        )
     make_cross_validation_options(network)  # checks its rates
     if sizes and (len(sizes) < 2 or sorted(set(sizes)) != list(sizes) or sizes[0] < FEWEST):
         raise InputError(
-            "--records", ",".join(map(str, sizes)), f"two or more rising numbers from {FEWEST} on",
+            "--records",
+            ",".join(map(str, sizes)),
+            f"two or more rising numbers from {FEWEST} on",
             "for instance --records 2,4,8",
-        )  # fmt: skip
+        )
     if start is not None:
         start_named(start)
     if twin == "nominal" and hybrid and isinstance(hybrid.system, SystemTemplate):
-        raise InputError("--twin", f"'nominal', of which '{hybrid.system.name}' has none",
-                         "'identified'")  # fmt: skip
+        raise InputError(
+            "--twin", f"'nominal', of which '{hybrid.system.name}' has none", "'identified'"
+        )
     return LearningCurveOptions(network, hybrid, tuple(sizes), draws, twin, start)
 
 
@@ -257,9 +262,11 @@ def draw_records(data: DataSet, options: LearningCurveOptions) -> list[Draw]:
     if len(sizes) < 2 or sizes[-1] > most:
         needed = sizes[-1] if len(sizes) > 1 else 2 * FEWEST
         raise InputError(
-            data.name, f"{count} records, of which {most} remain in each draw",
-            f"{needed} that remain", "record more, or request fewer: --records 2,4",
-        )  # fmt: skip
+            data.name,
+            f"{count} records, of which {most} remain in each draw",
+            f"{needed} that remain",
+            "record more, or request fewer: --records 2,4",
+        )
     draws = []
     for number in range(options.draws):
         split = splits[number % len(splits)]
@@ -332,10 +339,12 @@ class DrawFitter:
                 and all(models is None or models[i] is not None for models in (physics, origins))
             ]
             part = self._fit(
-                [draws[i] for i in rows], recipe, together=True,
+                [draws[i] for i in rows],
+                recipe,
+                together=True,
                 physics=None if physics is None else [physics[i] for i in rows],
                 origins=None if origins is None else [origins[i] for i in rows],
-            )  # fmt: skip
+            )
             for i, result in zip(rows, part, strict=True):
                 results[i] = result
         return results
@@ -368,14 +377,21 @@ class DrawFitter:
             seeds = (draw.number,) if together else (0,)
             jobs.append(
                 Job(
-                    recipe.name, recipe, i, seeds, physics=names.get("physics"),
+                    recipe.name,
+                    recipe,
+                    i,
+                    seeds,
+                    physics=names.get("physics"),
                     origin=names.get("origin"),
                 )
-            )  # fmt: skip
+            )
         context = RunContext(
-            self._data, self._scoring, models=models, system=system,
+            self._data,
+            self._scoring,
+            models=models,
+            system=system,
             drawn=tuple(draw.split for draw in draws),
-        )  # fmt: skip
+        )
         executor = InProcess(
             context, lambda job: self._make_listener, raises=together, together=together
         )
@@ -466,9 +482,11 @@ def make_points(
     """
     return [
         LearningPoint(
-            approach, draw.number, draw.size,
+            approach,
+            draw.number,
+            draw.size,
             float(np.mean(list(result.rmse.values()))) if result.model is not None else np.inf,
             result.outcome,
         )
         for draw, result in zip(draws, results, strict=True)
-    ]  # fmt: skip
+    ]

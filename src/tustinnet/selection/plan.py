@@ -229,18 +229,30 @@ def _check(candidate: Candidate, plan: SelectionPlan) -> None:
     takes = "physics" in recipe.family.needs
     if takes != bool(candidate.corrects):
         given = "no `corrects`" if takes else "`corrects`"
-        raise InputError(where, f"{given} with a recipe of kind '{recipe.family.kind}'",
-                         "candidates to correct, for recipes that correct physics")  # fmt: skip
+        raise InputError(
+            where,
+            f"{given} with a recipe of kind '{recipe.family.kind}'",
+            "candidates to correct, for recipes that correct physics",
+        )
     for name in candidate.corrects:
         family = plan.candidate(name).content.family
         if not family.correctable:
-            raise InputError(where, f"corrects '{name}' of kind '{family.kind}'",
-                             "a candidate whose models a network can correct")  # fmt: skip
+            raise InputError(
+                where,
+                f"corrects '{name}' of kind '{family.kind}'",
+                "a candidate whose models a network can correct",
+            )
     if candidate.begins_with and not isinstance(recipe, IdentificationRecipe):
-        raise InputError(where, f"`begins_with` with a recipe of kind '{recipe.family.kind}'",
-                         "a recipe that identifies a system")  # fmt: skip
+        raise InputError(
+            where,
+            f"`begins_with` with a recipe of kind '{recipe.family.kind}'",
+            "a recipe that identifies a system",
+        )
     for name in candidate.begins_with:
         kind = plan.candidate(name).content.family.kind
         if kind != recipe.family.kind:
-            raise InputError(where, f"begins with '{name}' of kind '{kind}'",
-                             f"a candidate of its own kind, '{recipe.family.kind}'")  # fmt: skip
+            raise InputError(
+                where,
+                f"begins with '{name}' of kind '{kind}'",
+                f"a candidate of its own kind, '{recipe.family.kind}'",
+            )

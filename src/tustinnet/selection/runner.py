@@ -70,9 +70,12 @@ class InProcess:
             jobs = [job for job in self._waiting if job.candidate == candidate]
             self._waiting = [job for job in self._waiting if job.candidate != candidate]
             self._results = perform_jobs(
-                jobs, self._context, self._make_job_listener(jobs[0]), self._deadline,
+                jobs,
+                self._context,
+                self._make_job_listener(jobs[0]),
+                self._deadline,
                 raises=self._raises,
-            )  # fmt: skip
+            )
         return self._results.pop(0)
 
 

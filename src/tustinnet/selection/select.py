@@ -303,9 +303,16 @@ def _choose(
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
     choice = Choice(
-        context, candidates, best.name, simplest.name, origins, final.model, bands,
-        spoiled=spoiled, left_out=left_out,
-    )  # fmt: skip
+        context,
+        candidates,
+        best.name,
+        simplest.name,
+        origins,
+        final.model,
+        bands,
+        spoiled=spoiled,
+        left_out=left_out,
+    )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
         save(model.model, path, **choice.header(name, model))
@@ -378,10 +385,11 @@ def _require_no_earlier(folder: Path) -> None:
     scores = sorted((folder / CANDIDATES).glob(f"*/*/{SCORES}"))
     if scores:
         raise InputError(
-            folder, f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
+            folder,
+            f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
             "a new folder",
             "add --resume to go on with it, --overwrite to discard it, or choose another --out",
-        )  # fmt: skip
+        )
 
 
 def _nothing_fitted(halving: Halving) -> InputError:
@@ -393,6 +401,8 @@ def _nothing_fitted(halving: Halving) -> InputError:
     why = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
     short_of_time = reasons.keys() & {SPENT, NO_STAGE, NO_TIME}
     return InputError(
-        "selection", f"no candidate could be fitted ({why})", "one that can",
+        "selection",
+        f"no candidate could be fitted ({why})",
+        "one that can",
         "give more time: --budget" if short_of_time else "",
-    )  # fmt: skip
+    )

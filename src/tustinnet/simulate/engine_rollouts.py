@@ -139,9 +139,14 @@ def _rollouts(
         return model.step(x, u.reshape(input_shape))
 
     equations = Equations(
-        step, n_x, math.prod(input_shape), sum(bias_sizes), sum(other_sizes), continuous=False,
+        step,
+        n_x,
+        math.prod(input_shape),
+        sum(bias_sizes),
+        sum(other_sizes),
+        continuous=False,
         matrices=matrices,
-    )  # fmt: skip
+    )
     try:
         size = equations.adjoints.program.operations
     except Unreadable:

@@ -28,16 +28,20 @@ def horizon_samples(
     dt, longest = experiments[0].dt, max(map(len, experiments))
     if not horizon > 0 or horizon > longest * dt:
         raise InputError(
-            where, f"{horizon:g} s", f"more than 0 and at most the longest record's "
-            f"{(longest - 1) * dt:g} s", "leave it out for whole records",
-        )  # fmt: skip
+            where,
+            f"{horizon:g} s",
+            f"more than 0 and at most the longest record's {(longest - 1) * dt:g} s",
+            "leave it out for whole records",
+        )
     samples, fewest = round(horizon / dt), _fewest_samples(start)
     if samples < fewest:
         needed = "two samples" if fewest == 2 else f"what the start '{start.name}' needs"
         raise InputError(
-            where, f"{horizon:g} s, {samples} samples of {dt:g} s", f"at least {needed}, "
-            f"{fewest * dt:g} s", "take a longer one",
-        )  # fmt: skip
+            where,
+            f"{horizon:g} s, {samples} samples of {dt:g} s",
+            f"at least {needed}, {fewest * dt:g} s",
+            "take a longer one",
+        )
     return samples
 
 

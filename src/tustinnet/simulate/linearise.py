@@ -55,9 +55,10 @@ def linearize(
     discrete = isinstance(model, Model)
     function = model.step if discrete else model.derivative
     formula = Formula(
-        lambda point: function(point[:n_x], point[n_x:]), n_x + n_u,
+        lambda point: function(point[:n_x], point[n_x:]),
+        n_x + n_u,
         where=f"the model ({type(model).__name__})",
-    )  # fmt: skip
+    )
     value, jacobian = value_and_jacobian(formula, np.concatenate([state, inputs]))
     return Linearisation(
         jacobian[:, :n_x],

@@ -113,13 +113,14 @@ class Range:
             *(i.name for i in channels.inputs),
         ]
         linear = ~channels.angular
-        names += [c.name for c, is_linear in zip(channels.coordinates, linear, strict=True)
-                  if is_linear]  # fmt: skip
+        names += [
+            c.name for c, is_linear in zip(channels.coordinates, linear, strict=True) if is_linear
+        ]
         q, v = states[:, channels.position], states[:, channels.velocity]
         values = np.concatenate([v, u, q[:, linear]], axis=1)
-        ends = np.concatenate([
-            self.states[channels.velocity], self.inputs, self.states[channels.position][linear]
-        ])  # fmt: skip
+        ends = np.concatenate(
+            [self.states[channels.velocity], self.inputs, self.states[channels.position][linear]]
+        )
         span = np.maximum(np.ptp(ends, axis=1), _LEAST)
         with np.errstate(invalid="ignore"):
             beyond = np.maximum(ends[:, 0] - values, values - ends[:, 1]) / span

@@ -53,9 +53,10 @@ def rollout(
     fits = start.shape == (n_x,) and len(shape) in (2, 3) and shape[-1] == n_u
     if not fits or (len(shape) == 3 and not _steps_with(model, shape[1:], kind)):
         raise InputError(
-            "rollout", f"x0 of shape {start.shape} and u of shape {shape}",
+            "rollout",
+            f"x0 of shape {start.shape} and u of shape {shape}",
             f"({n_x},) and (steps, {n_u}), or what `input_signal` makes of a record",
-        )  # fmt: skip
+        )
     trajectory = _trajectory(u, measured)
     start = start.astype(kind)
 
@@ -178,9 +179,12 @@ def rollouts(
         ]
 
     def record(
-        layers: list[Affine], rest: list[Any], start: Array, trajectory: _Trajectory,
+        layers: list[Affine],
+        rest: list[Any],
+        start: Array,
+        trajectory: _Trajectory,
         slots: list[Array],
-    ) -> tuple[Array, list[Array]]:  # fmt: skip
+    ) -> tuple[Array, list[Array]]:
         """States, and the inputs of each layer at every step; derivatives go to `slots`."""
         transposed = [layer.weight.T for layer in layers]  # once, not at every step
 
@@ -197,9 +201,7 @@ def rollouts(
             return x_next, (x_next, layer_inputs)
 
         states, layer_inputs = _scan(advance, start, (trajectory, slots))
-        return (
-            jnp.concatenate([start[:, None], jnp.swapaxes(states, 0, 1)], axis=1), layer_inputs
-        )  # fmt: skip
+        return (jnp.concatenate([start[:, None], jnp.swapaxes(states, 0, 1)], axis=1), layer_inputs)
 
     @jax.custom_vjp
     def run(layers: list[Affine], rest: list[Any], start: Array, trajectory: _Trajectory) -> Array:

@@ -32,9 +32,11 @@ def step_equations(
     function = model.step if step is None else step
     return Equations(
         lambda x, u, p, c: function(x, u.reshape(shape)),
-        n_x=model.state_size, n_u=int(np.prod(shape)), continuous=False,
+        n_x=model.state_size,
+        n_u=int(np.prod(shape)),
+        continuous=False,
         where=f"the model ({type(model).__name__})",
-    )  # fmt: skip
+    )
 
 
 @lru_cache(maxsize=32)  # one machine code serves a system whatever its parameters' values
@@ -131,9 +133,10 @@ class ModelEquations:
         else:
             self.equations = Equations(
                 lambda x, u, p, c: continuous.derivative(x, u),
-                n_x=continuous.state_size, n_u=model.channels.n_u,
+                n_x=continuous.state_size,
+                n_u=model.channels.n_u,
                 where=f"the model ({type(continuous).__name__})",
-            )  # fmt: skip
+            )
 
     def runs(
         self,

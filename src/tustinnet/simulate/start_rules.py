@@ -119,10 +119,11 @@ class Start(ABC):
             raise InputError("start", f"'{self.name}'", f"at least {fewest} samples for {purpose}")
         if self.samples > len(e):
             raise InputError(
-                e.name, counted(len(e), "sample"),
+                e.name,
+                counted(len(e), "sample"),
                 f"at least {self.samples} for the start '{self.name}'",
                 "leave the record out, or take another start",
-            )  # fmt: skip
+            )
 
 
 class MeasuredStart(Start):
@@ -324,10 +325,11 @@ def start_named(name: str, where: object = "start") -> Start:
         if start is not None:
             return start
     forms = [
-        f"'{kind.form}'" if kind.form == kind.usual_name()
+        f"'{kind.form}'"
+        if kind.form == kind.usual_name()
         else f"'{kind.form}' such as {kind.usual_name()}"
         for kind in STARTS
-    ]  # fmt: skip
+    ]
     raise InputError(where, f"unknown start '{name}'", f"{', '.join(forms[:-1])} or {forms[-1]}")
 
 

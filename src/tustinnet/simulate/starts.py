@@ -84,7 +84,9 @@ def initial_state(experiment: Experiment, start: str) -> Float[np.ndarray, " n_x
     rule = start_named(start)
     if not isinstance(rule, MeasuredStart):
         raise InputError(
-            "start", f"'{start}' without a model", "'file', 'derived-N' such as derived-6",
+            "start",
+            f"'{start}' without a model",
+            "'file', 'derived-N' such as derived-6",
             "use start_states",
-        )  # fmt: skip
+        )
     return rule.measured_state(experiment)

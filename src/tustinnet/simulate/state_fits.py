@@ -178,9 +178,13 @@ def fit_states_with_derivatives(
 
 
 def _fit(
-    model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
-    signal: InputSignal, q: np.ndarray,
-) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records samples"]]:  # fmt: skip
+    model: Model,
+    equations: Equations,
+    parameters: np.ndarray,
+    guess: np.ndarray,
+    signal: InputSignal,
+    q: np.ndarray,
+) -> tuple[Float[np.ndarray, "records n_x"], Float[np.ndarray, "records samples"]]:
     """States fitted to the first samples of records, and the weights of these samples."""
     guess, q = np.asarray(guess, np.float64), np.asarray(q, np.float64)
     n_x = guess.shape[1]
@@ -293,9 +297,13 @@ class _Variants:
             return best, candidate, cost, products, gradient, damping
 
         initial = (
-            start, start, xp.full(count, xp.inf, start.dtype),
-            xp.zeros((count, n_x, n_x), start.dtype), xp.zeros((count, n_x), start.dtype), first,
-        )  # fmt: skip
+            start,
+            start,
+            xp.full(count, xp.inf, start.dtype),
+            xp.zeros((count, n_x, n_x), start.dtype),
+            xp.zeros((count, n_x), start.dtype),
+            first,
+        )
         best, _, cost, *_ = loop(0, self._constrained + 1 + ITERATIONS, iterate, initial)
         return best, cost
 
@@ -312,9 +320,15 @@ class _Squares:
     """Squares of position errors and of departures of internal states, at given states."""
 
     def __init__(
-        self, model: Model, equations: Equations, parameters: np.ndarray, guess: np.ndarray,
-        signal: InputSignal, q: np.ndarray, share: np.ndarray,
-    ) -> None:  # fmt: skip
+        self,
+        model: Model,
+        equations: Equations,
+        parameters: np.ndarray,
+        guess: np.ndarray,
+        signal: InputSignal,
+        q: np.ndarray,
+        share: np.ndarray,
+    ) -> None:
         engine_model = model_equations(model, signal)
         self._equations, self._guess, self._substeps = equations, guess, engine_model.substeps
         self._runs = replace(engine_model.runs(guess, signal), parameters=parameters)

@@ -128,8 +128,12 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
         InputError: damaged, or of another recipe, seed, rate or data set.
     """
     header, arrays = read_sealed(path, [_KIND])
-    with convert_errors(path, "not a whole checkpoint", "a checkpoint written by tustinnet",
-                  "start anew with --overwrite"):  # fmt: skip
+    with convert_errors(
+        path,
+        "not a whole checkpoint",
+        "a checkpoint written by tustinnet",
+        "start anew with --overwrite",
+    ):
         stored_members = list(header["members"].items())
         by_name = {member.name: member for member in task.members}
         rows = [row for row, (name, _) in enumerate(stored_members) if name in by_name]

@@ -60,11 +60,19 @@ def write_data_set(
     coordinates = [
         {"name": c.name, "kind": c.kind, "column": k, "unit": c.unit}
         | ({"resolution": c.resolution} if c.resolution else {})
-        | ({} if first.v is None else {"velocity": {
-            "column": k + channels.n_q + 1, "unit": f"{c.unit}/s", "measured": first.v_measured,
-        }})
+        | (
+            {}
+            if first.v is None
+            else {
+                "velocity": {
+                    "column": k + channels.n_q + 1,
+                    "unit": f"{c.unit}/s",
+                    "measured": first.v_measured,
+                }
+            }
+        )
         for k, c in enumerate(channels.coordinates, channels.n_u + 1)
-    ]  # fmt: skip
+    ]
     splits = {
         split: [
             {"file": files[e.name], "name": e.name}

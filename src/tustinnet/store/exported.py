@@ -92,9 +92,10 @@ def export_model(
     header = {} if file is None else read_header(file)
     if file is not None and header["kind"] != family_of(model).kind:
         raise InputError(
-            file, f"the file of a model of the kind '{header['kind']}'",
+            file,
+            f"the file of a model of the kind '{header['kind']}'",
             f"that of the model given, of the kind '{family_of(model).kind}'",
-        )  # fmt: skip
+        )
     source = make_source(model, Range.from_header(header, model), groups, header)
     folders = [Path(out) / t.name if len(targets) > 1 else Path(out) for t in targets]
     with lock_folder(Path(out)):
@@ -117,9 +118,8 @@ def require_export_folder(folder: Path, *, overwrite: bool) -> None:
     entries = folder.iterdir() if folder.is_dir() else ()
     if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
         raise InputError(
-            folder, "a folder that holds something else", "an empty folder",
-            "choose another --out",
-        )  # fmt: skip
+            folder, "a folder that holds something else", "an empty folder", "choose another --out"
+        )
     require_outputs([folder / CARD], overwrite=overwrite)
 
 
@@ -151,9 +151,11 @@ def _require_extras(targets: Sequence[Target]) -> None:
         names = ", ".join(target.name for target, _ in lacking)
         extras = ",".join(target.extra[0] for target, _ in lacking if target.extra)
         raise InputError(
-            "--to", f"packages for {names} are not installed", "them",
+            "--to",
+            f"packages for {names} are not installed",
+            "them",
             f"pip install 'tustinnet[{extras}]'",
-        )  # fmt: skip
+        )
 
 
 def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
@@ -183,9 +185,11 @@ def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
     moved = [target.at_operating_point(at) for target in targets]
     if moved == targets:
         raise InputError(
-            "--at", f"an operating point for {', '.join(names)}", "a target that has one",
+            "--at",
+            f"an operating point for {', '.join(names)}",
+            "a target that has one",
             "leave it out, or add mat to --to",
-        )  # fmt: skip
+        )
     return moved
 
 
@@ -211,8 +215,12 @@ def _export(
             check = CheckResult(alike.steps, alike.difference, note)
     notes = (*source.notes, *target.notes(source))
     result = ExportResult(target.name, folder, (*files, CARD), check, notes)
-    checked = {"steps": check.steps, "difference": check.difference,
-               "bound": target.bound, "note": check.note}  # fmt: skip
+    checked = {
+        "steps": check.steps,
+        "difference": check.difference,
+        "bound": target.bound,
+        "note": check.note,
+    }
     return result, {CARD: make_card(source, target.name, files, checked, notes, file), **files}
 
 
@@ -255,33 +263,43 @@ def make_card(
     state_limits = [None] * source.n_x if limits is None else limits.states.tolist()
     input_limits = [None] * channels.n_u if limits is None else limits.inputs.tolist()
     contents = {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}
-    return to_json({
-        "form": _MARK,
-        "target": target,
-        "files": {name: sha256(content).hexdigest() for name, content in contents.items()},
-        "model": None if file is None else {
-            "file": Path(file).name,
-            "sha256": sha256(Path(file).read_bytes()).hexdigest(),
-            "kind": source.about["kind"],
-        },
-        "period": source.channels.dt,
-        "states": [
-            {"name": name, "unit": unit, "range": ends}
-            for name, unit, ends in zip(source.states, source.units, state_limits, strict=True)
-        ],
-        "inputs": [
-            {"name": i.name, "unit": i.unit, "hold": i.hold or "zero-order", "delay": i.delay,
-             "limits": i.limits, "range": ends}
-            for i, ends in zip(channels.inputs, input_limits, strict=True)
-        ],
-        "parameters": [
-            {"name": name, "unit": unit, "value": value}
-            for name, unit, value in source.parameters
-        ],
-        "samples": list(source.input_layout.offsets),
-        "warm_up": source.model.warm_up,
-        "scores": source.about.get("scores"),
-        "check": dict(check),
-        "notes": list(notes),
-        "versions": package_versions(),
-    })  # fmt: skip
+    return to_json(
+        {
+            "form": _MARK,
+            "target": target,
+            "files": {name: sha256(content).hexdigest() for name, content in contents.items()},
+            "model": None
+            if file is None
+            else {
+                "file": Path(file).name,
+                "sha256": sha256(Path(file).read_bytes()).hexdigest(),
+                "kind": source.about["kind"],
+            },
+            "period": source.channels.dt,
+            "states": [
+                {"name": name, "unit": unit, "range": ends}
+                for name, unit, ends in zip(source.states, source.units, state_limits, strict=True)
+            ],
+            "inputs": [
+                {
+                    "name": i.name,
+                    "unit": i.unit,
+                    "hold": i.hold or "zero-order",
+                    "delay": i.delay,
+                    "limits": i.limits,
+                    "range": ends,
+                }
+                for i, ends in zip(channels.inputs, input_limits, strict=True)
+            ],
+            "parameters": [
+                {"name": name, "unit": unit, "value": value}
+                for name, unit, value in source.parameters
+            ],
+            "samples": list(source.input_layout.offsets),
+            "warm_up": source.model.warm_up,
+            "scores": source.about.get("scores"),
+            "check": dict(check),
+            "notes": list(notes),
+            "versions": package_versions(),
+        }
+    )

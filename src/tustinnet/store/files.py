@@ -129,9 +129,11 @@ def lock_folder(folder: Path) -> Iterator[None]:
     except BlockingIOError:
         os.close(descriptor or 0)
         raise InputError(
-            folder, "another run is writing there", "a folder of its own for every run",
+            folder,
+            "another run is writing there",
+            "a folder of its own for every run",
             "wait until it ends, or choose another --out",
-        ) from None  # fmt: skip
+        ) from None
     except OSError:
         pass  # a file system without locks
     try:
@@ -210,6 +212,8 @@ def unwritable_error(path: Path, error: OSError) -> InputError:
     blocked = isinstance(error, FileExistsError | NotADirectoryError)
     reason = "a file stands where a folder is needed" if blocked else error.strerror or str(error)
     return InputError(
-        path, f"cannot be written ({reason})", "a folder you may write to, with room in it",
+        path,
+        f"cannot be written ({reason})",
+        "a folder you may write to, with room in it",
         "make room or choose another place",
-    )  # fmt: skip
+    )

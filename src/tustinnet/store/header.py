@@ -303,8 +303,9 @@ def check_header(header: Mapping[str, Any], where: object) -> None:
     for name in ("moving", "resting"):
         bands = [] if content.bands is None else getattr(content.bands, name)
         if content.bands is not None and len(bands) != n_q:
-            raise InputError(f"{where}, bands.{name}", f"{len(bands)} bands",
-                             f"{n_q}, one for each coordinate")  # fmt: skip
+            raise InputError(
+                f"{where}, bands.{name}", f"{len(bands)} bands", f"{n_q}, one for each coordinate"
+            )
 
 
 def judgement_in_header(header: Mapping[str, Any]) -> Judgement | None:

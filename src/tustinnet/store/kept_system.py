@@ -68,9 +68,11 @@ def require_copy_fits(
         digest = SystemFile(path, text).sha256.encode()
         if not any(digest in earlier.read_bytes() for earlier in replaced if earlier.is_file()):
             raise InputError(
-                path, f"another file than {file.path}, a copy of which is kept there",
-                "a new folder", "choose another place, or move that file away",
-            )  # fmt: skip
+                path,
+                f"another file than {file.path}, a copy of which is kept there",
+                "a new folder",
+                "choose another place, or move that file away",
+            )
 
 
 def find_system_copy(model: Path) -> SystemFile | None:

@@ -48,12 +48,20 @@ def read_search_log(folder: Path) -> list[dict[str, Any]]:
 
 
 _ITERATION: dict[str, Any] = {
-    "stage": str, "iteration": int, "cost": float | None, "damping": float | None, "initial": str,
-}  # fmt: skip
+    "stage": str,
+    "iteration": int,
+    "cost": float | None,
+    "damping": float | None,
+    "initial": str,
+}
 _STAGE: dict[str, Any] = {
-    "stage": str, "initial": str, "iterations": int, "cost": float | None, "why": str,
+    "stage": str,
+    "initial": str,
+    "iterations": int,
+    "cost": float | None,
+    "why": str,
     "parameters": dict,
-}  # fmt: skip
+}
 
 
 # a line has the report of an epoch; numbers that are not finite are null. Each member has a log of

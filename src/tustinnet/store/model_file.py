@@ -82,16 +82,20 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
     header, arrays = read_header_and_arrays(Path(path))
     if system is not None and not _systems_in(header, path):
         raise InputError(
-            f"system for {path}", f"not applicable to a model of kind '{header['kind']}'",
-            "a model of a system", "leave --system out",
-        )  # fmt: skip
+            f"system for {path}",
+            f"not applicable to a model of kind '{header['kind']}'",
+            "a model of a system",
+            "leave --system out",
+        )
     if system is None and kept_system.HEADER in header and _systems_in(header, path):
         system = copy = kept_system.find_system_copy(Path(path))
         if copy is not None and copy.is_code and not kept_system.is_trusted(copy):
             raise InputError(
-                path, f"a model of the system in {copy.path}, Python code that its run keeps",
-                "your consent", f"to run it, load_model(path, system={str(copy.path)!r})",
-            )  # fmt: skip
+                path,
+                f"a model of the system in {copy.path}, Python code that its run keeps",
+                "your consent",
+                f"to run it, load_model(path, system={str(copy.path)!r})",
+            )
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
 

@@ -32,9 +32,11 @@ def write_robot(
     robot, path = robot_in(model), Path(path)
     if robot is None:
         raise InputError(
-            "write_robot", "a model that was not made from a robot's file", "one that was",
+            "write_robot",
+            "a model that was not made from a robot's file",
+            "one that was",
             "fit with --system arm.urdf",
-        )  # fmt: skip
+        )
     equations, source = robot
     if path.suffix != source.path.suffix:
         raise InputError(path, f"ending '{path.suffix}'", f"'{source.path.suffix}' as of the robot")
@@ -42,9 +44,11 @@ def write_robot(
     values = {name: float(value) for name, value in equations.values.items()}
     if not values.keys() >= equations.system.nominal().keys():
         raise InputError(
-            "write_robot", "a model with values by group", "values of one group",
+            "write_robot",
+            "a model with values by group",
+            "values of one group",
             "take those of a record: model.for_record(record)",
-        )  # fmt: skip
+        )
     text, lacking = source.with_values(values)
     write_into(path.parent, path.name, text)
     return lacking

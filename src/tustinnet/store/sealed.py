@@ -65,8 +65,12 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         metadata = file.metadata() or {}
         # copied: a tensor may be a view into a mapping that is gone once the file is replaced
         arrays = {name: np.array(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    with convert_errors(path, "a safetensors file without a tustinnet header", f"a {kind} file",
-                  "give a file that tustinnet has written"):  # fmt: skip
+    with convert_errors(
+        path,
+        "a safetensors file without a tustinnet header",
+        f"a {kind} file",
+        "give a file that tustinnet has written",
+    ):
         header = json.loads(metadata[KEY])
         file_kind, version = str(header["kind"]), int(header["format"])
     if version > FORMAT:
@@ -82,9 +86,11 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
     seal = header.pop(SEAL, None)
     if not (seal is None and version <= _UNSEALED) and seal != _digest(header, arrays):
         raise InputError(
-            path, "changed since it was written (its SHA-256 is another one)", "the file as it was",
+            path,
+            "changed since it was written (its SHA-256 is another one)",
+            "the file as it was",
             remedy,
-        )  # fmt: skip
+        )
     return header, arrays
 
 

@@ -85,9 +85,11 @@ def require_same_specification(folder: Path, specification: Specification, model
             return
         difference = f"holds {_KINDS[before]} with another {', '.join(parts)}"
     raise InputError(
-        folder, difference, "for --resume the same recipe or plan, data and system",
+        folder,
+        difference,
+        "for --resume the same recipe or plan, data and system",
         "use the same, choose another --out, or discard what is there by --overwrite",
-    )  # fmt: skip
+    )
 
 
 def _kind(specification: Specification) -> str:

@@ -161,9 +161,11 @@ def load_system(which: AnySystem) -> LagrangianSystem:
     system = load_system_or_template(which)
     if isinstance(system, SystemTemplate):
         raise InputError(
-            f"system '{system.name}'", "made for the records that it is identified from",
-            "no --system", "a model file of it has all that is needed",
-        )  # fmt: skip
+            f"system '{system.name}'",
+            "made for the records that it is identified from",
+            "no --system",
+            "a model file of it has all that is needed",
+        )
     return system
 
 
@@ -267,9 +269,11 @@ def _errors_with_place(path: Path, function: str = "") -> Iterator[None]:
         remedy = tracing_remedy(error)
         problem = type(error).__name__ if remedy else describe_error(error)
         raise InputError(
-            path, f"{function}fails{_line_of(error, path)} with {problem}", "a file that runs",
+            path,
+            f"{function}fails{_line_of(error, path)} with {problem}",
+            "a file that runs",
             remedy or _REMEDY,
-        ) from error  # fmt: skip
+        ) from error
 
 
 def _line_of(error: BaseException | None, path: Path) -> str:

@@ -73,14 +73,18 @@ class Mechanism(SystemTemplate):
         coordinates, inputs = records[0].coordinates, records[0].inputs
         if len(coordinates) > _MOST:
             raise InputError(
-                f"system '{NAME}'", f"{len(coordinates)} coordinates", f"{_MOST} at most",
+                f"system '{NAME}'",
+                f"{len(coordinates)} coordinates",
+                f"{_MOST} at most",
                 "write the system down: docs/how-to/add-a-system.md",
-            )  # fmt: skip
+            )
         if at_rest := still_coordinates(records):
             raise InputError(
-                f"system '{NAME}', coordinate '{at_rest[0]}'", "never moves in the records",
-                "a coordinate that moves", "leave it out of the data card",
-            )  # fmt: skip
+                f"system '{NAME}', coordinate '{at_rest[0]}'",
+                "never moves in the records",
+                "a coordinate that moves",
+                "leave it out of the data card",
+            )
         v = [e.velocities() for e in records]
         a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
         size, input_size = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
@@ -136,9 +140,14 @@ class Mechanism(SystemTemplate):
         channels = tuple(coordinates), tuple(inputs)
         functions = _functions(*channels)
         return LagrangianSystem(
-            NAME, *channels, tuple(parameters), functions["kinetic"], functions["potential"],
-            functions["dissipation"], functions["input_map"],
-        )  # fmt: skip
+            NAME,
+            *channels,
+            tuple(parameters),
+            functions["kinetic"],
+            functions["potential"],
+            functions["dissipation"],
+            functions["input_map"],
+        )
 
 
 MECHANISM = Mechanism()
@@ -510,6 +519,8 @@ def _functions(
 ) -> dict[str, Callable[..., Any]]:
     """Energies and forces with the terms whose parameters they are given."""
     return {
-        "kinetic": _kinetic(coordinates), "potential": _potential(coordinates),
-        "dissipation": _dissipation(coordinates), "input_map": _input_map(coordinates, inputs),
-    }  # fmt: skip
+        "kinetic": _kinetic(coordinates),
+        "potential": _potential(coordinates),
+        "dissipation": _dissipation(coordinates),
+        "input_map": _input_map(coordinates, inputs),
+    }

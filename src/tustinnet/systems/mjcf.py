@@ -35,15 +35,27 @@ _MEMORY = 2**30  # bytes, for it
 _WORLD = 0  # the body that everything stands on
 # sections of a file that no equation of motion needs, and that may name files
 _UNUSED = (
-    "meshes", "hfields", "skins", "flexes", "materials", "textures", "sensors", "keys", "pairs",
-    "excludes", "cameras", "lights",
-)  # fmt: skip
+    "meshes",
+    "hfields",
+    "skins",
+    "flexes",
+    "materials",
+    "textures",
+    "sensors",
+    "keys",
+    "pairs",
+    "excludes",
+    "cameras",
+    "lights",
+)
 _READS_FILES = ("include", "model", "attach", "flexcomp", "plugin")
 # numbers of a compiled model that stand for forces without equations here, by what they are
 _UNSUPPORTED = {
-    "body_gravcomp": "gravity compensation", "dof_dampingpoly": "damping that is not linear",
-    "jnt_stiffnesspoly": "springs that are not linear", "actuator_damping": "damping of actuators",
-}  # fmt: skip
+    "body_gravcomp": "gravity compensation",
+    "dof_dampingpoly": "damping that is not linear",
+    "jnt_stiffnesspoly": "springs that are not linear",
+    "actuator_damping": "damping of actuators",
+}
 # of an actuator's gain and bias, by MuJoCo's numbers
 _FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS = 0, 0, 1
 # what MuJoCo says of a moving body without inertia, and its name
@@ -118,15 +130,19 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "mujoco":
         raise InputError(
-            where, f"the root element <{root.tag}>", "<mujoco>",
+            where,
+            f"the root element <{root.tag}>",
+            "<mujoco>",
             "a URDF file has the ending .urdf" if root.tag == "robot" else "is it a MJCF file?",
-        )  # fmt: skip
+        )
     for tag in _READS_FILES:
         if root.find(f".//{tag}") is not None:
             raise InputError(
-                where, f"<{tag}>, which stands for other files", _EXPECTED,
+                where,
+                f"<{tag}>, which stands for other files",
+                _EXPECTED,
                 "write its content into the file",
-            )  # fmt: skip
+            )
     mujoco = import_module("mujoco")  # no types are known
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         spec = mujoco.MjSpec.from_string(text)
@@ -138,9 +154,11 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
             if (massless := _MASSLESS.search(str(error))) is None:
                 raise
             raise InputError(
-                f"{where}, body '{massless[1]}'", "moves and has no inertia",
-                "mass, centre and inertia", f"{_ADD_INERTIA}, or shapes (<geom>)",
-            ) from None  # fmt: skip
+                f"{where}, body '{massless[1]}'",
+                "moves and has no inertia",
+                "mass, centre and inertia",
+                f"{_ADD_INERTIA}, or shapes (<geom>)",
+            ) from None
     has_shape = {body.name for body in spec.bodies if body.geoms}
     return asdict(_robot_of(mujoco, model, has_shape, where)), []
 
@@ -164,10 +182,11 @@ def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
             has_mass = geom.mass != 0 and geom.density != 0 and geom.group in groups
             if needs_shapes and has_mass:
                 raise InputError(
-                    f"{where}, body '{body.name}'", "no <inertial>: its inertia would be that of a "
-                    "mesh, which is not read", "mass, centre and inertia",
+                    f"{where}, body '{body.name}'",
+                    "no <inertial>: its inertia would be that of a mesh, which is not read",
+                    "mass, centre and inertia",
                     _ADD_INERTIA,
-                )  # fmt: skip
+                )
             spec.delete(geom)
     for name in _UNUSED:
         for element in list(getattr(spec, name, ())):
@@ -197,9 +216,18 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         rotation, position = _matrix(mujoco, model.body_quat[i]), model.body_pos[i].copy()
         first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
         if not count:
-            joints.append(RobotJoint(
-                body.name, "fixed", parent, body.name, rotation, position, np.zeros(3), np.zeros(3)
-            ))  # fmt: skip
+            joints.append(
+                RobotJoint(
+                    body.name,
+                    "fixed",
+                    parent,
+                    body.name,
+                    rotation,
+                    position,
+                    np.zeros(3),
+                    np.zeros(3),
+                )
+            )
         for k in range(first, first + count):
             is_last = k == first + count - 1
             child = body.name if is_last else f"{body.name}@{model.joint(k).name}"
@@ -211,9 +239,12 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
     has_gravity = not _is_disabled(mujoco, model, "GRAVITY")
     x, y, z = (float(g) * has_gravity for g in model.opt.gravity)
     return Robot(
-        _name_of(model) or "robot", tuple(links), tuple(joints), _actuators_of(model, where),
+        _name_of(model) or "robot",
+        tuple(links),
+        tuple(joints),
+        _actuators_of(model, where),
         (x, y, z),
-    )  # fmt: skip
+    )
 
 
 def _is_disabled(mujoco: Any, model: Any, name: str) -> bool:
@@ -241,27 +272,36 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
         which = f"'{name}'" if name else f"number {i + 1}, without a name"
         what = f"the equality constraint {which} ({called})"
         raise InputError(
-            where, f"a loop: {what}" if is_loop else what,
+            where,
+            f"a loop: {what}" if is_loop else what,
             "a tree, of joints that follow others at most",
-            "write a closed chain down: docs/how-to/add-a-system.md" if is_loop
+            "write a closed chain down: docs/how-to/add-a-system.md"
+            if is_loop
             else "write it as one of joints, or leave it out",
-        )  # fmt: skip
+        )
 
 
 def _joint_of(
-    mujoco: Any, model: Any, k: int, parent: str, child: str, rotation: np.ndarray,
-    position: np.ndarray, where: object,
-) -> RobotJoint:  # fmt: skip
+    mujoco: Any,
+    model: Any,
+    k: int,
+    parent: str,
+    child: str,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    where: object,
+) -> RobotJoint:
     """The joint of index k."""
     name, kind = model.joint(k).name, mujoco.mjtJoint(model.jnt_type[k])
     place = f"{where}, joint '{name}'"
     if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
         is_free = kind == mujoco.mjtJoint.mjJNT_FREE
         raise InputError(
-            place, "a free joint: the base floats" if is_free else "a ball joint",
+            place,
+            "a free joint: the base floats" if is_free else "a ball joint",
             "a base that stands, joints of the types hinge and slide",
             "leave it out" if is_free else "write it as three hinges",
-        )  # fmt: skip
+        )
     if not name:
         raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")
     dof, zero = int(model.jnt_dofadr[k]), float(model.qpos0[model.jnt_qposadr[k]])
@@ -269,8 +309,14 @@ def _joint_of(
         not _is_disabled(mujoco, model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
     return RobotJoint(
-        name, "angular" if kind == mujoco.mjtJoint.mjJNT_HINGE else "linear", parent, child,
-        rotation, position, without_rounding(model.jnt_axis[k]), model.jnt_pos[k].copy(),
+        name,
+        "angular" if kind == mujoco.mjtJoint.mjJNT_HINGE else "linear",
+        parent,
+        child,
+        rotation,
+        position,
+        without_rounding(model.jnt_axis[k]),
+        model.jnt_pos[k].copy(),
         zero=zero,
         mimic=_mimic_of(model, k, place),
         armature=float(model.dof_armature[dof]),
@@ -279,7 +325,7 @@ def _joint_of(
         stiffness=float(np.ravel(model.jnt_stiffness[k])[0]) * has_spring,
         spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
         range=_range_of(model.jnt_limited[k], model.jnt_range[k]),
-    )  # fmt: skip
+    )
 
 
 def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
@@ -288,9 +334,11 @@ def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
         other, (constant, slope, *higher) = int(model.eq_obj2id[i]), model.eq_data[i, :5].tolist()
         if other < 0 or any(higher):
             raise InputError(
-                place, f"the equality constraint '{model.equality(i).name}'",
-                "that it follows another joint at a fixed ratio", "lock it, or leave it out",
-            )  # fmt: skip
+                place,
+                f"the equality constraint '{model.equality(i).name}'",
+                "that it follows another joint at a fixed ratio",
+                "lock it, or leave it out",
+            )
         own, leading = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (k, other))
         return Mimic(model.joint(other).name, slope, own + constant - slope * leading)
     return None
@@ -310,19 +358,27 @@ def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
             or model.actuator_biastype[i] not in (_NO_BIAS, _AFFINE_BIAS)
         ):
             raise InputError(
-                place, "states of its own, or forces that are not linear",
+                place,
+                "states of its own, or forces that are not linear",
                 "a motor, or a servo without a lag",
-                "write it as a motor and add a lag: [model] forces = [\"lag\"]",
-            )  # fmt: skip
+                'write it as a motor and add a lag: [model] forces = ["lag"]',
+            )
         gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
         bias, by_position, by_speed = model.actuator_biasprm[i, :3].tolist()
         if model.actuator_biastype[i] == _NO_BIAS:
             bias = by_position = by_speed = 0.0
         joint_name = model.joint(joint).name
-        actuators.append(RobotActuator(
-            name or joint_name, joint_name, gear * gain, gear**2 * by_position,
-            gear**2 * by_speed, gear * bias, _largest_force(model, i, gear, gain),
-        ))  # fmt: skip
+        actuators.append(
+            RobotActuator(
+                name or joint_name,
+                joint_name,
+                gear * gain,
+                gear**2 * by_position,
+                gear**2 * by_speed,
+                gear * bias,
+                _largest_force(model, i, gear, gain),
+            )
+        )
     return tuple(actuators)
 
 
@@ -334,14 +390,18 @@ def _largest_force(model: Any, i: int, gear: float, gain: float) -> float | None
         (_range_of(model.jnt_actfrclimited[joint], model.jnt_actfrcrange[joint]), 1.0),
     ]
     if model.actuator_biastype[i] == _NO_BIAS:
-        ranges.append((_range_of(model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]),
-                       gear * gain))  # fmt: skip
+        ranges.append(
+            (_range_of(model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]), gear * gain)
+        )
     # a force that has one direction alone cannot move a joint to and fro
     return min(
-        (abs(factor) * min(-ends[0], ends[1])
-         for ends, factor in ranges if ends is not None and ends[0] < 0 < ends[1]),
+        (
+            abs(factor) * min(-ends[0], ends[1])
+            for ends, factor in ranges
+            if ends is not None and ends[0] < 0 < ends[1]
+        ),
         default=None,
-    )  # fmt: skip
+    )
 
 
 def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:

@@ -204,9 +204,11 @@ def parse_xml(text: str, where: object, expected: str) -> ET.Element:
 
     def refuse(*_: object) -> None:
         raise InputError(
-            where, "a document type (<!DOCTYPE ...>), which may declare entities",
-            f"{expected} without one", "entities are never read: write what they stand for",
-        )  # fmt: skip
+            where,
+            "a document type (<!DOCTYPE ...>), which may declare entities",
+            f"{expected} without one",
+            "entities are never read: write what they stand for",
+        )
 
     parser, tree = expat.ParserCreate(), ET.TreeBuilder()
     parser.StartDoctypeDeclHandler = refuse

@@ -213,8 +213,10 @@ class RobotEquations:
             at_rest = 1.0 - jnp.tanh(v[k] / width) ** 2
             remaining.append(total[k] - at_rest * jnp.clip(total[k], -level, level))
         links = self.chain.mass_matrix(q, p)
-        motors = [p[f"{name}.armature"] if k in self.elastic else 0.0 * q[k]
-                  for k, name in enumerate(self.joints)]  # fmt: skip
+        motors = [
+            p[f"{name}.armature"] if k in self.elastic else 0.0 * q[k]
+            for k, name in enumerate(self.joints)
+        ]
         acceleration = solve_positive(links + jnp.diag(jnp.stack(motors)), jnp.stack(remaining))
         return links @ acceleration - on_links
 

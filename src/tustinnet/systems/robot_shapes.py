@@ -31,9 +31,11 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
     where = file.path
     if where.suffix != ".urdf":
         raise InputError(
-            "default density", f"not applicable to {where.name}", "a URDF file",
-            "in MuJoCo's format shapes have a density of their own: <geom density=\"...\"/>",
-        )  # fmt: skip
+            "default density",
+            f"not applicable to {where.name}",
+            "a URDF file",
+            'in MuJoCo\'s format shapes have a density of their own: <geom density="..."/>',
+        )
     if not 0 < density <= _DENSEST:
         raise InputError(
             "default density", f"{density:g} kg/m^3", f"above 0 and at most {_DENSEST:g}"
@@ -49,10 +51,11 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
             inertias[own.name] = join_inertias([_inertia_of(s, density, place) for s in shapes])
     if not inertias:
         raise InputError(
-            "default density", f"not applicable to {where.name}",
+            "default density",
+            f"not applicable to {where.name}",
             "a link that a joint carries, with a shape and without an inertia",
             "leave it out: every link has its inertia",
-        )  # fmt: skip
+        )
     text = write_urdf(file.text, inertias, {})
     return replace(file, text=text, default_density=density)
 
@@ -64,9 +67,11 @@ def _inertia_of(element: ET.Element, density: float, place: str) -> LinkInertia:
     if shape is None or shape.tag not in _SHAPES:
         what = "no shape" if shape is None else f"the shape is a <{shape.tag}>, which is not read"
         raise InputError(
-            place, f"no inertia, and {what}", f"one of {', '.join(_SHAPES)}",
+            place,
+            f"no inertia, and {what}",
+            f"one of {', '.join(_SHAPES)}",
             "give it an <inertial>, or a <collision> of such a shape",
-        )  # fmt: skip
+        )
     volume, moments = _solid(shape, place)
     rotation, center = read_origin(element, place)
     mass = density * volume

@@ -206,22 +206,27 @@ def write_mjcf(
     for element in written.elements:
         if element.tag == "compiler" and element.attributes.get("inertiafromgeom") == "true":
             raise InputError(
-                where, 'inertiafromgeom="true": inertias in the file do not count',
-                'inertiafromgeom="auto"', "change it there, or leave it out",
-            )  # fmt: skip
+                where,
+                'inertiafromgeom="true": inertias in the file do not count',
+                'inertiafromgeom="auto"',
+                "change it there, or leave it out",
+            )
     for name, inertia in links.items():
         element = written.named("body", name)
         assert element is not None
         if inertia is None:
             raise InputError(
-                f"{where}, body '{name}'", "what it is fixed to weighs less than both by the file",
-                "bodies that weigh less", "give it its true inertia, and identify again",
-            )  # fmt: skip
+                f"{where}, body '{name}'",
+                "what it is fixed to weighs less than both by the file",
+                "bodies that weigh less",
+                "give it its true inertia, and identify again",
+            )
         t = inertia.tensor
         values = {
-            "pos": _numbers(*inertia.center), "mass": _numbers(inertia.mass),
+            "pos": _numbers(*inertia.center),
+            "mass": _numbers(inertia.mass),
             "fullinertia": _numbers(t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]),
-        }  # fmt: skip
+        }
         if (inertial := element.child("inertial")) is None:
             written.add(element, _tag("inertial", values))
         else:
@@ -230,9 +235,11 @@ def write_mjcf(
         element = written.named("joint", name)
         assert element is not None
         given = {
-            "damping": joint.viscous, "frictionloss": joint.coulomb,
-            "armature": joint.armature, "stiffness": joint.stiffness,
-        }  # fmt: skip
+            "damping": joint.viscous,
+            "frictionloss": joint.coulomb,
+            "armature": joint.armature,
+            "stiffness": joint.stiffness,
+        }
         known = {key: _numbers(x) for key, x in given.items() if x is not None}
         if known:
             written.set(element, known)

@@ -148,9 +148,11 @@ def load_robot(
         friction = (friction,)
     if unknown := [name for name in friction if name not in FRICTIONS]:
         raise InputError(
-            path, f"friction '{unknown[0]}'", f"one of {_list(FRICTIONS)}",
+            path,
+            f"friction '{unknown[0]}'",
+            f"one of {_list(FRICTIONS)}",
             "viscous and Coulomb friction are always there",
-        )  # fmt: skip
+        )
     chosen = tuple(name for name in FRICTIONS if name in friction)
     for joint, side in encoders.items():
         of_joint = f" of '{joint}'" if joint else ""
@@ -158,15 +160,25 @@ def load_robot(
             raise InputError(path, f"encoders{of_joint}: {side!r}", "'motor' or 'link'")
         if joint not in (elastic or {}) and encoders != {"": "link"}:
             raise InputError(
-                path, f"encoders{of_joint}: {side!r}, and no elastic gear there",
+                path,
+                f"encoders{of_joint}: {side!r}, and no elastic gear there",
                 f"one of {_list([*elastic])}" if elastic else "joints with elastic gears",
                 "give it a stiffness by elastic=; behind a rigid gear both encoders read alike",
-            )  # fmt: skip
+            )
     at_motor = tuple(sorted(joint for joint, side in encoders.items() if side == "motor"))
     robot = RobotFile(
-        file.text, file.path, positions, constants, groups, chosen, springs, gaps, at_motor,
-        default_density, _require_ranges(path, ranges),
-    )  # fmt: skip
+        file.text,
+        file.path,
+        positions,
+        constants,
+        groups,
+        chosen,
+        springs,
+        gaps,
+        at_motor,
+        default_density,
+        _require_ranges(path, ranges),
+    )
     return robot.load()
 
 
@@ -261,12 +273,16 @@ class RobotFile(ChannelSource):
                 link, and the list of frictions, is added to theirs.
         """
         options: dict[str, object] = {
-            "locked": dict(self.locked), "motor_constants": dict(self.motor_constants),
-            "per": dict(self.per), "friction": [*self.friction], "elastic": dict(self.elastic),
-            "backlash": dict(self.backlash), "encoders": dict.fromkeys(self.at_motor, "motor"),
+            "locked": dict(self.locked),
+            "motor_constants": dict(self.motor_constants),
+            "per": dict(self.per),
+            "friction": [*self.friction],
+            "elastic": dict(self.elastic),
+            "backlash": dict(self.backlash),
+            "encoders": dict.fromkeys(self.at_motor, "motor"),
             "default_density": self.default_density,
             "ranges": dict(self.ranges),
-        }  # fmt: skip
+        }
         for name, value in more.items():
             own = options[name]
             if isinstance(own, dict) and isinstance(value, Mapping):
@@ -315,9 +331,16 @@ class RobotFile(ChannelSource):
     def _assembly(self) -> "_Assembly":
         constants, per = dict(self.motor_constants), dict(self.per)
         return _Assembly(
-            read_robot(self.text, self.path), self.path, dict(self.locked), constants, per,
-            self.friction, dict(self.elastic), dict(self.backlash), self.at_motor,
-        )  # fmt: skip
+            read_robot(self.text, self.path),
+            self.path,
+            dict(self.locked),
+            constants,
+            per,
+            self.friction,
+            dict(self.elastic),
+            dict(self.backlash),
+            self.at_motor,
+        )
 
 
 def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile] | None:
@@ -414,9 +437,11 @@ class _Assembly:
         ):
             if unknown := [name for name in names if name not in possible]:
                 raise InputError(
-                    path, f"{option}: the joint '{unknown[0]}'",
-                    f"a joint that {why}", f"there are: {_list(possible)}",
-                )  # fmt: skip
+                    path,
+                    f"{option}: the joint '{unknown[0]}'",
+                    f"a joint that {why}",
+                    f"there are: {_list(possible)}",
+                )
         self.coordinates = tuple(
             Coordinate(name, "angular" if self.joints[name].kind == "angular" else "linear")
             for name in self.free
@@ -468,13 +493,15 @@ class _Assembly:
         if self.robot.actuators is not None:
             silent = [x.name for k, x in enumerate(self.inputs) if k not in drives]
             if silent:
-                mismatches.append(_Mismatch(
-                    f"no input of the actuator{'s' * (len(silent) > 1)} "
-                    f"{', '.join(map(repr, silent))} of {self.path.name}",
-                    f"inputs {_list([i.name for i in self.inputs])}",
-                    f"add {'it' if len(silent) == 1 else 'them'} to the card, or take "
-                    f"{'it' if len(silent) == 1 else 'them'} out of the file",
-                ))  # fmt: skip
+                mismatches.append(
+                    _Mismatch(
+                        f"no input of the actuator{'s' * (len(silent) > 1)} "
+                        f"{', '.join(map(repr, silent))} of {self.path.name}",
+                        f"inputs {_list([i.name for i in self.inputs])}",
+                        f"add {'it' if len(silent) == 1 else 'them'} to the card, or take "
+                        f"{'it' if len(silent) == 1 else 'them'} out of the file",
+                    )
+                )
         if mismatches:
             raise _mismatch_error(mismatches, where, source)
         matched = [k for k in drives if k is not None]
@@ -501,29 +528,36 @@ class _Assembly:
                 _Mismatch("", "", f"rename the coordinate '{b}' to '{a}'") for a, b in meant.items()
             ]
             absent = {name: 0.0 for name in missing if name not in meant}
-            mismatches.append(_Mismatch(
-                f"no coordinate of {_joints(missing)} of {file}{also}",
-                f"coordinates {_list(self.free)}",
-                "add them to the card, or lock them" if absent else "",
-                {"locked": absent} if absent else {},
-            ))  # fmt: skip
+            mismatches.append(
+                _Mismatch(
+                    f"no coordinate of {_joints(missing)} of {file}{also}",
+                    f"coordinates {_list(self.free)}",
+                    "add them to the card, or lock them" if absent else "",
+                    {"locked": absent} if absent else {},
+                )
+            )
             unknown = [name for name in unknown[1:] if name not in meant.values()]
         for name in unknown:
             follows = name in {*self.moved_by, *self.locked}
             problem = "does not move by itself" if follows else "is not there"
-            mismatches.append(_Mismatch(
-                f"coordinate '{name}': such a joint {problem} in {file}",
-                f"coordinates {_list(self.free)}",
-                "a coordinate of the card has the name of its joint",
-            ))  # fmt: skip
+            mismatches.append(
+                _Mismatch(
+                    f"coordinate '{name}': such a joint {problem} in {file}",
+                    f"coordinates {_list(self.free)}",
+                    "a coordinate of the card has the name of its joint",
+                )
+            )
         for c in coordinates:
             own = self.joints[c.name].kind if c.name in self.free else c.kind
             if c.kind != own:
                 moves = "turns" if own == "angular" else "slides"
-                mismatches.append(_Mismatch(
-                    f"coordinate '{c.name}' is {c.kind}, and the joint {moves}",
-                    f'kind = "{own}"', "the kind of a coordinate is that of its joint",
-                ))  # fmt: skip
+                mismatches.append(
+                    _Mismatch(
+                        f"coordinate '{c.name}' is {c.kind}, and the joint {moves}",
+                        f'kind = "{own}"',
+                        "the kind of a coordinate is that of its joint",
+                    )
+                )
         return mismatches
 
     def _find_drive(self, i: Input) -> int | None:
@@ -541,22 +575,28 @@ class _Assembly:
         """Mismatches between an input of a card and the actuator that it is that of."""
         if k is None:
             near = _nearest(i.name, [own.name for own in self.inputs])
-            return [_Mismatch(
-                f"input '{i.name}': no such actuator in {self.path.name}",
-                f"inputs {_list([own.name for own in self.inputs])}",
-                f"rename the input '{i.name}' to '{near}'" if near
-                else "the name of an actuator, or one that holds the name of the joint",
-            )]  # fmt: skip
+            return [
+                _Mismatch(
+                    f"input '{i.name}': no such actuator in {self.path.name}",
+                    f"inputs {_list([own.name for own in self.inputs])}",
+                    f"rename the input '{i.name}' to '{near}'"
+                    if near
+                    else "the name of an actuator, or one that holds the name of the joint",
+                )
+            ]
         own, drive, mismatches = self.inputs[k], self.drives[k], []
         if drives.count(k) > 1:
             mismatches.append(_Mismatch(f"two inputs at '{own.name}'", "one", i.name))
         if own.unit != ANY_UNIT and not _is_same_unit(i.unit, own.unit):
             is_current = _is_same_unit(i.unit, "A")
-            mismatches.append(_Mismatch(
-                f"input '{i.name}' in {i.unit}", own.unit,
-                "a current needs a gain" if is_current else "convert it in the card by `scale`",
-                {"motor_constants": {drive.joint: ...}} if is_current else {},
-            ))  # fmt: skip
+            mismatches.append(
+                _Mismatch(
+                    f"input '{i.name}' in {i.unit}",
+                    own.unit,
+                    "a current needs a gain" if is_current else "convert it in the card by `scale`",
+                    {"motor_constants": {drive.joint: ...}} if is_current else {},
+                )
+            )
         return mismatches
 
     def observe(self, records: Sequence[Experiment]) -> None:
@@ -621,11 +661,12 @@ class _Assembly:
                 self.carried.append([])
                 if link.inertia is None and not link.is_frame:
                     raise InputError(
-                        f"{self.path}, link '{link.name}'", f"moves by the joint '{joint.name}' "
-                        "and has no inertia", "mass, centre and inertia",
+                        f"{self.path}, link '{link.name}'",
+                        f"moves by the joint '{joint.name}' and has no inertia",
+                        "mass, centre and inertia",
                         "give it an <inertial>, or all such links that of their shapes by "
                         "--default-density",
-                    )  # fmt: skip
+                    )
             elif joint.name in self.locked:
                 frame = frame @ _motion(joint, self.locked[joint.name])
             places[joint.child] = owner, frame
@@ -710,13 +751,20 @@ class _Assembly:
         """Adds the body that a joint carries; its frame is at the joint."""
         if any(body.name == joint.child for body in self.bodies):
             raise InputError(self.path, f"two links '{joint.child}'", "names that differ")
-        self.bodies.append(Body(
-            joint.child, parent, "angular" if joint.kind == "angular" else "linear",
-            _vector(joint.axis), _rows(frame.rotation),
-            _vector(frame.position + frame.rotation @ joint.anchor),
-            self.free.index(mover.joint), mover.ratio, mover.offset - joint.zero,
-            _vector(joint.anchor),
-        ))  # fmt: skip
+        self.bodies.append(
+            Body(
+                joint.child,
+                parent,
+                "angular" if joint.kind == "angular" else "linear",
+                _vector(joint.axis),
+                _rows(frame.rotation),
+                _vector(frame.position + frame.rotation @ joint.anchor),
+                self.free.index(mover.joint),
+                mover.ratio,
+                mover.offset - joint.zero,
+                _vector(joint.anchor),
+            )
+        )
         self.body_joints.append(joint)
         return len(self.bodies) - 1
 
@@ -764,19 +812,31 @@ class _Assembly:
         for k in range(len(self.free)):
             parameters += self._joint_parameters(k)
         parameters += [
-            Parameter(f"{joint}.motor_constant", f"{_force_unit(self.joints[joint])}/A", value,
-                      value / _MASS, value * _MASS, fixed=True)
+            Parameter(
+                f"{joint}.motor_constant",
+                f"{_force_unit(self.joints[joint])}/A",
+                value,
+                value / _MASS,
+                value * _MASS,
+                fixed=True,
+            )
             for joint, value in self.motor_constants.items()
-        ]  # fmt: skip
+        ]
         elastic, backlash, at_motor = (
             tuple(k for k, name in enumerate(self.free) if name in names)
             for names in (self.elastic, self.backlash, self.at_motor)
         )
         equations = RobotEquations(
-            chain, tuple(self.free), tuple(self.drives), self._springs(), self._frictions(),
-            elastic, backlash, at_motor,
+            chain,
+            tuple(self.free),
+            tuple(self.drives),
+            self._springs(),
+            self._frictions(),
+            elastic,
+            backlash,
+            at_motor,
             tuple(self.joints[n].effort or self._scale(k)[1] for k, n in enumerate(self.free)),
-        )  # fmt: skip
+        )
         return LagrangianSystem(
             name=self.robot.name,
             coordinates=self.coordinates,
@@ -848,12 +908,14 @@ class _Assembly:
                 effort_basis = "the largest force in the records, as the file has none"
             speed = speed or motion.speed
         largest_damping, damping_basis = max(
-            (effort / speed if speed else 0.0,
-             f"{effort:.3g} by the largest speed {speed or 0.0:.3g}, where {effort:.3g} is "
-             + effort_basis),
+            (
+                effort / speed if speed else 0.0,
+                f"{effort:.3g} by the largest speed {speed or 0.0:.3g}, where {effort:.3g} is "
+                + effort_basis,
+            ),
             (_DAMPING * inertia, f"{_DAMPING:g} times the inertia that it moves by the file"),
             (_MASS * viscous, f"{_MASS:g} times the value in the file"),
-        )  # fmt: skip
+        )
         alike = [i for i, c in enumerate(self.coordinates) if c.kind == joint.kind]
         # gears make the inertia of a small motor larger than that of the links that it moves
         heaviest = max(self._scale(i)[0] for i in alike)
@@ -863,21 +925,36 @@ class _Assembly:
         speed_unit = "rad/s" if joint.kind == "angular" else "m/s"
         parameters = [
             self._motor_inertia(name, unit, armature, largest_armature),
-            _weak(f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping,
-                  damping_basis),
+            _weak(
+                f"{name}.viscous", f"{kind} {per_speed}", viscous, largest_damping, damping_basis
+            ),
             _weak(f"{name}.coulomb", kind, coulomb, max(effort, _MASS * coulomb), effort_basis),
-            Parameter(f"{name}.coulomb_speed", speed_unit, width, width / 100, 100 * width,
-                      fixed=True),
-            Parameter(f"{name}.offset", kind, 0.0, -effort, effort, prior=_SHARE * effort,
-                      basis=effort_basis),
-        ]  # fmt: skip
+            Parameter(
+                f"{name}.coulomb_speed", speed_unit, width, width / 100, 100 * width, fixed=True
+            ),
+            Parameter(
+                f"{name}.offset",
+                kind,
+                0.0,
+                -effort,
+                effort,
+                prior=_SHARE * effort,
+                basis=effort_basis,
+            ),
+        ]
         if "stribeck" in self.friction:
             slow = _STRIBECK * width
             parameters += [
                 _weak(f"{name}.breakaway", kind, 0.0, max(effort, _MASS * coulomb)),
-                Parameter(f"{name}.stribeck_speed", speed_unit, slow, slow / _STRIBECK_RANGE,
-                          slow * _STRIBECK_RANGE, prior=slow),
-            ]  # fmt: skip
+                Parameter(
+                    f"{name}.stribeck_speed",
+                    speed_unit,
+                    slow,
+                    slow / _STRIBECK_RANGE,
+                    slow * _STRIBECK_RANGE,
+                    prior=slow,
+                ),
+            ]
         if "load" in self.friction:
             parameters.append(_weak(f"{name}.load_friction", "1", 0.0, LARGEST_LOAD_SHARE))
         if "curve" in self.friction:
@@ -888,28 +965,55 @@ class _Assembly:
         if (stiffness := self.elastic.get(name)) is not None:
             damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))
             parameters += [
-                Parameter(f"{name}.gear_stiffness", _stiffness_unit(joint), stiffness,
-                          stiffness / _GEAR, stiffness * _GEAR),
-                Parameter(f"{name}.gear_damping", f"{kind} {per_speed}", damping, 0.0,
-                          10 * damping / _LIGHTLY),
-            ]  # fmt: skip
+                Parameter(
+                    f"{name}.gear_stiffness",
+                    _stiffness_unit(joint),
+                    stiffness,
+                    stiffness / _GEAR,
+                    stiffness * _GEAR,
+                ),
+                Parameter(
+                    f"{name}.gear_damping",
+                    f"{kind} {per_speed}",
+                    damping,
+                    0.0,
+                    10 * damping / _LIGHTLY,
+                ),
+            ]
         if (gap := self.backlash.get(name)) is not None:
-            parameters.append(Parameter(
-                f"{name}.backlash", "rad" if joint.kind == "angular" else "m", gap, 0.0, _GEAR * gap
-            ))  # fmt: skip
+            parameters.append(
+                Parameter(
+                    f"{name}.backlash",
+                    "rad" if joint.kind == "angular" else "m",
+                    gap,
+                    0.0,
+                    _GEAR * gap,
+                )
+            )
         for j, _ in own:
             if j.stiffness:
-                parameters.append(Parameter(
-                    f"{j.name}.stiffness", _stiffness_unit(j), j.stiffness, j.stiffness / _MASS,
-                    j.stiffness * _MASS, prior=_SHARE * j.stiffness,
-                ))  # fmt: skip
+                parameters.append(
+                    Parameter(
+                        f"{j.name}.stiffness",
+                        _stiffness_unit(j),
+                        j.stiffness,
+                        j.stiffness / _MASS,
+                        j.stiffness * _MASS,
+                        prior=_SHARE * j.stiffness,
+                    )
+                )
         return parameters
 
     def _motor_inertia(self, name: str, unit: str, armature: float, largest: float) -> Parameter:
         """The armature of a joint; behind an elastic gear it moves by itself, so it is not 0."""
         if name not in self.elastic:
-            return _weak(f"{name}.armature", unit, armature, largest,
-                         "some times the inertia that it moves by the file")  # fmt: skip
+            return _weak(
+                f"{name}.armature",
+                unit,
+                armature,
+                largest,
+                "some times the inertia that it moves by the file",
+            )
         nominal = armature or _SHARE * largest / _GEARED
         # no prior holds it, and with a bound that is too low stiffnesses make up for it
         most = max(_GEAR * largest, 2 * nominal)
@@ -998,14 +1102,25 @@ class _Assembly:
                 unit = "A"
             inputs.append(Input(actuator.name if actuator else f"{name}_{word}", unit))
             constant = f"{name}.motor_constant" if has_motor else None
-            drives.append(Drive(name, self.free.index(mover.joint), mover.ratio, mover.offset,
-                                constant, gain, *terms, largest))  # fmt: skip
+            drives.append(
+                Drive(
+                    name,
+                    self.free.index(mover.joint),
+                    mover.ratio,
+                    mover.offset,
+                    constant,
+                    gain,
+                    *terms,
+                    largest,
+                )
+            )
         for name in self.motor_constants:
             if name not in [joint for _, joint in actuators]:
                 raise InputError(
-                    self.path, f"motor_constants: the joint '{name}' has no actuator",
+                    self.path,
+                    f"motor_constants: the joint '{name}' has no actuator",
                     f"one of {_list([joint for _, joint in actuators])}",
-                )  # fmt: skip
+                )
         return tuple(inputs), drives
 
     def _drawn_links(self) -> tuple[Link, ...]:
@@ -1068,9 +1183,10 @@ def _mismatch_error(
     problems, expected = (
         separator.join(dict.fromkeys(filter(None, parts)))
         for separator, parts in (
-            ("; ", [m.problem for m in mismatches]), (", and ", [m.expected for m in mismatches])
+            ("; ", [m.problem for m in mismatches]),
+            (", and ", [m.expected for m in mismatches]),
         )
-    )  # fmt: skip
+    )
     in_order = sorted(mismatches, key=lambda m: bool(m.options))  # those of the system file last
     remedy = "; ".join(dict.fromkeys(m.remedy for m in in_order if m.remedy))
     options: dict[str, dict[str, object]] = {}
@@ -1097,16 +1213,18 @@ def _with_ranges(parameters: Sequence[Parameter], source: RobotFile) -> tuple[Pa
             near = difflib.get_close_matches(name, free, 3, 0.3)
             is_fixed = any(p.name == name for p in parameters)
             raise InputError(
-                place, f"the parameter '{name}' is fixed" if is_fixed else f"no parameter '{name}'",
+                place,
+                f"the parameter '{name}' is fixed" if is_fixed else f"no parameter '{name}'",
                 "a parameter that is searched for" + (f", as {', '.join(near)}" if near else ""),
-            )  # fmt: skip
+            )
         if free[name].lower > 0 >= lower:
             raise InputError(place, f"'{name}' from {lower:g} on", "a range above 0")
     return tuple(
         replace(p, lower=ranges[p.name][0], upper=ranges[p.name][1], basis="`ranges` of load_robot")
-        if p.name in ranges else p
+        if p.name in ranges
+        else p
         for p in parameters
-    )  # fmt: skip
+    )
 
 
 def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
@@ -1177,9 +1295,11 @@ def _require_ranges(
             lower = upper = np.nan
         if not (np.isfinite([lower, upper]).all() and lower < upper):
             raise InputError(
-                path, f"ranges: {ends!r} for '{name}'",
-                "two numbers, the smaller one first", f"ranges={{'{name}': (0.0, 1.0)}}",
-            )  # fmt: skip
+                path,
+                f"ranges: {ends!r} for '{name}'",
+                "two numbers, the smaller one first",
+                f"ranges={{'{name}': (0.0, 1.0)}}",
+            )
         checked.append((name, (lower, upper)))
     return tuple(sorted(checked))
 

@@ -249,10 +249,16 @@ def log_runs(
         v[:_LEAD] = v[n - _TRAIL :] = 0.0
         records.append(
             Experiment(
-                name=run.name, t=times[:n], q=q, u=run.u, v=v, channels=channels,
-                split=run.split, source="simulated",
+                name=run.name,
+                t=times[:n],
+                q=q,
+                u=run.u,
+                v=v,
+                channels=channels,
+                split=run.split,
+                source="simulated",
             )
-        )  # fmt: skip
+        )
     return tuple(records)
 
 

@@ -27,8 +27,11 @@ from tustinnet.systems.robot import (
 
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2]; z is up in a URDF
 _KINDS: dict[str, JointKind] = {
-    "revolute": "angular", "continuous": "angular", "prismatic": "linear", "fixed": "fixed",
-}  # fmt: skip
+    "revolute": "angular",
+    "continuous": "angular",
+    "prismatic": "linear",
+    "fixed": "fixed",
+}
 _EXPECTED = "a URDF file"
 _LARGEST = 1e6  # numbers in a file, in SI units
 
@@ -47,10 +50,13 @@ def read_urdf(text: str, where: object) -> Robot:
     root = parse_xml(text, where, _EXPECTED)
     if root.tag != "robot":
         raise InputError(
-            where, f"the root element <{root.tag}>", "<robot>",
-            "a file in MuJoCo's format has the ending .xml" if root.tag == "mujoco"
+            where,
+            f"the root element <{root.tag}>",
+            "<robot>",
+            "a file in MuJoCo's format has the ending .xml"
+            if root.tag == "mujoco"
             else "is it a URDF file?",
-        )  # fmt: skip
+        )
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(where, "macros of xacro", _EXPECTED, f"run xacro {where} > arm.urdf")
     links: dict[str, RobotLink] = {}
@@ -67,9 +73,10 @@ def read_urdf(text: str, where: object) -> Robot:
         for end in (joint.parent, joint.child):
             if end not in links:
                 raise InputError(
-                    f"{where}, joint '{joint.name}'", f"no link '{end}'",
+                    f"{where}, joint '{joint.name}'",
+                    f"no link '{end}'",
                     f"one of {', '.join(links) or 'some links'}",
-                )  # fmt: skip
+                )
         joints[joint.name] = joint
     require_few_joints(sum(joint.kind != "fixed" for joint in joints.values()), where)
     ordered = _sort_tree(links, joints.values(), where)
@@ -94,10 +101,12 @@ def _sort_tree(
     for joint in joints:
         if joint.child in by_child:
             raise InputError(
-                where, f"a loop: the joints '{by_child[joint.child].name}' and '{joint.name}' both "
-                f"carry the link '{joint.child}'", "a tree: one joint for each link",
+                where,
+                f"a loop: the joints '{by_child[joint.child].name}' and '{joint.name}' both "
+                f"carry the link '{joint.child}'",
+                "a tree: one joint for each link",
                 "write a closed chain down: docs/how-to/add-a-system.md",
-            )  # fmt: skip
+            )
         by_child[joint.child] = joint
     roots = [name for name in links if name not in by_child]
     placed, ordered = set(roots[:1]), []
@@ -110,9 +119,11 @@ def _sort_tree(
     if len(roots) > 1:
         names = ", ".join(f"'{name}'" for name in roots)
         raise InputError(
-            where, f"links that no joint carries: {names}", "one, the base",
+            where,
+            f"links that no joint carries: {names}",
+            "one, the base",
             "fix all but one to the base by joints",
-        )  # fmt: skip
+        )
     if remaining or not roots:
         names = ", ".join(f"'{joint.name}'" for joint in remaining)
         problem = f"a loop: the joints {names} carry one another" if remaining else "no links"
@@ -157,11 +168,15 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     place, kind = f"{where}, joint '{name}'", element.get("type", "")
     if kind not in _KINDS:
         raise InputError(
-            place, f"the type '{kind}'", f"one of {', '.join(_KINDS)}",
+            place,
+            f"the type '{kind}'",
+            f"one of {', '.join(_KINDS)}",
             "make it of several joints, or fix it",
-        )  # fmt: skip
-    ends = [end.get("link", "") if (end := element.find(tag)) is not None else ""
-            for tag in ("parent", "child")]  # fmt: skip
+        )
+    ends = [
+        end.get("link", "") if (end := element.find(tag)) is not None else ""
+        for tag in ("parent", "child")
+    ]
     if not all(ends):
         raise InputError(place, "no parent or no child", '<parent link="A"/> and <child link="B"/>')
     rotation, position = read_origin(element, place)
@@ -177,17 +192,27 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     )
     parent, child = ends
     return RobotJoint(
-        name, _KINDS[kind], parent, child, rotation, position,
-        axis / (np.linalg.norm(axis) or 1.0), np.zeros(3),
-        mimic=None if mimic is None else Mimic(
+        name,
+        _KINDS[kind],
+        parent,
+        child,
+        rotation,
+        position,
+        axis / (np.linalg.norm(axis) or 1.0),
+        np.zeros(3),
+        mimic=None
+        if mimic is None
+        else Mimic(
             mimic.get("joint", ""),
             _number(mimic, "multiplier", "1", place),
             _number(mimic, "offset", "0", place),
         ),
-        viscous=viscous, coulomb=coulomb,
-        effort=effort if effort > 0 else None, speed=speed if speed > 0 else None,
+        viscous=viscous,
+        coulomb=coulomb,
+        effort=effort if effort > 0 else None,
+        speed=speed if speed > 0 else None,
         range=(lower, upper) if lower != upper and kind != "continuous" else None,
-    )  # fmt: skip
+    )
 
 
 def _read_transmissions(
@@ -204,17 +229,21 @@ def _read_transmissions(
         place = f"{where}, transmission '{element.get('name', '')}'"
         if not joint:
             raise InputError(
-                place, "no joint that it drives", '<joint name="...">',
+                place,
+                "no joint that it drives",
+                '<joint name="...">',
                 "write one of several joints as one for each, or leave it out",
-            )  # fmt: skip
+            )
         if joint not in joints:
             raise InputError(place, f"no joint '{joint}'", f"one of {', '.join(joints)}")
         name = ("" if actuator is None else actuator.get("name", "")) or joint
         if other := [own.joint for own in actuators if own.name == name]:
             raise InputError(
-                place, f"the actuator '{name}' at '{joint}', which is at '{other[0]}' already",
-                "a joint for each actuator", "leave out all but one of its transmissions",
-            )  # fmt: skip
+                place,
+                f"the actuator '{name}' at '{joint}', which is at '{other[0]}' already",
+                "a joint for each actuator",
+                "leave out all but one of its transmissions",
+            )
         actuators.append(RobotActuator(name, joint))
     return tuple(actuators)
 

@@ -105,8 +105,10 @@ def test_frozen_arrays_are_bit_identical_after_the_second_stage_and_the_others_m
     model, _, _, states = whole
     begun = next(s.weights.model for s, p in states if p[0].stage == 1)
     before, after = begun.network, model.network
-    assert same_bits((before.stem, before.hidden[0], before.scaling),
-                     (after.stem, after.hidden[0], after.scaling))  # fmt: skip
+    assert same_bits(
+        (before.stem, before.hidden[0], before.scaling),
+        (after.stem, after.hidden[0], after.scaling),
+    )
     assert not same_bits(before.hidden[1], after.hidden[1])
     assert not same_bits(before.output, after.output)
 
@@ -187,8 +189,13 @@ def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
 @pytest.fixture(scope="module")
 def decaying(prepared) -> TrainingPlan:
     """Two members whose rate decays and whose last epochs are kept; several compiled calls."""
-    changes = {"stages.0.epochs": 12, "stages.1.epochs": 7, "stages.*.decay": "cosine",
-               "stages.*.keep": "last", "stages.*.averaging": 0.9}  # fmt: skip
+    changes = {
+        "stages.0.epochs": 12,
+        "stages.1.epochs": 7,
+        "stages.*.decay": "cosine",
+        "stages.*.keep": "last",
+        "stages.*.averaging": 0.9,
+    }
     plain = prepared.recipe.with_stages(plateau=None)
     return plan_of(tn.read_recipe(plain, [f"{key}={value}" for key, value in changes.items()]))
 
@@ -337,10 +344,16 @@ def test_windows_shared_among_devices_train_like_windows_on_one(longer):
 @pytest.mark.parametrize(
     ("members", "batch", "devices", "shape"),
     [
-        (1, 32, 2, (1, 2)), (8, 32, 2, (2, 1)), (3, 32, 2, (1, 2)), (1, 32, 16, (1, 4)),
-        (6, 32, 4, (3, 1)), (1, 4, 2, (1, 1)), (2, 32, 4, (2, 2)), (5, 256, 8, (5, 1)),
+        (1, 32, 2, (1, 2)),
+        (8, 32, 2, (2, 1)),
+        (3, 32, 2, (1, 2)),
+        (1, 32, 16, (1, 4)),
+        (6, 32, 4, (3, 1)),
+        (1, 4, 2, (1, 1)),
+        (2, 32, 4, (2, 2)),
+        (5, 256, 8, (5, 1)),
     ],
-)  # fmt: skip
+)
 def test_devices_take_members_first_and_windows_with_what_is_left(members, batch, devices, shape):
     mesh = lay_out_devices(members, batch, jax.devices()[:1] * devices)
     assert tuple(mesh.shape.values()) == shape
@@ -414,9 +427,7 @@ def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared
     later = Member(5)
     task = prepared.task.with_members([later, *prepared.members])
     new, resumed = fit_task(task, listen, [(prepared.members, states[0])])
-    assert [p.members for p in plans if isinstance(p, TrainingPlan)] == [
-        (later,), prepared.members,
-    ]  # fmt: skip
+    assert [p.members for p in plans if isinstance(p, TrainingPlan)] == [(later,), prepared.members]
     assert (new.member, resumed.member) == (later, prepared.members[0])
     assert same_bits(resumed.model, restore_untrained(prepared, 0, one(model)).simplify())
 

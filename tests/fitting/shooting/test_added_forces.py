@@ -152,9 +152,11 @@ def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
     physics = tn.discretise(system.model({k: jnp.asarray(x) for k, x in values.items()}), DT)
     one, none = jnp.ones(1, jnp.float32), jnp.zeros(0, jnp.float32)
     network = random_tustin_net(
-        physics.channels, Scaling(none, none, 5 * one, one, one, none), jax.random.key(0),
+        physics.channels,
+        Scaling(none, none, 5 * one, one, one, none),
+        jax.random.key(0),
         hidden=(4,),
-    )  # fmt: skip
+    )
     model = HybridModel(physics, network)
     tn.save(model, tmp_path / "h.safetensors")
     again = tn.load_model(tmp_path / "h.safetensors", SWING)
@@ -166,8 +168,9 @@ def test_a_hybrids_physics_keeps_its_forces_and_their_internal_states(tmp_path):
 def test_the_search_begins_at_the_plain_system():
     forces = ["stribeck", "viscous", "coulomb_by_position", "spring", "cubic", "maxwell"]
     system = with_added(SWING, forces, records(), {})
-    at, plain = (s.model({k: jnp.asarray(x) for k, x in s.nominal().items()})
-                 for s in (system, SWING))  # fmt: skip
+    at, plain = (
+        s.model({k: jnp.asarray(x) for k, x in s.nominal().items()}) for s in (system, SWING)
+    )
     x, u = jnp.array([1.2, -2.0, 0.2]), jnp.array([3.0])
     np.testing.assert_allclose(at.derivative(x, u)[:2], plain.derivative(x[:2], u), rtol=2e-2)
 

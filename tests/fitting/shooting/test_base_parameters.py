@@ -58,6 +58,10 @@ def test_only_bodies_with_all_their_parameters_have_others_in_their_place():
 def test_masses_name_combinations_last():
     names = ["a.mass", "a.mass*center_x", "a.inertia_zz[1kg]", "joint.armature", "b.mass[1kg]"]
     assert [names[i] for i in order_of(names)] == [
-        "a.mass*center_x", "a.inertia_zz[1kg]", "joint.armature", "a.mass", "b.mass[1kg]",
-    ]  # fmt: skip
+        "a.mass*center_x",
+        "a.inertia_zz[1kg]",
+        "joint.armature",
+        "a.mass",
+        "b.mass[1kg]",
+    ]
     assert len(INERTIAL) == len(STANDARD)

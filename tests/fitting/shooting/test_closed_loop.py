@@ -42,8 +42,11 @@ def test_held_records_are_identified_over_the_segments_that_they_allow(balancing
 def test_which_records_were_fitted_over_which_horizon_is_told(result):
     sentences = [f for f in result.findings if "errors grow a thousandfold in about" in f]
     assert {name for f in sentences for name in f.split(":")[0].split(", ")} == {
-        "hold1", "hold2", "hold3", "hold4"
-    }  # fmt: skip
+        "hold1",
+        "hold2",
+        "hold3",
+        "hold4",
+    }
     assert any("validation records are scored over segments of" in f for f in result.findings)
 
 
@@ -97,8 +100,9 @@ def test_a_horizon_that_makes_no_sense_is_refused(horizon, words):
 
 def test_the_limit_of_iterations_names_the_records_that_are_not_followed():
     first, second = falls()
-    lost = replace(second, q=np.random.default_rng(0).normal(size=(200, 1)), v=None,
-                   v_measured=False)  # fmt: skip
+    lost = replace(
+        second, q=np.random.default_rng(0).normal(size=(200, 1)), v=None, v_measured=False
+    )
     stopped = tn.identify(data_set([first, lost]), SWING, grey("iterations=1", "tolerance=1e-12"))
     assert "stopped at the limit of 1 iterations" in stopped.outcome
     assert "the simulations of fall2 miss by more than the records vary" in stopped.outcome

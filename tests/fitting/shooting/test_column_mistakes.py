@@ -38,9 +38,12 @@ def twin(system: LagrangianSystem) -> tn.DataSet:
 
 
 def mistaken(
-    data: tn.DataSet, q: Sequence[float], u: Sequence[float], q_order: Sequence[int],
+    data: tn.DataSet,
+    q: Sequence[float],
+    u: Sequence[float],
+    q_order: Sequence[int],
     u_order: Sequence[int],
-) -> tn.DataSet:  # fmt: skip
+) -> tn.DataSet:
     """Records whose columns have other factors, and are in another order."""
     experiments = [
         replace(e, q=e.q[:, list(q_order)] * np.array(q), u=e.u[:, list(u_order)] * np.array(u))
@@ -63,19 +66,26 @@ def test_right_columns_are_not_doubted(system: LagrangianSystem, twin: tn.DataSe
 
 
 CASES = {
-    "sign of a torque": (((1, 1), (1, -1), (0, 1), (0, 1)),
-                         "the sign of the force of '{1}' is probably reversed"),
-    "sign of a position": (((-1, 1), (1, 1), (0, 1), (0, 1)),
-                           "the sign of the position of '{0}' is probably reversed"),
+    "sign of a torque": (
+        ((1, 1), (1, -1), (0, 1), (0, 1)),
+        "the sign of the force of '{1}' is probably reversed",
+    ),
+    "sign of a position": (
+        ((-1, 1), (1, 1), (0, 1), (0, 1)),
+        "the sign of the position of '{0}' is probably reversed",
+    ),
     "mN m": (((1, 1), (1000, 1), (0, 1), (0, 1)), "the forces of '{0}' explain the motion as"),
-    "before a gear": (((1, 1), (0.02, 1), (0, 1), (0, 1)),
-                      "the torque of a motor before a gear"),
-    "signs of both torques": (((1, 1), (-1, -1), (0, 1), (0, 1)),
-                              "the sign of the forces of '{0}' and '{1}' is probably reversed"),
+    "before a gear": (((1, 1), (0.02, 1), (0, 1), (0, 1)), "the torque of a motor before a gear"),
+    "signs of both torques": (
+        ((1, 1), (-1, -1), (0, 1), (0, 1)),
+        "the sign of the forces of '{0}' and '{1}' is probably reversed",
+    ),
     "degrees": (((1, 57.3), (1, 1), (0, 1), (0, 1)), "of '{1}' explain the motion as degrees"),
-    "exchanged torques": (((1, 1), (1, 1), (0, 1), (1, 0)),
-                          "the forces of '{0}' and '{1}' are probably exchanged"),
-}  # fmt: skip
+    "exchanged torques": (
+        ((1, 1), (1, 1), (0, 1), (1, 0)),
+        "the forces of '{0}' and '{1}' are probably exchanged",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -100,9 +110,12 @@ def test_motion_far_beyond_the_limits_of_the_file_is_named(tmp_path: Path) -> No
 
     def record(angle: float, torque: float) -> tn.Experiment:
         return tn.from_arrays(
-            angle * np.sin(t)[:, None], torque * np.cos(t)[:, None], dt=0.01,
-            coordinates=system.coordinates, inputs=system.inputs,
-        )  # fmt: skip
+            angle * np.sin(t)[:, None],
+            torque * np.cos(t)[:, None],
+            dt=0.01,
+            coordinates=system.coordinates,
+            inputs=system.inputs,
+        )
 
     assert describe_beyond_limits(system, [record(2.2, 10.5)]) == (), "a little beyond"
     (torque,) = describe_beyond_limits(system, [record(1.0, 14.0)])

@@ -85,9 +85,10 @@ def test_a_model_file_keeps_the_loop(records, result, tmp_path):
 def test_a_law_that_is_not_the_cards_is_said():
     """Without its feed-forward and with another gain the voltage is another one."""
     result = tn.identify(
-        held_swings(kp=2 * KP, feedforward=None), SWING,
+        held_swings(kp=2 * KP, feedforward=None),
+        SWING,
         {"name": "one", "model": {"kind": "euler-lagrange"}, "search": {"iterations": 1}},
-    )  # fmt: skip
+    )
     assert result.fixed["angle.kp"] == 2 * KP
     assert any("computed voltage otherwise than the data card says" in f for f in result.findings)
 
@@ -95,11 +96,15 @@ def test_a_law_that_is_not_the_cards_is_said():
 def test_a_gain_of_the_wrong_sign_names_the_key():
     records = held_swings(2, kp=None)
     channels = records.channels
-    turned = tn.DataSet("turned", tuple(
-        tn.Experiment(
-            e.name, e.t, e.q, e.u, channels, split=e.split, outputs=-np.asarray(e.outputs)
-        ) for e in records
-    ))  # fmt: skip
+    turned = tn.DataSet(
+        "turned",
+        tuple(
+            tn.Experiment(
+                e.name, e.t, e.q, e.u, channels, split=e.split, outputs=-np.asarray(e.outputs)
+            )
+            for e in records
+        ),
+    )
     with pytest.raises(InputError, match=r"kp is found to be -.*check the key `sign`"):
         tn.identify(turned, SWING)
 
@@ -111,9 +116,10 @@ def test_kinds_without_use_for_a_controller_are_refused(records):
         tn.identify(records, "mechanism")
     with pytest.raises(InputError, match=r"'voltage\.delay', of an input that the controller"):
         tn.identify(
-            records, SWING,
+            records,
+            SWING,
             {"name": "d", "model": {"kind": "euler-lagrange", "free": ["voltage.delay"]}},
-        )  # fmt: skip
+        )
 
 
 def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
@@ -144,9 +150,10 @@ def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
 
 def test_inverse_dynamics_requires_what_the_controller_computed():
     records = held_swings(2)
-    silent = tn.DataSet("silent", tuple(
-        tn.Experiment(e.name, e.t, e.q, e.u, e.channels, split=e.split) for e in records
-    ))  # fmt: skip
+    silent = tn.DataSet(
+        "silent",
+        tuple(tn.Experiment(e.name, e.t, e.q, e.u, e.channels, split=e.split) for e in records),
+    )
     with pytest.raises(InputError, match="without the inputs that the controller computed"):
         tn.identify(silent, SWING, "inverse-dynamics")
     # by simulation they are not needed

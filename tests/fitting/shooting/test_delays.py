@@ -27,8 +27,9 @@ def late(delay: float, hold: Hold = "first-order") -> tn.DataSet:
     for seed in range(3):
         e = logged(hold, seed)
         acting = (tn.Input("force", "N", hold, delay=delay),)
-        model = discretise(SYSTEM.model({k: jnp.asarray(v) for k, v in TRUTH.items()}), DT, 4,
-                           inputs=acting)  # fmt: skip
+        model = discretise(
+            SYSTEM.model({k: jnp.asarray(v) for k, v in TRUTH.items()}), DT, 4, inputs=acting
+        )
         q = np.asarray(tn.rollout(model, np.zeros(2), input_signal(model, e)))[:, :1]
         records.append(replace(e, q=np.round(q / 1e-4) * 1e-4))
     return tn.DataSet("late", tuple(records))

@@ -11,8 +11,12 @@ import tustinnet as tn
 
 ARM = Path(__file__).parents[3] / "examples" / "robots" / "arm7.urdf"
 LOCKED = {"joint1": 0.0, "joint3": 0.0, "joint5": 0.0, "joint6": 0.0, "joint7": 0.0}
-TRUE = {"joint2.gear_stiffness": 4000.0, "joint4.gear_stiffness": 2000.0,
-        "joint2.gear_damping": 4.0, "joint4.gear_damping": 2.0}  # fmt: skip
+TRUE = {
+    "joint2.gear_stiffness": 4000.0,
+    "joint4.gear_stiffness": 2000.0,
+    "joint2.gear_damping": 4.0,
+    "joint4.gear_damping": 2.0,
+}
 HORIZON = 0.25
 
 
@@ -36,9 +40,7 @@ def with_values(model: tn.Model, system: tn.LagrangianSystem, values: dict[str, 
 
 
 def test_stiffnesses_are_found_and_free_runs_are_as_good_as_with_the_truth(system, truth):
-    data = record_in_loop(
-        system, truth, 3, 4.0, 0.004, noise=0.0, substeps=8, begins_moving=True
-    )  # fmt: skip
+    data = record_in_loop(system, truth, 3, 4.0, 0.004, noise=0.0, substeps=8, begins_moving=True)
     recipe = {"name": "short", "model": {"kind": "euler-lagrange"}, "search": {"horizon": 0.5}}
     result = tn.identify(data, system, recipe)
     gears = {e.name: e for e in result.estimates if e.name.endswith("gear_stiffness")}

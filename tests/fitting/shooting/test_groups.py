@@ -43,10 +43,14 @@ def carried(i: int, payload: str | None, mass: float | None = None) -> tn.Experi
     x0, u = generator.uniform(-1.5, 1.5, 2), generator.uniform(-5, 5, 120)
     q = np.asarray(tn.rollout(model, x0, u[:-1, None]))[:, 0]
     return tn.from_arrays(
-        q + 0.005 * generator.normal(size=120), u, dt=DT, name=f"r{i}",
-        coordinates=CARRYING.coordinates, inputs=CARRYING.inputs,
+        q + 0.005 * generator.normal(size=120),
+        u,
+        dt=DT,
+        name=f"r{i}",
+        coordinates=CARRYING.coordinates,
+        inputs=CARRYING.inputs,
         groups={"payload": payload} if payload else {},
-    )  # fmt: skip
+    )
 
 
 @cache

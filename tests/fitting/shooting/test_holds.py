@@ -38,9 +38,13 @@ def logged(hold: Hold, seed: int, n: int = 300) -> tn.Experiment:
     spectrum[1 : n // 4] = np.exp(2j * np.pi * generator.uniform(size=n // 4 - 1))
     u = np.fft.irfft(spectrum, n) * n / 4
     e = tn.from_arrays(
-        u, u, dt=DT, coordinates=SYSTEM.coordinates, inputs=[tn.Input("force", "N", hold)],
+        u,
+        u,
+        dt=DT,
+        coordinates=SYSTEM.coordinates,
+        inputs=[tn.Input("force", "N", hold)],
         name=f"record{seed}",
-    )  # fmt: skip
+    )
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     model = discretise(SYSTEM.model(values), DT, 4, inputs=e.inputs)
     q = np.asarray(tn.rollout(model, np.zeros(2), input_signal(model, e)))[:, :1]
@@ -88,8 +92,13 @@ def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp
     """Also where the system's file says another one: free runs of records that say none use it."""
     declared = [logged("band-limited", seed) for seed in range(3)]
     unknown = [without_hold(e) for e in declared]
-    data = tn.DataSet("d", tuple(replace(e, split=split) for e, split in zip(
-        unknown, ("train", "train", "validation"), strict=True)))  # fmt: skip
+    data = tn.DataSet(
+        "d",
+        tuple(
+            replace(e, split=split)
+            for e, split in zip(unknown, ("train", "train", "validation"), strict=True)
+        ),
+    )
     result = tn.fit(data, read_recipe("grey", recipe), system=system)
     assert result.model.inputs[0].hold == "band-limited"
     assert result.validation_rmse is not None

@@ -82,9 +82,13 @@ def horizon(
 ) -> float | None:
     """The horizon [s] of a record with some motion and an input that changes."""
     e = tn.from_arrays(
-        q, np.cos(np.arange(len(q))), dt=dt, coordinates=system.coordinates, inputs=system.inputs,
+        q,
+        np.cos(np.arange(len(q))),
+        dt=dt,
+        coordinates=system.coordinates,
+        inputs=system.inputs,
         name="record",
-    )  # fmt: skip
+    )
     space = make_search_space(system, {}, {})
     vector = space.to_vector(system.nominal() | values)
     steps = find_horizons(system, space, vector, [e], np.zeros((1, 0), int), block)

@@ -65,8 +65,9 @@ def test_few_sets_have_a_sentence_each_and_of_many_the_fixed_parameters_are_list
     assert few[1].endswith("'a1' is known best; here it was fixed at its first value")
     (many,) = describe_confounded(sets, 60)
     assert many.startswith("20 combinations of the 60 parameters have no effect on these records")
-    assert many.endswith("fixed at its first value: " + ", ".join(f"a{i}" for i in range(12))
-                         + " and 8 more")  # fmt: skip
+    assert many.endswith(
+        "fixed at its first value: " + ", ".join(f"a{i}" for i in range(12)) + " and 8 more"
+    )
 
 
 def test_a_sum_is_told_with_how_its_parts_change_together():
@@ -169,16 +170,18 @@ def base_parameters(vector: jax.Array) -> jax.Array:
         for q, x in zip(LOOSE_SPACE.free_parameters, vector, strict=True)
     }
     arm = p["rotor_inertia"] + p["hub_mass"] * p["hub_radius"] ** 2 / 2
-    base = jnp.stack([
-        arm + (p["arm_mass"] / 3 + p["pendulum_mass"]) * p["arm_length"] ** 2,
-        p["pendulum_mass"] * p["pendulum_centre"] ** 2 + p["pendulum_inertia"],
-        p["pendulum_mass"] * p["arm_length"] * p["pendulum_centre"],
-        p["arm_damping"] + p["torque_constant"] * p["back_emf"] / p["resistance"],
-        p["pendulum_damping"],
-        p["cable_stiffness"],
-        p["cable_quadratic"],
-        p["torque_constant"] / p["resistance"],
-    ])  # fmt: skip
+    base = jnp.stack(
+        [
+            arm + (p["arm_mass"] / 3 + p["pendulum_mass"]) * p["arm_length"] ** 2,
+            p["pendulum_mass"] * p["pendulum_centre"] ** 2 + p["pendulum_inertia"],
+            p["pendulum_mass"] * p["arm_length"] * p["pendulum_centre"],
+            p["arm_damping"] + p["torque_constant"] * p["back_emf"] / p["resistance"],
+            p["pendulum_damping"],
+            p["cable_stiffness"],
+            p["cable_quadratic"],
+            p["torque_constant"] / p["resistance"],
+        ]
+    )
     return jnp.log(base / (p["pendulum_mass"] * p["pendulum_centre"]))
 
 
@@ -201,13 +204,20 @@ def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
         {"hub_radius": 1.0, "hub_mass": -2.0},
         {"resistance": 1.0, "torque_constant": 1.0},
         {
-            "torque_constant": 1.0, "rotor_inertia": 1.0, "hub_mass": 1.0, "arm_mass": 1.0,
-            "pendulum_mass": 1.0, "pendulum_inertia": 1.0, "arm_damping": 1.0,
-            "pendulum_damping": 1.0, "cable_stiffness": 1.0, "cable_quadratic": 0.025,
+            "torque_constant": 1.0,
+            "rotor_inertia": 1.0,
+            "hub_mass": 1.0,
+            "arm_mass": 1.0,
+            "pendulum_mass": 1.0,
+            "pendulum_inertia": 1.0,
+            "arm_damping": 1.0,
+            "pendulum_damping": 1.0,
+            "cable_stiffness": 1.0,
+            "cable_quadratic": 0.025,
         },
     ],
     ids=["back-emf", "hub", "gain", "scale"],
-)  # fmt: skip
+)
 def test_the_rotary_pendulums_known_ambiguities_are_among_those_found(rotary, change):
     confounded = directions(LOOSE, rotary, LOOSE_SPACE)
     basis = np.array([[f.shares.get(n, 0.0) for n in LOOSE_SPACE.names] for f in confounded]).T

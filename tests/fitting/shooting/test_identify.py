@@ -218,10 +218,15 @@ def test_the_better_start_on_the_validation_records_is_chosen():
 def test_internal_states_are_identified_with_the_rest():
     values = {"offset": -0.1, "stiffness": 0.9, "relaxation": 6.0}
     experiments = [
-        simulated(e.name, [float(e.q[0, 0]), float(e.velocities("file")[0, 0]), 0.0],
-                  e.u[:, 0], values, CREEPING)
+        simulated(
+            e.name,
+            [float(e.q[0, 0]), float(e.velocities("file")[0, 0]), 0.0],
+            e.u[:, 0],
+            values,
+            CREEPING,
+        )
         for e in records()
-    ]  # fmt: skip
+    ]
     result = tn.identify(data_set(experiments), CREEPING)
     assert worst(result, TRUTH | values) < 1e-3
     assert all(len(x) == 3 for x in result.initial_states.values())
@@ -404,14 +409,21 @@ HEIGHT = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
         (SINGULAR, {}, r"swing', kinetic: a mass matrix .* at angle"),
         (HEIGHT, {}, r"fall1: coordinates angle.*the system 'swing'"),
         (
-            replace(SWING, inputs=(), input_map=None), {}, r"inputs voltage.*the system 'swing'",
+            replace(SWING, inputs=(), input_map=None),
+            {},
+            r"inputs voltage.*the system 'swing'",
         ),
         (SWING, {"begin": {"gain": 3.0}}, "'gain': 3 N m/V"),
         (SWING, {"recipe": "standard"}, "not applicable to a recipe of kind 'tustin-net'"),
     ],
-    ids=["singular mass matrix", "other coordinates", "other inputs", "outside its range",
-         "a training"],
-)  # fmt: skip
+    ids=[
+        "singular mass matrix",
+        "other coordinates",
+        "other inputs",
+        "outside its range",
+        "a training",
+    ],
+)
 def test_what_cannot_be_identified_is_refused(system, arguments, message):
     with pytest.raises(tn.InputError, match=message):
         tn.identify(data_set(records()), system, **arguments)

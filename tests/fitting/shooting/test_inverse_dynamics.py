@@ -135,9 +135,12 @@ def test_a_model_that_was_stopped_on_its_way_is_none(system, twin):
     steps: list[Iteration] = []
     with pytest.raises(InputError, match="stopped at its time limit before a stage was finished"):
         tn.identify(
-            twin, system, "inverse-dynamics", on_iteration=steps.append,
+            twin,
+            system,
+            "inverse-dynamics",
+            on_iteration=steps.append,
             should_stop=lambda: len(steps) == 2,
-        )  # fmt: skip
+        )
     assert len(steps) == 2
 
 
@@ -150,11 +153,16 @@ def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, t
     data = record_in_loop(system, truth, count=4, seconds=20.0)
     slow = [
         tn.from_arrays(
-            e.q[::10], e.u[::10], dt=10 * e.dt, coordinates=list(e.channels.coordinates),
-            inputs=list(e.channels.inputs), name=e.name, split=e.split,
+            e.q[::10],
+            e.u[::10],
+            dt=10 * e.dt,
+            coordinates=list(e.channels.coordinates),
+            inputs=list(e.channels.inputs),
+            name=e.name,
+            split=e.split,
         )
         for e in data
-    ]  # fmt: skip
+    ]
     result = tn.identify(tn.DataSet("slow", tuple(slow)), system, "inverse-dynamics")
     assert result.horizon == pytest.approx(6 * 0.05)
 
@@ -167,9 +175,12 @@ def test_a_held_input_is_compared_as_the_steps_that_it_is():
     dt, cutoff, fine = 0.01, 10.0, 40
     u = np.random.default_rng(0).normal(size=(400, 1))
     record = tn.from_arrays(
-        np.zeros((400, 1)), u, dt=dt, coordinates=[tn.Coordinate("joint", "angular", 1e-4)],
+        np.zeros((400, 1)),
+        u,
+        dt=dt,
+        coordinates=[tn.Coordinate("joint", "angular", 1e-4)],
         inputs=[tn.Input("torque", "N m", "zero-order", is_delay_declared=True)],
-    )  # fmt: skip
+    )
     part = filter_record(record, cutoff)
     steps = low_pass(np.repeat(u, fine, axis=0), dt / fine, cutoff)
     # a sample is where one step ends and the next begins

@@ -18,9 +18,16 @@ VECTOR = SPACE.to_vector(VALUES)
 SUBSTEPS = 2
 # what segments have each for itself
 BY_SEGMENT = (
-    "x0", "is_free", "adds_expected", "precision", "steps", "first_row", "record", "share",
+    "x0",
+    "is_free",
+    "adds_expected",
+    "precision",
+    "steps",
+    "first_row",
+    "record",
+    "share",
     "group_indices",
-)  # fmt: skip
+)
 
 
 def segments() -> Segments:
@@ -35,9 +42,13 @@ def segments() -> Segments:
 
 
 def products(
-    vector: np.ndarray, states: np.ndarray, pieces: Segments, substeps: int = SUBSTEPS,
-    *, periodic: bool = False,
-) -> NormalProducts:  # fmt: skip
+    vector: np.ndarray,
+    states: np.ndarray,
+    pieces: Segments,
+    substeps: int = SUBSTEPS,
+    *,
+    periodic: bool = False,
+) -> NormalProducts:
     residual = Residual((periodic,), (1 / 1.5,))
     return compute_products(CREEPING, residual, SPACE, vector, states, pieces, substeps)
 
@@ -108,9 +119,13 @@ def test_products_are_those_of_finite_differences(pieces, states, normal, period
             lambda x, row=row: residuals(pieces, row, VECTOR, x, periodic=periodic), x0
         )
         expected = {
-            "pp": jacobian.T @ jacobian, "px": jacobian.T @ by_state, "xx": by_state.T @ by_state,
-            "gp": jacobian.T @ r, "gx": by_state.T @ r, "cost": r @ r,
-        }  # fmt: skip
+            "pp": jacobian.T @ jacobian,
+            "px": jacobian.T @ by_state,
+            "xx": by_state.T @ by_state,
+            "gp": jacobian.T @ r,
+            "gx": by_state.T @ r,
+            "cost": r @ r,
+        }
         for name, value in expected.items():
             actual = getattr(normal, name)[row]
             np.testing.assert_allclose(actual, value, rtol=1e-6, atol=1e-9, err_msg=name)

@@ -81,9 +81,15 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
         return own + p.get("offset", 0.0) * q[0] + p.get("twice", 0.0) * jnp.cos(2 * q[0])
 
     system = tn.LagrangianSystem(
-        "offered", base.coordinates, base.inputs, (*base.parameters, *extra), base.kinetic,
-        potential, base.dissipation, base.input_map,
-    )  # fmt: skip
+        "offered",
+        base.coordinates,
+        base.inputs,
+        (*base.parameters, *extra),
+        base.kinetic,
+        potential,
+        base.dissipation,
+        base.input_map,
+    )
     data = data_set([read_by_encoder(e) for e in records()])
     result = tn.identify(data, system, "grey")
     assert result.reversed_signs == ()
@@ -91,9 +97,13 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     assert any("0 of 2 kept (none)" in f for f in result.findings)
     assert result.system.optional == ()
     fixed = tn.identify(
-        data, system, {"name": "held", "model": {"kind": "euler-lagrange", "fixed": {
-            "offset": 0.0, "twice": 0.0}}},
-    )  # fmt: skip
+        data,
+        system,
+        {
+            "name": "held",
+            "model": {"kind": "euler-lagrange", "fixed": {"offset": 0.0, "twice": 0.0}},
+        },
+    )
     assert not any("optional" in f for f in fixed.findings), "nobody asked for them"
     assert SWING.optional == ()
 
@@ -103,11 +113,15 @@ def test_a_stiff_machine_is_found_though_its_period_is_a_few_samples():
     dt, rng = 0.002, np.random.default_rng(0)
     axis, push = tn.Coordinate("x", "linear"), tn.Input("force", "N")
     spring = tn.LagrangianSystem(
-        "spring", (axis,), (push,),
+        "spring",
+        (axis,),
+        (push,),
         (Parameter("k", "N/m", 1.6e5, 1e4, 1e6), Parameter("b", "N s/m", 40.0, 1.0, 400.0)),
-        lambda q, v, p: v[0] ** 2 / 2, lambda q, p: p["k"] * q[0] ** 2 / 2,
-        lambda q, v, p: p["b"] * v, lambda q, v, u, p: 1e5 * u,
-    )  # fmt: skip
+        lambda q, v, p: v[0] ** 2 / 2,
+        lambda q, p: p["k"] * q[0] ** 2 / 2,
+        lambda q, v, p: p["b"] * v,
+        lambda q, v, u, p: 1e5 * u,
+    )
     model = tn.discretise(spring.model({"k": jnp.asarray(1.6e5), "b": jnp.asarray(40.0)}), dt, 16)
     made = []
     for k in range(4):
@@ -130,11 +144,15 @@ def offering(*parameters: Parameter) -> tn.LagrangianSystem:
     """The swing, with a spring that may be there and an inertia that may have grown."""
     base = changed("gain", nominal=TRUTH["gain"], fixed=True)
     return tn.LagrangianSystem(
-        "offering", base.coordinates, base.inputs, (*base.parameters, *parameters),
+        "offering",
+        base.coordinates,
+        base.inputs,
+        (*base.parameters, *parameters),
         lambda q, v, p: (p["inertia"] + 0.05 * p.get("more", 0.0)) * v[0] ** 2 / 2,
         lambda q, p: -p["gravity"] * jnp.cos(q[0] - TILT) + p.get("spring", 0.0) * q[0] ** 2 / 2,
-        base.dissipation, base.input_map,
-    )  # fmt: skip
+        base.dissipation,
+        base.input_map,
+    )
 
 
 def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
@@ -151,8 +169,9 @@ def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
     truth = {"angle.spring": 0.8, "angle.maxwell": 0.5, "angle.relaxation": 2.0}
     made = driven_again(with_added(SWING, ["spring", "maxwell"], records(), {}), truth)
-    spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True,
-                       brings=("maxwell:angle",))  # fmt: skip
+    spring = Parameter(
+        "spring", "N m/rad", 0.0, -5.0, 5.0, optional=True, brings=("maxwell:angle",)
+    )
     system = offering(spring)
     result = tn.identify(data_set(made), system, "grey")
     values = {e.name: e.value for e in result.estimates}
@@ -184,8 +203,11 @@ def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
     result = tn.identify(data_set(made), system, gains)
     assert result.fixed["more"] == 1.0
     assert any("more at 1" in f for f in result.findings)
-    free = tn.identify(data_set(made), offering(Parameter("more", "1", 0.0, -5.0, 5.0,
-                       optional=True, usual=(0.9,))), gains)  # fmt: skip
+    free = tn.identify(
+        data_set(made),
+        offering(Parameter("more", "1", 0.0, -5.0, 5.0, optional=True, usual=(0.9,))),
+        gains,
+    )
     assert {e.name: e.value for e in free.estimates}["more"] == pytest.approx(1.0, rel=1e-3)
 
 

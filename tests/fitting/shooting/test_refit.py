@@ -41,11 +41,16 @@ def creeping() -> list[tn.Experiment]:
     values = {"offset": 0.0, "stiffness": 0.9, "relaxation": 6.0}
     return [
         read_by_encoder(
-            simulated(e.name, [float(e.q[0, 0]), float(e.velocities("file")[0, 0]), 0.0],
-                      e.u[:, 0], values, CREEPING)
+            simulated(
+                e.name,
+                [float(e.q[0, 0]), float(e.velocities("file")[0, 0]), 0.0],
+                e.u[:, 0],
+                values,
+                CREEPING,
+            )
         )
         for e in (*falls(), *noises())
-    ]  # fmt: skip
+    ]
 
 
 def values_of(identification: Identification) -> dict[str, float]:

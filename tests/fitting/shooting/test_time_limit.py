@@ -85,9 +85,12 @@ def test_a_limit_that_is_never_reached_changes_nothing():
 def test_identify_takes_a_condition_to_stop():
     iterations: list[Iteration] = []
     result = tn.identify(
-        data_set(records()), SWING, begin=FAR, on_iteration=iterations.append,
+        data_set(records()),
+        SWING,
+        begin=FAR,
+        on_iteration=iterations.append,
         should_stop=lambda: bool(iterations) and iterations[-1].stage.startswith("whole"),
-    )  # fmt: skip
+    )
     assert result.outcome.startswith("out of time: stopped at its time limit after stage ")
     assert not result.sound
 
@@ -195,11 +198,13 @@ def test_an_iteration_asks_before_every_step_and_returns_the_best_point():
         return False
 
     result = iterate(
-        Point(8.0), propose, stricter, rule, 100,
-        lambda iterations, point, _, is_accepted: trials.append(
-            (iterations, point.x, is_accepted)
-        ),
+        Point(8.0),
+        propose,
+        stricter,
+        rule,
+        100,
+        lambda iterations, point, _, is_accepted: trials.append((iterations, point.x, is_accepted)),
         should_stop,
-    )  # fmt: skip
+    )
     assert (result.status, result.iterations, result.point) == ("stopped", 1, Point(4.0))
     assert trials == [(0, 8.0, False), (1, 4.0, True), (1, 4.0, False)]

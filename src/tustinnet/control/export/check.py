@@ -90,9 +90,11 @@ def check_loop(
         return LoopCheck(0, None, f"not run here: {reason}")
     if not difference <= BOUND:
         raise InputError(
-            "the controller in C", f"a result differs from that of Python by {difference:.1e}",
-            f"at most {BOUND:.0e}", "nothing was written",
-        )  # fmt: skip
+            "the controller in C",
+            f"a result differs from that of Python by {difference:.1e}",
+            f"at most {BOUND:.0e}",
+            "nothing was written",
+        )
     return LoopCheck(steps if fall is None else 2 * steps, difference)
 
 
@@ -160,9 +162,11 @@ def _compare(
         call("model_step", x, inputs)
         if not (np.isfinite(x).all() and np.isfinite(estimator[state]).all()):
             raise InputError(
-                "the controller", f"its closed loop diverges after {counted(k, 'sample')}",
-                "one that holds the model itself", "change its weights, its plan or its start",
-            )  # fmt: skip
+                "the controller",
+                f"its closed loop diverges after {counted(k, 'sample')}",
+                "one that holds the model itself",
+                "change its weights, its plan or its start",
+            )
         compare(x, expected)
         y = measure()
         _spoil(y, k, 2 * lost_after <= total - k < 3 * lost_after)

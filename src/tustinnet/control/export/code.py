@@ -105,14 +105,19 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     ]
     return {
         "controller.h": fill_template(
-            "controller.h", TEMPLATES, inputs=source.channels.n_u, integrals=n_i,
-            previous=final.previous, periodic=len(final.periodic),
-            steps=len(tracking.plan.u) if tracking else 0, recovers=int(recovery is not None),
+            "controller.h",
+            TEMPLATES,
+            inputs=source.channels.n_u,
+            integrals=n_i,
+            previous=final.previous,
+            periodic=len(final.periodic),
+            steps=len(tracking.plan.u) if tracking else 0,
+            recovers=int(recovery is not None),
         ),
         "controller.c": fill_template(
             "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
         ),
-    }  # fmt: skip
+    }
 
 
 def _safe(feedback: Feedback) -> Vector:
@@ -133,9 +138,13 @@ def _main(source: Source, start: Vector, steps: int) -> str:
         constant_array("resolution", source.channels.resolution),
     ]
     return fill_template(
-        "main.c", TEMPLATES, precision=fill_template("precision.c"), steps=steps,
-        tables="".join(tables), header=_c_string(csv_header(source)),
-    )  # fmt: skip
+        "main.c",
+        TEMPLATES,
+        precision=fill_template("precision.c"),
+        steps=steps,
+        tables="".join(tables),
+        header=_c_string(csv_header(source)),
+    )
 
 
 def csv_header(source: Source) -> str:

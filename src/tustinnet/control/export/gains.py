@@ -23,13 +23,15 @@ Reader = Callable[..., np.ndarray]  # of name and shape of an array, and of its 
 
 def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
     """A controller as JSON, with the names of its coordinates and inputs."""
-    return to_json({
-        "form": _FORM,
-        "period": _feedback(controller).dt,
-        "coordinates": [c.name for c in channels.coordinates],
-        "inputs": [i.name for i in channels.inputs],
-        **_to_lists(_content(controller)),
-    })  # fmt: skip
+    return to_json(
+        {
+            "form": _FORM,
+            "period": _feedback(controller).dt,
+            "coordinates": [c.name for c in channels.coordinates],
+            "inputs": [i.name for i in channels.inputs],
+            **_to_lists(_content(controller)),
+        }
+    )
 
 
 def controller_mat(controller: Feedback | Tracking, channels: Channels) -> bytes:
@@ -37,13 +39,15 @@ def controller_mat(controller: Feedback | Tracking, channels: Channels) -> bytes
 
     Vectors are columns; `gains` of a plan is (steps, inputs, states). Indices count from 0.
     """
-    return mat_file({
-        "form": _FORM,
-        "period": _feedback(controller).dt,
-        "coordinates": mat_cells([c.name for c in channels.coordinates]),
-        "inputs": mat_cells([i.name for i in channels.inputs]),
-        **_to_columns(_content(controller)),
-    })  # fmt: skip
+    return mat_file(
+        {
+            "form": _FORM,
+            "period": _feedback(controller).dt,
+            "coordinates": mat_cells([c.name for c in channels.coordinates]),
+            "inputs": mat_cells([i.name for i in channels.inputs]),
+            **_to_columns(_content(controller)),
+        }
+    )
 
 
 def read_controller(path: str | Path) -> Feedback | Tracking:
@@ -109,9 +113,10 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
         )
         if recovery.feedback.gain.shape != (n_u, n_z):
             raise InputError(
-                file, f"entry 'recovery.feedback.gain' of shape {recovery.feedback.gain.shape}",
+                file,
+                f"entry 'recovery.feedback.gain' of shape {recovery.feedback.gain.shape}",
                 f"{n_u} x {n_z}",
-            )  # fmt: skip
+            )
     return Tracking(plan=motion, gains=gains, final=final, recovery=recovery)
 
 
@@ -127,15 +132,22 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
         return {"feedback": feedback}
     p, recovery = controller.plan, controller.recovery
     plan = {
-        "x": p.x, "u": p.u, "cost": p.cost, "converged": p.converged, "reached": p.reached,
-        "iterations": p.iterations, "goal": p.goal, "before": p.before,
-    }  # fmt: skip
+        "x": p.x,
+        "u": p.u,
+        "cost": p.cost,
+        "converged": p.converged,
+        "reached": p.reached,
+        "iterations": p.iterations,
+        "goal": p.goal,
+        "before": p.before,
+    }
     content = {"feedback": feedback, "plan": plan, "gains": controller.gains}
     if recovery is not None:
         content["recovery"] = {
             "feedback": _feedback_content(recovery.feedback),
-            "fallen_beyond": recovery.fallen_beyond, "settled_within": recovery.settled_within,
-        }  # fmt: skip
+            "fallen_beyond": recovery.fallen_beyond,
+            "settled_within": recovery.settled_within,
+        }
     return content
 
 
@@ -158,19 +170,25 @@ def _feedback_content(f: Feedback) -> dict[str, Any]:
 def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
     """Content with lists in the place of arrays."""
     return {
-        name: _to_lists(value) if isinstance(value, dict)
-        else value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        name: _to_lists(value)
+        if isinstance(value, dict)
+        else value.tolist()
+        if isinstance(value, np.ndarray | np.generic)
+        else value
         for name, value in content.items()
-    }  # fmt: skip
+    }
 
 
 def _to_columns(content: Mapping[str, Any]) -> dict[str, Any]:
     """Content with vectors as columns, as MATLAB has them."""
     return {
-        name: _to_columns(value) if isinstance(value, dict)
-        else value[:, None] if np.ndim(value) == 1 else value
+        name: _to_columns(value)
+        if isinstance(value, dict)
+        else value[:, None]
+        if np.ndim(value) == 1
+        else value
         for name, value in content.items()
-    }  # fmt: skip
+    }
 
 
 def _read_mat(raw: bytes) -> dict[str, Any]:

@@ -110,9 +110,10 @@ def export_controller(
     steps = _AFTER + (len(controller.plan.u) if isinstance(controller, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
     own = (
-        TrackingFeedback(controller) if isinstance(controller, Tracking)
+        TrackingFeedback(controller)
+        if isinstance(controller, Tracking)
         else LinearFeedback(controller)
-    )  # fmt: skip
+    )
     check = check_loop(code, own, source, noise, start, steps, _fall(controller), lost_after)
     notes, scripts = [*source.notes], {}
     if check.note:
@@ -125,9 +126,14 @@ def export_controller(
     else:
         limits = InputLimits(final.lower, final.upper)
         cost = make_cost(
-            controlled(source.model if groups else model, final.delay), limits, final.x0, final.u0,
-            deviations=deviations, range=source.range, within=within,
-        )  # fmt: skip
+            controlled(source.model if groups else model, final.delay),
+            limits,
+            final.x0,
+            final.u0,
+            deviations=deviations,
+            range=source.range,
+            within=within,
+        )
         scripts = make_scripts(controller, source, cost, start)
         if len(source.input_layout.offsets) > 1:
             notes.append(
@@ -142,8 +148,11 @@ def export_controller(
         "README.md": make_readme(controller, source, tuple(scripts), notes),
     }
     checked = {
-        "steps": check.steps, "difference": check.difference, "bound": BOUND, "note": check.note,
-    }  # fmt: skip
+        "steps": check.steps,
+        "difference": check.difference,
+        "bound": BOUND,
+        "note": check.note,
+    }
     write_export(
         folder, {CARD: make_card(source, "controller", files, checked, source.notes, file), **files}
     )
@@ -184,10 +193,11 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     n_z = n_x + len(final.integral) + previous * n_u
     if np.shape(final.gain) != (n_u, n_z) or not np.isfinite(final.gain).all():
         raise InputError(
-            "gain of the controller", f"shape {np.shape(final.gain)}",
+            "gain of the controller",
+            f"shape {np.shape(final.gain)}",
             f"finite numbers, ({n_u}, {n_z}): {n_x} states, {len(final.integral)} integrals, "
             f"{previous} samples of previous commands",
-        )  # fmt: skip
+        )
     if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
         raise InputError(
             "the controller",
@@ -200,14 +210,17 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
         if not plan.reached:
             miss = zip(source.states, plan.miss.tolist(), strict=True)
             raise InputError(
-                "the plan", f"it ends {', '.join(f'{m:.3g} in {name}' for name, m in miss)} beside "
+                "the plan",
+                f"it ends {', '.join(f'{m:.3g} in {name}' for name, m in miss)} beside "
                 "its goal, where linear feedback does not hold it",
-                "a plan that reaches the goal", "plan more steps, or from other first guesses",
-            )  # fmt: skip
+                "a plan that reaches the goal",
+                "plan more steps, or from other first guesses",
+            )
         arrays = [
-            ("x of the plan", plan.x, (steps + 1, n_x)), ("u of the plan", plan.u, (steps, n_u)),
+            ("x of the plan", plan.x, (steps + 1, n_x)),
+            ("u of the plan", plan.u, (steps, n_u)),
             ("gains along the plan", controller.gains, (steps, n_u, n_p)),
-        ]  # fmt: skip
+        ]
         if recovery is not None:
             arrays += [
                 ("gain of the recovery", recovery.feedback.gain, (n_u, n_p)),

@@ -57,10 +57,13 @@ def write_card(
     if clock.column is not None:
         doubt = "" if clock.sure else "; check the unit"
         lines += [
-            "", f"# {quote(clock.column)}: {clock.because}{doubt}",
-            "[time]", f"column = {key(clock.column)}", f"unit = {quote(clock.unit)}",
+            "",
+            f"# {quote(clock.column)}: {clock.because}{doubt}",
+            "[time]",
+            f"column = {key(clock.column)}",
+            f"unit = {quote(clock.unit)}",
             *_assumed(() if clock.sure else ("unit",)),
-        ]  # fmt: skip
+        ]
         if clock.worst > _TOLERANCE * dt:
             share = f"{100 * clock.worst / dt:.0f} %"
             lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
@@ -114,9 +117,12 @@ def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:
     lines = ["", f"# {quote(c.column)} as a coordinate: {'; '.join(c.because)}"]
     lines += [f"# check {doubt}" for doubt in c.doubts]
     lines += [
-        "[[coordinates]]", f"name = {quote(c.name)}", f"column = {key(c.column)}",
-        f"kind = {quote(c.kind)}", f"unit = {quote(c.unit)}",
-    ]  # fmt: skip
+        "[[coordinates]]",
+        f"name = {quote(c.name)}",
+        f"column = {key(c.column)}",
+        f"kind = {quote(c.kind)}",
+        f"unit = {quote(c.unit)}",
+    ]
     if c.sine is not None:
         lines.append(f"sine = {key(c.sine)}  # its cosine is in `column`")
     if c.scale != 1:
@@ -140,11 +146,14 @@ def _input(c: InputChoice, key: Callable[[str], str]) -> list[str]:
     lines = ["", f"# {quote(c.column)} as an input: {'; '.join(c.because)}"]
     lines += [f"# check {doubt}" for doubt in c.doubts]
     return [
-        *lines, "[[inputs]]", f"name = {quote(c.name)}", f"column = {key(c.column)}",
+        *lines,
+        "[[inputs]]",
+        f"name = {quote(c.name)}",
+        f"column = {key(c.column)}",
         f"unit = {quote(c.unit)}",
         *([] if c.scale == 1 else [f"scale = {c.scale!r}  # {c.unit} in one unit of the column"]),
         *_assumed(c.assumed),
-    ]  # fmt: skip
+    ]
 
 
 def _assumed(keys: Sequence[str]) -> list[str]:
@@ -156,9 +165,12 @@ def _assumed(keys: Sequence[str]) -> list[str]:
 def _splits(splits: Splits | None) -> list[str]:
     if splits is None:
         return [
-            "", "# all logs beside this card are records; to choose some and what they are for:",
-            "# [splits]", '# train = ["this file"]', '# validation = ["another file"]',
-        ]  # fmt: skip
+            "",
+            "# all logs beside this card are records; to choose some and what they are for:",
+            "# [splits]",
+            '# train = ["this file"]',
+            '# validation = ["another file"]',
+        ]
     lines = ["", *(f"# {sentence}" for sentence in splits.sentences)]
     by_split: dict[str, list[DraftRecord]] = {}
     for record in splits.records:

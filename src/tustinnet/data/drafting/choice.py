@@ -69,18 +69,24 @@ def choose_system_channels(findings: Findings, system: SystemChannels) -> Choice
         described = describe_coordinate(
             column, c.name, matched.get(column), None, findings, choice, system_kind=c.kind
         )
-        choice.coordinates.append(replace(
-            described, because=(matches.because[column], *described.because),
-            doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
-        ))  # fmt: skip
+        choice.coordinates.append(
+            replace(
+                described,
+                because=(matches.because[column], *described.because),
+                doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
+            )
+        )
     _without_unknown_velocities(matched, choice)
     for i in system.inputs:
         if (column := matches.inputs.get(i.name)) is not None:
             described = describe_system_input(column, i, findings)
-            choice.inputs.append(replace(
-                described, because=(matches.because[column],),
-                doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
-            ))  # fmt: skip
+            choice.inputs.append(
+                replace(
+                    described,
+                    because=(matches.because[column],),
+                    doubts=(*filter(None, [matches.doubts.get(column)]), *described.doubts),
+                )
+            )
     used = {*positions, *matches.inputs.values(), *matched.values()}
     for name, verdict in findings.verdicts.items():
         if name not in used and name not in choice.unused:
@@ -116,8 +122,11 @@ def _most_like_positions(findings: Findings) -> list[str]:
     """The column to take for a position where none looks like one."""
     for role in ("input", "set point", "flag", "other"):
         # a column of times that repeat is no position
-        if names := [n for n in findings.columns(role)
-                     if findings.readings[n].quantities.get("time", 0.0) < _CLEAR]:  # fmt: skip
+        if names := [
+            n
+            for n in findings.columns(role)
+            if findings.readings[n].quantities.get("time", 0.0) < _CLEAR
+        ]:
             smooth = [name for name in names if findings.numbers[name].smooth]
             return [(smooth or names)[0]]
     return []
@@ -127,11 +136,14 @@ def _without_copies(names: list[str], findings: Findings, choice: Choice) -> lis
     """Positions without those that repeat another one, in another unit or filtered."""
     kept: list[str] = []
     # raw readings and columns with a unit before those that were made of them
-    order = sorted(names, key=lambda name: (
-        findings.readings[name].qualifier in ("filtered", "model"),
-        not findings.readings[name].unit or findings.readings[name].unit == "counts",
-        names.index(name),
-    ))  # fmt: skip
+    order = sorted(
+        names,
+        key=lambda name: (
+            findings.readings[name].qualifier in ("filtered", "model"),
+            not findings.readings[name].unit or findings.readings[name].unit == "counts",
+            names.index(name),
+        ),
+    )
     for name in order:
         for other in kept:
             a, b = findings.readings[name], findings.readings[other]
@@ -209,9 +221,10 @@ def _without_unknown_velocities(matched: Mapping[str, str], choice: Choice) -> N
         return
     for position, velocity in matched.items():
         choice.unused[velocity] = (
-            "a velocity in a unit that nothing says" if position in unknown
+            "a velocity in a unit that nothing says"
+            if position in unknown
             else f"the velocity of '{position}'; that of '{unknown[0]}' has no known unit"
-        )  # fmt: skip
+        )
     choice.coordinates[:] = [replace(c, velocity=None) for c in choice.coordinates]
 
 

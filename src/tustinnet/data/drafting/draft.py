@@ -193,14 +193,19 @@ def draft_card(
     findings = Findings(
         readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
-    choice = choose_channels(findings) if system is None else (
-        choose_system_channels(findings, system)
-    )  # fmt: skip
+    choice = (
+        choose_channels(findings) if system is None else (choose_system_channels(findings, system))
+    )
     if is_period_assumed and (period := period_by_velocities(dt, choice, findings)) is not None:
         return draft_card(
-            folder, files, answers, by_motion={**by_motion, _PERIOD: repr(period)}, name=name,
-            has_splits=has_splits, system=system,
-        )  # fmt: skip
+            folder,
+            files,
+            answers,
+            by_motion={**by_motion, _PERIOD: repr(period)},
+            name=name,
+            has_splits=has_splits,
+            system=system,
+        )
     logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
@@ -211,17 +216,30 @@ def draft_card(
     }
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
     text = write_card(
-        name or _name(folder), clock, dt, choice, splits if has_splits else None,
+        name or _name(folder),
+        clock,
+        dt,
+        choice,
+        splits if has_splits else None,
         has_header=logs[0].has_header,
-        has_damaged_rows=any(log.has_damaged_rows for log in logs), texts=logs[0].texts,
-        joined=logs[0].joined, period_reason=period_reason,
-    )  # fmt: skip
+        has_damaged_rows=any(log.has_damaged_rows for log in logs),
+        texts=logs[0].texts,
+        joined=logs[0].joined,
+        period_reason=period_reason,
+    )
     return Draft(
-        text, tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)), dt,
-        choice, clock, splits,
-        tuple(q for q in (*questions, *choice.questions) if q.key not in answers), tuple(notes),
-        logs[0].texts, sum(map(len, logs)), bool(usable),
-    )  # fmt: skip
+        text,
+        tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)),
+        dt,
+        choice,
+        clock,
+        splits,
+        tuple(q for q in (*questions, *choice.questions) if q.key not in answers),
+        tuple(notes),
+        logs[0].texts,
+        sum(map(len, logs)),
+        bool(usable),
+    )
 
 
 def _find_period(
@@ -249,10 +267,14 @@ def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
 def _without_unused_files(log: Log, choice: Choice) -> Log:
     """A log without other files of its record of which the card uses no column."""
     used = [*choice.motion, *(i.column for i in choice.inputs)]
-    return replace(log, joined={
-        label: file for label, file in log.joined.items()
-        if any(name.startswith(f"{label}/") for name in used)
-    })  # fmt: skip
+    return replace(
+        log,
+        joined={
+            label: file
+            for label, file in log.joined.items()
+            if any(name.startswith(f"{label}/") for name in used)
+        },
+    )
 
 
 def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], None]) -> list[Log]:
@@ -316,8 +338,11 @@ def _name(folder: Path) -> str:
 
 def _role(answer: str) -> Role:
     roles: dict[str, Role] = {
-        "position": "position", "velocity": "velocity", "input": "input", "set point": "set point",
-    }  # fmt: skip
+        "position": "position",
+        "velocity": "velocity",
+        "input": "input",
+        "set point": "set point",
+    }
     return roles.get(answer, "other")
 
 
@@ -333,10 +358,13 @@ def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def _columns(
-    readings: Mapping[str, object], clock: Clock, choice: Choice,
-    verdicts: Mapping[str, Verdict], numbers: Mapping[str, Numbers],
+    readings: Mapping[str, object],
+    clock: Clock,
+    choice: Choice,
+    verdicts: Mapping[str, Verdict],
+    numbers: Mapping[str, Numbers],
     clocks: Sequence[str],
-) -> list[DraftColumn]:  # fmt: skip
+) -> list[DraftColumn]:
     """Columns of the logs, each with its role, its use and the reasons."""
     velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
     coordinates = {c.column: c for c in choice.coordinates}

@@ -50,9 +50,11 @@ def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
     folders = [path for path in paths if path.is_dir()]
     if folders and len(paths) > 1:
         raise InputError(
-            folders[0], "a folder beside other arguments", "one folder, or files",
+            folders[0],
+            "a folder beside other arguments",
+            "one folder, or files",
             "a card describes the logs of one folder",
-        )  # fmt: skip
+        )
     if folders:
         (folder,) = folders
         if (folder / LEROBOT_INFO).is_file():
@@ -62,9 +64,11 @@ def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
             files = _list_logs_below(folder)
         if not files:
             raise InputError(
-                folder, "no logs", "files of columns, such as .csv, .parquet or .mat",
+                folder,
+                "no logs",
+                "files of columns, such as .csv, .parquet or .mat",
                 "check the folder; other formats: docs/how-to/add-a-reader.md",
-            )  # fmt: skip
+            )
         return folder, files
     for path in paths:
         if not is_readable(path):

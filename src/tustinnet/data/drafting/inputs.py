@@ -11,12 +11,22 @@ from tustinnet.data.units import convert_to_si
 
 _TELLING, _IDLE = 0.3, 0.1  # share of an acceleration that tells, share of it that is nothing
 _QUANTITY_UNITS: dict[Quantity, str] = {
-    "voltage": "V", "current": "A", "torque": "N m", "force": "N", "pressure": "bar",
-}  # fmt: skip
+    "voltage": "V",
+    "current": "A",
+    "torque": "N m",
+    "force": "N",
+    "pressure": "bar",
+}
 # of a voltage and the current that it drives, the voltage moves first and is the input
 _RANKS: dict[Quantity, int] = {
-    "voltage": 0, "duty": 0, "control": 0, "torque": 1, "force": 1, "current": 2, "pressure": 3,
-}  # fmt: skip
+    "voltage": 0,
+    "duty": 0,
+    "control": 0,
+    "torque": 1,
+    "force": 1,
+    "current": 2,
+    "pressure": 3,
+}
 _LAST = (9, 9)  # rank of an input of which nothing says what it is
 _DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 
@@ -63,9 +73,10 @@ def choose_inputs(findings: Findings, choice: Choice) -> list[str]:
             first = next(alike, causes[0])
             is_later = rank > best
             choice.unused[name] = (
-                f"an effect of '{first}', which moves first" if is_later
+                f"an effect of '{first}', which moves first"
+                if is_later
                 else f"explains little of the motion, unlike '{first}'"
-            )  # fmt: skip
+            )
     return inputs
 
 
@@ -94,12 +105,16 @@ def _best_rank(
     positions = findings.columns("position")
     shares = {
         rank: max(
-            (explained_acceleration(findings.samples[name], findings.samples[p], findings.times)
-             for name in ranked if ranked[name] == rank for p in positions),
+            (
+                explained_acceleration(findings.samples[name], findings.samples[p], findings.times)
+                for name in ranked
+                if ranked[name] == rank
+                for p in positions
+            ),
             default=0.0,
         )
         for rank in ranks
-    }  # fmt: skip
+    }
     most = max(shares.values())
     # friction and loads hide what an input does; a column that explains nothing beside it is none
     return next(rank for rank in ranks if most < _TELLING or shares[rank] > _IDLE * most)

@@ -57,8 +57,9 @@ def join_logs(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Lo
         if other is first or not (_has_input(other) or _position_weight(other) >= _SAYS):
             continue
         label = "_".join(sorted(other.words - first.words)) or "other"
-        pairs = {key: (log, other.logs[key]) for key, log in first.logs.items()
-                 if key in other.logs} or _pair_by_dates(first, other)  # fmt: skip
+        pairs = {
+            key: (log, other.logs[key]) for key, log in first.logs.items() if key in other.logs
+        } or _pair_by_dates(first, other)
         names = f"{next(iter(first.logs.values())).file}, {next(iter(other.logs.values())).file}"
         if not pairs:
             on_message(f"{names}: not joined, their names do not pair; {_HELP}")
@@ -94,8 +95,10 @@ def _find_kinds(logs: Sequence[Log]) -> list[_Kind]:
         words = frozenset(w for w in _words(log.file) if not w.isdigit())
         few = len(log.values) <= 2 and not _quantities([log], "")
         groups.setdefault((tuple(log.values), words if few else None), []).append(log)
-    common = {key: frozenset.intersection(*(frozenset(_words(log.file)) for log in group))
-              for key, group in groups.items()}  # fmt: skip
+    common = {
+        key: frozenset.intersection(*(frozenset(_words(log.file)) for log in group))
+        for key, group in groups.items()
+    }
     kinds: list[_Kind] = []
     for key, group in groups.items():
         others = [words for other, words in common.items() if other != key]
@@ -199,14 +202,24 @@ def _join(
         clock_of |= dict.fromkeys(names.values(), names[other.column])
         spans |= {names[other.column]: (float(times[0]), float(times[-1]))}
     file = JoinedFile(
-        part.file, other.column, other.unit, other.sure, starts_together, part.has_header,
+        part.file,
+        other.column,
+        other.unit,
+        other.sure,
+        starts_together,
+        part.has_header,
         part.has_damaged_rows,
-    )  # fmt: skip
+    )
     return replace(
-        log, values=values, clocks=clocks, clock_of=clock_of, spans=spans, factor=factor,
+        log,
+        values=values,
+        clocks=clocks,
+        clock_of=clock_of,
+        spans=spans,
+        factor=factor,
         texts={**log.texts, **{f"{label}/{n}": text for n, text in part.texts.items()}},
         notes=(*log.notes, *(f"{label}: {note}" for note in part.notes)),
         units={**log.units, **{names[n]: u for n, u in part.units.items() if n in names}},
         labels={**log.labels, **{names[n]: x for n, x in part.labels.items() if n in names}},
         joined={**log.joined, label: file},
-    )  # fmt: skip
+    )

@@ -317,10 +317,18 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
         texts[name] = f"{len(values.pop(name))} values, where the others have {usual}"
     has_header = NO_HEADER not in columns.notes if are_numbers(columns.names) else None
     return Log(
-        file, cell, values, texts, tuple(notes), has_header, clocks=times, units=columns.units,
+        file,
+        cell,
+        values,
+        texts,
+        tuple(notes),
+        has_header,
+        clocks=times,
+        units=columns.units,
         labels=columns.labels,
-        clock_of={name: clocks[name] for name in values if clocks.get(name) in spans}, spans=spans,
-    )  # fmt: skip
+        clock_of={name: clocks[name] for name in values if clocks.get(name) in spans},
+        spans=spans,
+    )
 
 
 def _on_common_times(
@@ -440,8 +448,10 @@ def _period(intervals: Values) -> tuple[float, float]:
     near = intervals[intervals < 1.5 * median]
     dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
     kept = intervals[intervals <= _GAP * dt]
-    dt = next((nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}"))
-               if abs(dt / nice - 1) < _ROUND), float(f"{dt:.6g}"))  # fmt: skip
+    dt = next(
+        (nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}")) if abs(dt / nice - 1) < _ROUND),
+        float(f"{dt:.6g}"),
+    )
     return dt, float(np.abs(kept - dt).max(initial=0.0))
 
 
@@ -452,8 +462,16 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     intervals = _intervals(columns)
     assert intervals is not None
     step, first = float(np.median(intervals)), float(columns[0][0])
-    for word, unit in (("millis", "ms"), ("micros", "us"), ("nanos", "ns"), ("ns", "ns"),
-                       ("ms", "ms"), ("us", "us"), ("nsec", "ns"), ("nsecs", "ns")):  # fmt: skip
+    for word, unit in (
+        ("millis", "ms"),
+        ("micros", "us"),
+        ("nanos", "ns"),
+        ("ns", "ns"),
+        ("ms", "ms"),
+        ("us", "us"),
+        ("nsec", "ns"),
+        ("nsecs", "ns"),
+    ):
         if word in reading.words:
             return unit, f"in {unit} by its name", True
     for unit, low, high in _EPOCHS:

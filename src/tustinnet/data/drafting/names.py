@@ -22,16 +22,35 @@ from tustinnet.data.drafting.vocabulary import (
 from tustinnet.data.units import ANGLE, LENGTH
 
 INPUTS: tuple[Quantity, ...] = (
-    "voltage", "duty", "control", "torque", "force", "current", "pressure",
-)  # fmt: skip
+    "voltage",
+    "duty",
+    "control",
+    "torque",
+    "force",
+    "current",
+    "pressure",
+)
 
 _UMLAUTS = str.maketrans(
     {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
 )
 _GREEK = str.maketrans(
-    {"φ": "phi", "ϕ": "phi", "θ": "theta", "ϑ": "theta", "ψ": "psi", "ω": "omega", "α": "alpha",
-     "β": "beta", "γ": "gamma", "τ": "tau", "Δ": "delta", "ẋ": "xdot", "\u0307": "dot"}
-)  # fmt: skip
+    {
+        "φ": "phi",
+        "ϕ": "phi",
+        "θ": "theta",
+        "ϑ": "theta",
+        "ψ": "psi",
+        "ω": "omega",
+        "α": "alpha",
+        "β": "beta",
+        "γ": "gamma",
+        "τ": "tau",
+        "Δ": "delta",
+        "ẋ": "xdot",
+        "\u0307": "dot",
+    }
+)
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
@@ -43,19 +62,69 @@ _IN = re.compile(r"(?i)^(.+?)[\s_,]+in[\s_]+(\S+)$")  # `Winkel in Grad`
 _POSITION = {
     **{unit: unit for unit in (*ANGLE, *LENGTH)},
     **dict.fromkeys(("radian", "radians"), "rad"),
-    **dict.fromkeys(("degree", "degrees", "grad", "grd", "°", "degre", "degres",
-         "grado", "grados", "gradi", "graus", "graden", "grader", "stopni", "stopnie", "stupne",
-         "度"),
-        "deg"),
-    **dict.fromkeys(("revs", "turns", "turn", "umdr", "umdrehungen", "revolutions", "tour", "tours",
-         "giri", "vueltas"), "rev"),
     **dict.fromkeys(
-        ("cnt", "cnts", "count", "counts", "tick", "ticks", "pulses", "inc", "incs", "ink",
-         "inkr", "inkremente", "increments", "impulse", "steps", "lsb"), "counts"),
+        (
+            "degree",
+            "degrees",
+            "grad",
+            "grd",
+            "°",
+            "degre",
+            "degres",
+            "grado",
+            "grados",
+            "gradi",
+            "graus",
+            "graden",
+            "grader",
+            "stopni",
+            "stopnie",
+            "stupne",
+            "度",
+        ),
+        "deg",
+    ),
+    **dict.fromkeys(
+        (
+            "revs",
+            "turns",
+            "turn",
+            "umdr",
+            "umdrehungen",
+            "revolutions",
+            "tour",
+            "tours",
+            "giri",
+            "vueltas",
+        ),
+        "rev",
+    ),
+    **dict.fromkeys(
+        (
+            "cnt",
+            "cnts",
+            "count",
+            "counts",
+            "tick",
+            "ticks",
+            "pulses",
+            "inc",
+            "incs",
+            "ink",
+            "inkr",
+            "inkremente",
+            "increments",
+            "impulse",
+            "steps",
+            "lsb",
+        ),
+        "counts",
+    ),
     **dict.fromkeys(("inch", "inches"), "in"),
     **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
-    "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um",
-}  # fmt: skip
+    "\N{MICRO SIGN}m": "um",
+    "\N{GREEK SMALL LETTER MU}m": "um",
+}
 _PER_SECOND = (
     "/s",
     "/sec",
@@ -71,29 +140,55 @@ _PER_SECOND = (
 _VELOCITY = {
     **{f"{name}{per}": f"{unit}/s" for name, unit in _POSITION.items() for per in _PER_SECOND},
     **dict.fromkeys(
-        ("rpm", "1/min", "u/min", "min^-1", "min-1", "rev/min", "r/min", "rev_min", "u_min",
-         "upm", "1_min", "tr/min", "tr_min", "giri/min", "ob/min", "r/m"), "rpm"),
+        (
+            "rpm",
+            "1/min",
+            "u/min",
+            "min^-1",
+            "min-1",
+            "rev/min",
+            "r/min",
+            "rev_min",
+            "u_min",
+            "upm",
+            "1_min",
+            "tr/min",
+            "tr_min",
+            "giri/min",
+            "ob/min",
+            "r/m",
+        ),
+        "rpm",
+    ),
     **dict.fromkeys(("km/h", "kmh", "kph"), "km/h"),
     **dict.fromkeys(("rps", "hz_rev"), "rev/s"),
-    "rads": "rad/s", "mps": "m/s", "dps": "deg/s",
-}  # fmt: skip
+    "rads": "rad/s",
+    "mps": "m/s",
+    "dps": "deg/s",
+}
 _SQUARED = ("/s^2", "/s2", "/s/s", "/s**2", "_s2", "_per_s2", "ps2", "*s^-2")
 _ACCELERATION = {
     **{f"{name}{per}": f"{unit}/s^2" for name, unit in _POSITION.items() for per in _SQUARED},
-    "g": "g", "mg": "mg",
-}  # fmt: skip
+    "g": "g",
+    "mg": "mg",
+}
 _UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
 """Columns that are called by their unit alone."""
 _INPUT_UNITS: dict[str, tuple[str, Quantity]] = {
-    **dict.fromkeys(("v", "volt", "volts"), ("V", "voltage")), "mv": ("mV", "voltage"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), ("A", "current")), "ma": ("mA", "current"),
+    **dict.fromkeys(("v", "volt", "volts"), ("V", "voltage")),
+    "mv": ("mV", "voltage"),
+    **dict.fromkeys(("a", "amp", "amps", "ampere"), ("A", "current")),
+    "ma": ("mA", "current"),
     **dict.fromkeys(("pct", "percent", "%", "prozent"), ("%", "duty")),
-    **dict.fromkeys(("n", "newton", "newtons"), ("N", "force")), "kn": ("kN", "force"),
+    **dict.fromkeys(("n", "newton", "newtons"), ("N", "force")),
+    "kn": ("kN", "force"),
     **dict.fromkeys(("nm", "n*m", "n_m", "n m", "newtonmeter"), ("N m", "torque")),
     **dict.fromkeys(("mnm", "mn*m", "mn m"), ("mN m", "torque")),
     **dict.fromkeys(("ncm", "n*cm"), ("N cm", "torque")),
-    "bar": ("bar", "pressure"), "pa": ("Pa", "pressure"), "psi": ("psi", "pressure"),
-}  # fmt: skip
+    "bar": ("bar", "pressure"),
+    "pa": ("Pa", "pressure"),
+    "psi": ("psi", "pressure"),
+}
 _TIME_UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "秒"), "s"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds", "millisekunden"), "ms"),
@@ -113,15 +208,23 @@ _SYMBOL = re.compile(
 )
 _PURE = POSITION_WORDS.union(
     *(STRONG[q] for q in ("time", "velocity", "acceleration", *INPUTS, "error")),
-    *QUALIFIERS.values(), "uifmwvn", ["rpm"],
-)  # fmt: skip
+    *QUALIFIERS.values(),
+    "uifmwvn",
+    ["rpm"],
+)
 """Words that say which quantity, but not of what."""
 _FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
 _VOCABULARY = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
 _LAST_PARTS = sorted(
-    (w for q in ("position", "velocity", "acceleration", *INPUTS, "error") for w in STRONG[q]
-     if len(w) >= 5 and w.isascii()), key=len, reverse=True,
-)  # fmt: skip
+    (
+        w
+        for q in ("position", "velocity", "acceleration", *INPUTS, "error")
+        for w in STRONG[q]
+        if len(w) >= 5 and w.isascii()
+    ),
+    key=len,
+    reverse=True,
+)
 """Words that are the last part of compounds, the longest first."""
 _SHORTEST_PART = 3  # letters; a shorter first part must be a word
 _CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
@@ -197,9 +300,16 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(
-        name, tuple(words), unit, in_brackets, quantities, word, qualifier, _kind(words, unit),
+        name,
+        tuple(words),
+        unit,
+        in_brackets,
+        quantities,
+        word,
+        qualifier,
+        _kind(words, unit),
         _object(words),
-    )  # fmt: skip
+    )
 
 
 _SURE_UNITS = ("velocity", "acceleration")

@@ -22,9 +22,41 @@ _WITHIN = 0.2  # of the samples, in the middle half of the range: less, and it s
 
 # counts of encoders in a turn that are sold, and four times as many where edges are counted
 _LINES = (
-    100, 120, 125, 128, 144, 180, 200, 250, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000,
-    1024, 1200, 1250, 1440, 1500, 1600, 1800, 2000, 2048, 2500, 3000, 3600, 4000, 4096, 5000,
-)  # fmt: skip
+    100,
+    120,
+    125,
+    128,
+    144,
+    180,
+    200,
+    250,
+    256,
+    300,
+    360,
+    400,
+    500,
+    512,
+    600,
+    720,
+    800,
+    900,
+    1000,
+    1024,
+    1200,
+    1250,
+    1440,
+    1500,
+    1600,
+    1800,
+    2000,
+    2048,
+    2500,
+    3000,
+    3600,
+    4000,
+    4096,
+    5000,
+)
 _TURNS = sorted({*_LINES, *(4 * n for n in _LINES), *(2**k for k in range(8, 25))})
 _SAME_COUNT = 2e-4  # relative
 

@@ -38,9 +38,32 @@ _ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi /
 _LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
 # counts in a turn of usual encoders, the most usual first
 _USUAL = (
-    4096, 2048, 8192, 1024, 16384, 512, 65536, 2000, 4000, 1000, 10000, 2400, 20000, 1440, 3600,
-    1200, 2880, 2500, 500, 360, 8000, 5000, 1600, 3200, 40000,
-)  # fmt: skip
+    4096,
+    2048,
+    8192,
+    1024,
+    16384,
+    512,
+    65536,
+    2000,
+    4000,
+    1000,
+    10000,
+    2400,
+    20000,
+    1440,
+    3600,
+    1200,
+    2880,
+    2500,
+    500,
+    360,
+    8000,
+    5000,
+    1600,
+    3200,
+    40000,
+)
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
 
@@ -70,10 +93,17 @@ def describe_coordinate(
     if (sine := findings.sines.get(column)) is not None:
         factor = findings.slopes.between(column, velocity)[1] if velocity else None
         return CoordinateChoice(
-            column, name, "angular", "rad", None, None,
-            _velocity(column, velocity, "rad", "angular", factor, findings), tuple(because),
-            (f"the direction: '{column}' as the cosine, '{sine}' as the sine",), sine=sine,
-        )  # fmt: skip
+            column,
+            name,
+            "angular",
+            "rad",
+            None,
+            None,
+            _velocity(column, velocity, "rad", "angular", factor, findings),
+            tuple(because),
+            (f"the direction: '{column}' as the cosine, '{sine}' as the sine",),
+            sine=sine,
+        )
     factor = findings.slopes.between(column, velocity)[1] if velocity else None
     speed = findings.readings[velocity].unit if velocity else ""
     kind = system_kind or _find_kind(column, velocity, input_kind, findings, because)
@@ -99,16 +129,27 @@ def describe_coordinate(
         assumed += ["resolution"] * is_assumed
     in_turn = counts if unit == "counts" else None
     return CoordinateChoice(
-        column, name, kind, unit, counts, resolution,
-        _velocity(column, velocity, unit, kind, factor, findings, in_turn), tuple(because),
-        tuple(doubts), tuple(assumed), scale,
-    )  # fmt: skip
+        column,
+        name,
+        kind,
+        unit,
+        counts,
+        resolution,
+        _velocity(column, velocity, unit, kind, factor, findings, in_turn),
+        tuple(because),
+        tuple(doubts),
+        tuple(assumed),
+        scale,
+    )
 
 
 def _find_kind(
-    column: str, velocity: str | None, input_kind: Kind | None, findings: Findings,
+    column: str,
+    velocity: str | None,
+    input_kind: Kind | None,
+    findings: Findings,
     because: list[str],
-) -> Kind | None:  # fmt: skip
+) -> Kind | None:
     """The kind of a position: by wraps, by its name, by its velocity's, by what drives it."""
     reading = findings.readings[column]
     if findings.numbers[column].wrap is not None and not reading.unit:
@@ -122,9 +163,13 @@ def _find_kind(
 
 
 def _find_unit(
-    column: str, speed: str, factor: float | None, kind: Kind | None, findings: Findings,
+    column: str,
+    speed: str,
+    factor: float | None,
+    kind: Kind | None,
+    findings: Findings,
     because: list[str],
-) -> str | None:  # fmt: skip
+) -> str | None:
     """The unit of a position: as answered, by its name, wraps, velocity, steps; else None."""
     reading, numbers = findings.readings[column], findings.numbers[column]
     answer = findings.answer(f"unit {column}")
@@ -156,9 +201,13 @@ def _unit_of_turn(numbers: Numbers) -> str | None:
 
 
 def _share_of_turn(
-    column: str, turn: float, findings: Findings, choice: Choice, doubts: list[str],
+    column: str,
+    turn: float,
+    findings: Findings,
+    choice: Choice,
+    doubts: list[str],
     assumed: list[str],
-) -> float:  # fmt: skip
+) -> float:
     """Turns in one unit of a position that starts again at a number that no unit explains."""
     key = f"turn {column}"
     if key in findings.answers:
@@ -251,9 +300,13 @@ def _unit_by_steps(numbers: Numbers, kind: Kind | None) -> str:
 
 
 def _unit_by_size(
-    column: str, kind: Kind | None, findings: Findings, choice: Choice, because: list[str],
+    column: str,
+    kind: Kind | None,
+    findings: Findings,
+    choice: Choice,
+    because: list[str],
     doubts: list[str],
-) -> str:  # fmt: skip
+) -> str:
     """The unit of a position by its range, with a question where that is not clear."""
     numbers = findings.numbers[column]
     unit, is_clear = _usual_unit(numbers, kind or "angular")
@@ -305,9 +358,14 @@ def _counts_by_copy(column: str, findings: Findings) -> int | None:
 
 
 def _counts(
-    column: str, speed: str, factor: float | None, findings: Findings, choice: Choice,
-    because: list[str], doubts: list[str],
-) -> tuple[int, bool]:  # fmt: skip
+    column: str,
+    speed: str,
+    factor: float | None,
+    findings: Findings,
+    choice: Choice,
+    because: list[str],
+    doubts: list[str],
+) -> tuple[int, bool]:
     """Counts in a turn, and whether they are assumed: neither answered nor by velocity or copy."""
     turn = findings.numbers[column].wrap
     key = f"counts {column}"
@@ -328,9 +386,13 @@ def _counts(
 
 
 def _length_of_count(
-    column: str, velocity_unit: str, factor: float | None, findings: Findings, choice: Choice,
+    column: str,
+    velocity_unit: str,
+    factor: float | None,
+    findings: Findings,
+    choice: Choice,
     doubts: list[str],
-) -> tuple[float, bool]:  # fmt: skip
+) -> tuple[float, bool]:
     """The length of a count [m], and whether it is assumed: neither answered nor by velocity."""
     key = f"resolution {column}"
     if key in findings.answers:
@@ -347,9 +409,14 @@ def _length_of_count(
 
 
 def _velocity(
-    column: str, velocity: str | None, unit: str, kind: Kind, factor: float | None,
-    findings: Findings, counts: int | None = None,
-) -> VelocityChoice | None:  # fmt: skip
+    column: str,
+    velocity: str | None,
+    unit: str,
+    kind: Kind,
+    factor: float | None,
+    findings: Findings,
+    counts: int | None = None,
+) -> VelocityChoice | None:
     """The velocity column of a coordinate with its unit: by its name, else by the factor.
 
     None where a position in counts has a velocity that is in no known unit.

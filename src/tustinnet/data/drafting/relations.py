@@ -164,11 +164,13 @@ def find_sines(
     sines: dict[str, str] = {}
     # accelerations of a turning sensor and voltages of a motor's phases are on circles, too
     names = [
-        n for n, s in samples.items()
+        n
+        for n, s in samples.items()
         if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
         and not {*readings[n].stated(readings[n].quantities)} - {"position"}
-        and readings[n].kind != "linear" and not readings[n].unit
-    ]  # fmt: skip
+        and readings[n].kind != "linear"
+        and not readings[n].unit
+    ]
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
             if {first, second} & {*sines, *sines.values()}:

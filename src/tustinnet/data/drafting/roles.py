@@ -14,9 +14,19 @@ from tustinnet.data.drafting.relations import (
 )
 
 Role = Literal[
-    "time", "position", "velocity", "acceleration", "input", "set point", "error", "flag",
-    "counter", "constant", "other", "no numbers",
-]  # fmt: skip
+    "time",
+    "position",
+    "velocity",
+    "acceleration",
+    "input",
+    "set point",
+    "error",
+    "flag",
+    "counter",
+    "constant",
+    "other",
+    "no numbers",
+]
 
 _DERIVATIVE = 0.97  # correlation with a slope that needs no name
 _NAMED_DERIVATIVE = 0.75  # of a column whose name says velocity
@@ -27,10 +37,15 @@ _WHITE = 1.2  # roughness of white noise is the root of 2
 _AXES = {"x", "y", "z", "yaw", "pitch", "roll", "rx", "ry", "rz", "azimuth", "elevation"}
 _CLEAR = 1.0  # a role whose score is by less above the next one is doubtful
 _ROLES: dict[Quantity, Role] = {
-    **dict.fromkeys(INPUTS, "input"), "position": "position", "velocity": "velocity",
-    "acceleration": "acceleration", "error": "error", "flag": "flag", "counter": "counter",
+    **dict.fromkeys(INPUTS, "input"),
+    "position": "position",
+    "velocity": "velocity",
+    "acceleration": "acceleration",
+    "error": "error",
+    "flag": "flag",
+    "counter": "counter",
     "other": "other",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -107,9 +122,13 @@ def judge_columns(
         verdict = _decide(numbers[name], evidence)
         is_rate = verdict.role in ("velocity", "acceleration")
         verdicts[name] = Verdict(
-            verdict.role, verdict.reasons, verdict.rival, verdict.score,
-            slope_of if is_rate else None, leads if verdict.role == "set point" else None,
-        )  # fmt: skip
+            verdict.role,
+            verdict.reasons,
+            verdict.rival,
+            verdict.score,
+            slope_of if is_rate else None,
+            leads if verdict.role == "set point" else None,
+        )
     _leave_out_noise(readings, numbers, verdicts)
     _take_named_inputs(readings, verdicts, samples)
     _take_drivers_for_inputs(numbers, verdicts, samples, times)
@@ -268,9 +287,10 @@ def _number_evidence(numbers: Numbers) -> Iterator[Evidence]:
     if count is not None and numbers.smooth and not numbers.binary:
         is_encoder = numbers.whole or not is_decimal(count)
         yield Evidence(
-            "position", 1.5 if is_encoder else 0.3,
+            "position",
+            1.5 if is_encoder else 0.3,
             f"steps of {count:.6g}, as encoder counts" if is_encoder else f"steps of {count:.6g}",
-        )  # fmt: skip
+        )
     if numbers.binary and numbers.range in ((0.0, 1.0), (-1.0, 0.0)):
         yield Evidence("flag", 2.5, "only 0 and 1")
     if numbers.levels:
@@ -318,9 +338,12 @@ def _find_integral(
 
 
 def _slope_evidence(
-    name: str, slope_of: str, readings: Mapping[str, NameReading],
-    verdicts: Mapping[str, Verdict], slopes: Slopes,
-) -> Evidence:  # fmt: skip
+    name: str,
+    slope_of: str,
+    readings: Mapping[str, NameReading],
+    verdicts: Mapping[str, Verdict],
+    slopes: Slopes,
+) -> Evidence:
     """Evidence that a column is the derivative of another one."""
     correlation, _ = slopes.between(slope_of, name)
     # the slope of a velocity is an acceleration
@@ -371,9 +394,12 @@ def _find_follower(
 
 
 def _find_driven(
-    name: str, verdicts: Mapping[str, Verdict], samples: Mapping[str, Sequence[Values]],
-    times: Sequence[Values], most_reverse: float = _DRIVING,
-) -> tuple[str, float] | None:  # fmt: skip
+    name: str,
+    verdicts: Mapping[str, Verdict],
+    samples: Mapping[str, Sequence[Values]],
+    times: Sequence[Values],
+    most_reverse: float = _DRIVING,
+) -> tuple[str, float] | None:
     """The position that a column drives, and the share that it explains; None without one.
 
     The position explains at most `most_reverse` times as much of the column's own acceleration.
@@ -391,9 +417,11 @@ def _find_driven(
 
 
 def _find_difference(
-    name: str, reading: NameReading, verdicts: Mapping[str, Verdict],
+    name: str,
+    reading: NameReading,
+    verdicts: Mapping[str, Verdict],
     samples: Mapping[str, Sequence[Values]],
-) -> tuple[str, str] | None:  # fmt: skip
+) -> tuple[str, str] | None:
     """The set point and the value that follows it whose difference a column is, None without."""
     if verdicts[name].role in ("constant", "set point") or reading.qualifier == "command":
         return None

@@ -78,8 +78,9 @@ def choose_splits(
         pieces, sentences = _cut_long(pieces, positions)
     reasons = sorted({p.because for p in pieces if p.because and not p.because.startswith("a gap")})
     gaps = sum(p.because.startswith("a gap") for p in pieces)
-    sentences += [f"cut where {reason}" for reason in reasons if "rest" not in reason
-                  and "end" not in reason]  # fmt: skip
+    sentences += [
+        f"cut where {reason}" for reason in reasons if "rest" not in reason and "end" not in reason
+    ]
     sentences += ["cut at gaps"] if gaps else []
     records = _group(pieces, inputs)
     sets: dict[str, dict[str, list[DraftRecord]]] = {}

@@ -116,11 +116,13 @@ def _match_rest(
         # a column of any kind may also be that of a coordinate of the other kind
         kinds = (kind,) if len(names) < len(rest) else (None, kind)
         columns = [
-            column for column in (places[names[0]] if names else ())
-            if column not in used and findings.verdicts[column].role == "position"
+            column
+            for column in (places[names[0]] if names else ())
+            if column not in used
+            and findings.verdicts[column].role == "position"
             and findings.readings[column].qualifier not in ("filtered", "model")
             and findings.readings[column].kind in kinds
-        ]  # fmt: skip
+        ]
         if len(columns) != len(names):
             continue
         for name, column in zip(names, columns, strict=True):
@@ -135,9 +137,10 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
     """Matches the inputs with columns that are no positions."""
     used = {*matches.coordinates.values()}
     columns = [
-        column for column in findings.verdicts
+        column
+        for column in findings.verdicts
         if column not in used and _may_be_input(column, findings)
-    ]  # fmt: skip
+    ]
     joints = {i.name: system.joints.get(i.name, "") for i in system.inputs}
     scores = {}
     for i in system.inputs:

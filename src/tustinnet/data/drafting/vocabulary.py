@@ -6,9 +6,22 @@ Words are in lower case and without accents. German umlauts are spelled out: `ho
 from typing import Literal
 
 Quantity = Literal[
-    "time", "counter", "position", "velocity", "acceleration", "voltage", "duty", "control",
-    "torque", "force", "current", "pressure", "error", "flag", "other",
-]  # fmt: skip
+    "time",
+    "counter",
+    "position",
+    "velocity",
+    "acceleration",
+    "voltage",
+    "duty",
+    "control",
+    "torque",
+    "force",
+    "current",
+    "pressure",
+    "error",
+    "flag",
+    "other",
+]
 Qualifier = Literal["command", "measured", "filtered", "model"]
 
 # English and German; then French, Spanish and Portuguese, Italian, Dutch and Swedish, Polish and

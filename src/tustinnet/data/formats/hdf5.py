@@ -81,11 +81,12 @@ def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
 
     with h5py.File(path, "r") as file:
         return {
-            item.name: np.asarray(item.data[()] if item.field is None else item.data[item.field])
-            .reshape(item.shape)
+            item.name: np.asarray(
+                item.data[()] if item.field is None else item.data[item.field]
+            ).reshape(item.shape)
             for item in _walk(path, "", file, 0)
             if item.name in names and item.shape is not None
-        }  # fmt: skip
+        }
 
 
 def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:

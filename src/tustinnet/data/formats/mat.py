@@ -98,11 +98,14 @@ def _in_objects(path: Path, objects: set[str]) -> list[MatVariable]:
     except Exception:  # objects that the library does not know, or damaged ones
         return []
     inner = [a for a in arrays if any(_is_in(a.name, name) for name in objects)]
-    return list(_oriented(
-        MatVariable(a.name, None, other="text", text=a.text[:_LONGEST_TEXT]) if a.text
-        else _numbers(a.name, a.values.shape, lambda a=a: a.values)._replace(clock=a.clock)
-        for a in inner
-    ))  # fmt: skip
+    return list(
+        _oriented(
+            MatVariable(a.name, None, other="text", text=a.text[:_LONGEST_TEXT])
+            if a.text
+            else _numbers(a.name, a.values.shape, lambda a=a: a.values)._replace(clock=a.clock)
+            for a in inner
+        )
+    )
 
 
 def _described(variables: Sequence[MatVariable]) -> list[MatVariable]:

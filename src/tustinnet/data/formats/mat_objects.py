@@ -10,8 +10,16 @@ import numpy as np
 from tustinnet.data.formats.reader import Array
 
 _DEEPEST = 20  # objects, structs and cells in one another
-_SECONDS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9,
-            "minutes": 60.0, "hours": 3600.0, "days": 86_400.0, "weeks": 604_800.0}  # fmt: skip
+_SECONDS = {
+    "seconds": 1.0,
+    "milliseconds": 1e-3,
+    "microseconds": 1e-6,
+    "nanoseconds": 1e-9,
+    "minutes": 60.0,
+    "hours": 3600.0,
+    "days": 86_400.0,
+    "weeks": 604_800.0,
+}
 
 
 class ObjectArray(NamedTuple):

@@ -33,9 +33,11 @@ def _topics(path: Path) -> Iterator[tuple[list[Topic], int]]:
         summary = reader.get_summary()
         if summary is None or summary.statistics is None:
             raise InputError(
-                path, "the file has no summary: its recording was cut short", "a whole file",
+                path,
+                "the file has no summary: its recording was cut short",
+                "a whole file",
                 "repair it: mcap recover",
-            )  # fmt: skip
+            )
         factory, topics = DecoderFactory(), []
         by_name: dict[str, list[int]] = {}
         for channel in summary.channels.values():

@@ -26,9 +26,20 @@ _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 # units of joint states, of joints that turn and of joints that slide, and words for the latter
 _JOINT_UNITS = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}
 _LENGTHS = {
-    "prismatic", "slider", "slide", "linear", "lift", "rail", "cart", "carriage", "gripper",
-    "finger", "x", "y", "z",
-}  # fmt: skip
+    "prismatic",
+    "slider",
+    "slide",
+    "linear",
+    "lift",
+    "rail",
+    "cart",
+    "carriage",
+    "gripper",
+    "finger",
+    "x",
+    "y",
+    "z",
+}
 _SAME_EPOCH = 86_400 * 10**9  # ns: header stamps further from the reception are of another clock
 
 Message = Any
@@ -258,6 +269,8 @@ def _value(
 
 
 def _is_list_of_text(value: Any) -> bool:
-    return isinstance(value, list | tuple | np.ndarray) and len(value) > 0 and all(
-        isinstance(text, str) for text in value
-    )  # fmt: skip
+    return (
+        isinstance(value, list | tuple | np.ndarray)
+        and len(value) > 0
+        and all(isinstance(text, str) for text in value)
+    )

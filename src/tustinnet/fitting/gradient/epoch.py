@@ -163,9 +163,12 @@ def _run(
         return jax.lax.scan(step, state, jnp.arange(EPOCHS_A_CALL))
 
     sharded = jax.shard_map(
-        on_device, mesh=program.mesh, in_specs=(member, specs, shared),
-        out_specs=(member, Spec(None, MEMBERS)), check_vma=False,
-    )  # fmt: skip
+        on_device,
+        mesh=program.mesh,
+        in_specs=(member, specs, shared),
+        out_specs=(member, Spec(None, MEMBERS)),
+        check_vma=False,
+    )
     return sharded(state, inputs, count)
 
 
@@ -174,9 +177,14 @@ def _no_figures(progress: StageProgress) -> EpochFigures:
     rate = progress.plateau.rate
     no, unknown = jnp.zeros(rate.shape, bool), jnp.full(rate.shape, jnp.nan, jnp.float32)
     return EpochFigures(
-        active=no, finite=no, epoch=progress.epoch, loss=unknown, validation=unknown, rate=rate,
+        active=no,
+        finite=no,
+        epoch=progress.epoch,
+        loss=unknown,
+        validation=unknown,
+        rate=rate,
         best=progress.best_score,
-    )  # fmt: skip
+    )
 
 
 def _epoch(

@@ -132,9 +132,12 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
     every_record = {id(e): e for f in peer_numbers for e in folds[f].roles.all}
     start_name = recipe.start or default_start([*every_record.values()], single[0])
     start = start_named(start_name)
-    task = replace(task, folds=tuple(
-        replace(fold, roles=fold.roles.with_long_validation(start.samples)) for fold in folds
-    ))  # fmt: skip
+    task = replace(
+        task,
+        folds=tuple(
+            replace(fold, roles=fold.roles.with_long_validation(start.samples)) for fold in folds
+        ),
+    )
     left_out = {
         e.name: e
         for f in fold_numbers
@@ -185,9 +188,11 @@ def _shared_physics(fold: Fold) -> Model | None:
             for name, value in sorted(set(e.groups) - set(than.groups))
         )
         raise InputError(
-            "--physics", f"has other values for {differ}", "records that share their values",
+            "--physics",
+            f"has other values for {differ}",
+            "records that share their values",
             "train on the records of one group",
-        )  # fmt: skip
+        )
     return physics
 
 

@@ -58,18 +58,22 @@ def with_added(
             channel = system.inputs[force.index]
             if all(np.ptp(e.u[:, force.index]) == 0 for e in experiments):
                 raise InputError(
-                    WHERE, f"'{force}': '{channel.name}' never changes in a training record",
-                    "an input that changes", "name those that do, as LAW:INPUT",
-                )  # fmt: skip
+                    WHERE,
+                    f"'{force}': '{channel.name}' never changes in a training record",
+                    "an input that changes",
+                    "name those that do, as LAW:INPUT",
+                )
             made = [need.for_input(channel, motions[0]) for need in force.law.parameters]
             parameters |= {p.name: p for p in made}
             continue
         motion = motions[force.index]
         if not (motion.travel > 0 and motion.speed > 0 and motion.force > 0):
             raise InputError(
-                WHERE, f"'{force}': '{force.channel}' never moves in the training records",
-                "a coordinate that moves", "name those that do, as LAW:COORDINATE",
-            )  # fmt: skip
+                WHERE,
+                f"'{force}': '{force.channel}' never moves in the training records",
+                "a coordinate that moves",
+                "name those that do, as LAW:COORDINATE",
+            )
         motion = replace(motion, width=values.get(force.own_width))
         coordinate = system.coordinates[force.index]
         every = [need.for_coordinate(coordinate, motion) for need in force.brought.values()]
@@ -92,9 +96,11 @@ def _with_coordinates(
             continue
         if not limited:
             raise InputError(
-                WHERE, f"'{name}': every coordinate turns around", "a coordinate with an end",
+                WHERE,
+                f"'{name}': every coordinate turns around",
+                "a coordinate with an end",
                 f"name one, as {name}:COORDINATE, if a spring pulls at it all the same",
-            )  # fmt: skip
+            )
         placed += [f"{name}:{coordinate}" for coordinate in limited]
     return placed
 

@@ -28,10 +28,11 @@ def require_refit_possible(problem: Problem) -> None:
         return
     if len(shortest) < start.samples:
         raise InputError(
-            "search.refine", f"'{start.name}', and record '{shortest.name}' has {len(shortest)} "
-            "samples", f"records of at least {start.samples}",
+            "search.refine",
+            f"'{start.name}', and record '{shortest.name}' has {len(shortest)} samples",
+            f"records of at least {start.samples}",
             "leave the record out, or set search.refine=none",
-        )  # fmt: skip
+        )
     # raises an error, as `file` does where no velocities are stored
     start.start_data(problem.nominal_model, problem.records)
 

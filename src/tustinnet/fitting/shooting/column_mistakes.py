@@ -274,9 +274,10 @@ class _Comparison:
                 break
             best, after = min(outcomes, key=lambda pair: pair[1].total)
             alike = [
-                change for change, outcome in outcomes
+                change
+                for change, outcome in outcomes
                 if outcome.total < _EQUAL**2 * after.total and {*change.joints} == {*best.joints}
-            ]  # fmt: skip
+            ]
             sentences.append(self._describe(best, alike, before, after))
             gains = np.array(best.columns)
             gains[[*best.free]] *= after.gain
@@ -340,9 +341,12 @@ class _Comparison:
             return computed
         centre, n, n_p = self.prior.centre, self.n, len(self.prior.centre)
         sums = _Geometry(
-            np.zeros((n, n_p, n_p)), np.zeros((n, n_p)), np.zeros((n, n, n_p)), np.zeros(n),
+            np.zeros((n, n_p, n_p)),
+            np.zeros((n, n_p)),
+            np.zeros((n, n, n_p)),
+            np.zeros(n),
             np.zeros((n, n)),
-        )  # fmt: skip
+        )
         for part, forces in zip(self.parts, self.forces, strict=True):
             moved = part.points.copy()
             for block in range(3):
@@ -372,11 +376,14 @@ class _Comparison:
         # residual of joint k: constant + slopes x - own - gain factor
         own, factor = (np.where(mask[:, None], columns, 0.0) for mask in (~is_free, is_free))
         unit = self._units(sums, columns, is_free)
-        gradient = np.concatenate([
-            np.einsum("k,kp->p", unit, sums.by_constant - np.einsum("kj,kjp->kp", own,
-                                                                    sums.by_column)),
-            [-float(unit @ np.sum(factor * sums.cross, axis=1))] if free else [],
-        ])  # fmt: skip
+        gradient = np.concatenate(
+            [
+                np.einsum(
+                    "k,kp->p", unit, sums.by_constant - np.einsum("kj,kjp->kp", own, sums.by_column)
+                ),
+                [-float(unit @ np.sum(factor * sums.cross, axis=1))] if free else [],
+            ]
+        )
         matrix = np.zeros((len(gradient), len(gradient)))
         matrix[:n_p, :n_p] = np.einsum("k,kpq->pq", unit, sums.matrices)
         matrix[:n_p, :n_p] += np.diag(1 / self.prior.spread**2)
@@ -439,13 +446,17 @@ class _Comparison:
                 f"{effect}"
             )
         meanings = {
-            "gain": "the force", "gains": "the forces", "signs": "the forces",
+            "gain": "the force",
+            "gains": "the forces",
+            "signs": "the forces",
             "positions": "the position",
             "both": "both position and force (or the axis in the file)",
-        }  # fmt: skip
-        what = " or of ".join(dict.fromkeys(
-            meanings[change.kind] for change in (best, *alike) if change.kind in meanings
-        ))  # fmt: skip
+        }
+        what = " or of ".join(
+            dict.fromkeys(
+                meanings[change.kind] for change in (best, *alike) if change.kind in meanings
+            )
+        )
         return (
             f"the sign of {what} of {names} is probably reversed: sign = -1 in the card; {effect}"
         )

@@ -157,9 +157,11 @@ def _fit_gains(
         if len(y) <= len(free) or np.linalg.svd(products)[1].min() < _LEAST_MOTION * len(y):
             names = " and ".join(loop.gains[g] for g in free)
             raise InputError(
-                where, f"records from which {names} cannot be found",
-                "deviations from the set points, within the limits", "give the gains in the card",
-            )  # fmt: skip
+                where,
+                f"records from which {names} cannot be found",
+                "deviations from the set points, within the limits",
+                "give the gains in the card",
+            )
         inverse = np.linalg.inv(products)
         values = inverse @ (instrument.T @ rest)
         noise = np.sum((rest - scaled @ values) ** 2) / (len(y) - len(free))
@@ -169,9 +171,11 @@ def _fit_gains(
         for g, deviation in zip(free, deviations.tolist(), strict=True):
             if gains[g] < -_SURE * deviation:
                 raise InputError(
-                    where, f"{loop.gains[g]} is found to be {gains[g]:.4g}", "0 or more",
+                    where,
+                    f"{loop.gains[g]} is found to be {gains[g]:.4g}",
+                    "0 or more",
                     "check the key `sign` of the input and of the coordinate, and the set points",
-                )  # fmt: skip
+                )
             fitted[loop.gains[g]] = max(float(gains[g]), 0.0), deviation
     # noise of velocities is not the law's
     residual = (

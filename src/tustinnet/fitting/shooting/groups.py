@@ -87,8 +87,10 @@ def expand_values(
         InputError: a name that no parameter has.
     """
     names = [p.name for p in parameters]
-    members = {p.name: [p.for_group(v).name for v in p.by_group(dict.fromkeys(names))]
-               for p in system.grouped}  # fmt: skip
+    members = {
+        p.name: [p.for_group(v).name for v in p.by_group(dict.fromkeys(names))]
+        for p in system.grouped
+    }
     for name in values:
         if name not in names and name not in members:
             expected = ", ".join([*members, *names])

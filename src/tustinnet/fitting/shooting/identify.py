@@ -165,8 +165,9 @@ def _unfinished_search(problem: Problem) -> UnfinishedSearchError:
     return UnfinishedSearchError(
         f"identification of '{problem.system.name}'",
         "stopped at its time limit before a stage was finished",
-        "time for the first stage", "allow more",
-    )  # fmt: skip
+        "time for the first stage",
+        "allow more",
+    )
 
 
 def _make_fit_result(
@@ -212,9 +213,11 @@ def _make_problem(
     if isinstance(system, SystemTemplate):
         if channels.controller is not None:
             raise InputError(
-                f"system '{system.name}'", "made for records without [controller] in their card",
-                "a system of your own: --system FILE", "or take [controller] out of the card",
-            )  # fmt: skip
+                f"system '{system.name}'",
+                "made for records without [controller] in their card",
+                "a system of your own: --system FILE",
+                "or take [controller] out of the card",
+            )
         system = system.for_records(records)
     first = records[0].without_controller()
     alone = [e.without_controller() for e in records]
@@ -258,9 +261,11 @@ def _require_no_delay_in_loop(names: Sequence[str], channels: Channels) -> None:
     for loop in loops:
         if (name := f"{loop.input}.delay") in names:
             raise InputError(
-                "model.free", f"'{name}', of an input that the controller computes",
-                "a delay of another input", "`delay` of its loop in the card counts whole samples",
-            )  # fmt: skip
+                "model.free",
+                f"'{name}', of an input that the controller computes",
+                "a delay of another input",
+                "`delay` of its loop in the card counts whole samples",
+            )
 
 
 def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> SearchState:

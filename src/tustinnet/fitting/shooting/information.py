@@ -60,8 +60,9 @@ def fisher_information(
     segments = problem.segments(None, "anchored", {})
     # in a simulation the state at the beginning is exact
     x0 = segments.x0.copy()
-    x0[:, records[0].channels.measured] = [np.concatenate([e.q[0], e.velocities()[0]])
-                                           for e in records]  # fmt: skip
+    x0[:, records[0].channels.measured] = [
+        np.concatenate([e.q[0], e.velocities()[0]]) for e in records
+    ]
     # the groups of the values, of which the records may have only some
     indices = group_indices(system, expand_parameters_by_values(system, values), records)
     segments = replace(segments, x0=x0, group_indices=indices)

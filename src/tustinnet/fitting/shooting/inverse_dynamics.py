@@ -253,9 +253,18 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
             break
     held_out = [filter_record(e, cutoff) for e in problem.validation]
     return _make_identification(
-        closed_loop, replace(state, vector=point.vector), formula, equations, prior, train,
-        held_out, point, iterations, status, cutoff,
-    )  # fmt: skip
+        closed_loop,
+        replace(state, vector=point.vector),
+        formula,
+        equations,
+        prior,
+        train,
+        held_out,
+        point,
+        iterations,
+        status,
+        cutoff,
+    )
 
 
 def without_gains(problem: Problem, state: SearchState) -> SearchState:
@@ -292,9 +301,11 @@ def require_possible(system: LagrangianSystem, records: Sequence[Experiment]) ->
     """Raises where `find_obstacle` finds one."""
     if (obstacle := find_obstacle(system, records)) is not None:
         raise InputError(
-            "search.method", f"inverse-dynamics, {obstacle.problem}", obstacle.expected,
+            "search.method",
+            f"inverse-dynamics, {obstacle.problem}",
+            obstacle.expected,
             obstacle.remedy,
-        )  # fmt: skip
+        )
 
 
 def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> bool:
@@ -390,10 +401,11 @@ def filter_record(e: Experiment, cutoff: float) -> MeasuredForces:
     part = MeasuredForces(points, e, every * e.dt, cutoff)
     if (remaining := len(points) - 2 * round(1 / (cutoff * part.dt))) < _FEWEST:
         raise InputError(
-            f"record '{e.name}'", f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz "
-            f"leaves {max(remaining, 0)}", f"at least {_FEWEST}",
+            f"record '{e.name}'",
+            f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz leaves {max(remaining, 0)}",
+            f"at least {_FEWEST}",
             "longer records, or another search.cutoff",
-        )  # fmt: skip
+        )
     return part
 
 
@@ -579,10 +591,12 @@ def _missing_along(
     values: Mapping[str, float],
 ) -> Float[np.ndarray, "k n_q"]:
     """Missing forces of each coordinate along filtered records, one after the other [N m or N]."""
-    return np.concatenate([
-        part.compare(evaluate(formula, with_parameters(equations, part, values)))
-        for part in parts
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            part.compare(evaluate(formula, with_parameters(equations, part, values)))
+            for part in parts
+        ]
+    )
 
 
 def _root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
@@ -610,9 +624,9 @@ def _make_identification(
     space, records = state.space, problem.records
     values = space.to_values_in_range(point.vector)
     indices = problem.group_indices(records)
-    is_alone = np.array([
-        bool(indices.shape[1] and np.min(np.sum(indices == row, axis=0)) == 1) for row in indices
-    ])  # fmt: skip
+    is_alone = np.array(
+        [bool(indices.shape[1] and np.min(np.sum(indices == row, axis=0)) == 1) for row in indices]
+    )
     parameter_errors = _errors(point, prior, space, is_alone)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
@@ -628,11 +642,14 @@ def _make_identification(
     rms_held_out = None if missing_held_out is None else _root_mean_square(missing_held_out)
     errors = [
         ForceError(
-            c.name, "N m" if c.kind == "angular" else "N", float(size[k]), float(rms[k]),
+            c.name,
+            "N m" if c.kind == "angular" else "N",
+            float(size[k]),
+            float(rms[k]),
             None if rms_held_out is None else float(rms_held_out[k]),
         )
         for k, c in enumerate(problem.system.coordinates)
-    ]  # fmt: skip
+    ]
     informed = deviations < INFORMED * prior.spread
     estimates = _estimates(point, space, deviations, informed)
     points = [with_parameters(equations, part, space.to_values(point.vector)) for part in train]
@@ -711,12 +728,16 @@ def _describe_curves(
             continue  # it has one, or is at rest
         width = values.get(width_name, slow_speed(speed))
         regressors, others = (
-            np.concatenate([
-                part.compare(np.asarray(curve_terms(jnp.asarray(part.points[:, n + k]), width)).T)
-                for part in parts
-            ])
+            np.concatenate(
+                [
+                    part.compare(
+                        np.asarray(curve_terms(jnp.asarray(part.points[:, n + k]), width)).T
+                    )
+                    for part in parts
+                ]
+            )
             for parts in (train, held_out)
-        )  # fmt: skip
+        )
         solution = np.linalg.lstsq(regressors, missing[:, k], rcond=1e-8)[0]
         force = missing_held_out[:, k]
         if np.sum((force - others @ solution) ** 2) < _EXPLAINED**2 * np.sum(force**2):
@@ -763,11 +784,14 @@ def _describe_carried(
             for c in CENTER:
                 there, here = values[f"{link}.{c}{end}"], values[f"{link}.{c}{lightest}"]
                 center = (own * there - less * here) / mass
-                error = half({
-                    f"{link}.mass{end}": (there - center) / mass, f"{link}.{c}{end}": own / mass,
-                    f"{link}.mass{lightest}": (center - here) / mass,
-                    f"{link}.{c}{lightest}": -less / mass,
-                })  # fmt: skip
+                error = half(
+                    {
+                        f"{link}.mass{end}": (there - center) / mass,
+                        f"{link}.{c}{end}": own / mass,
+                        f"{link}.mass{lightest}": (center - here) / mass,
+                        f"{link}.{c}{lightest}": -less / mass,
+                    }
+                )
                 centers.append(f"{center:.3g} ± {error:.2g}")
             sentences.append(
                 f"'{link}' carries {mass:.4g} ± {width:.2g} kg (95 %) more in records of "
@@ -805,11 +829,15 @@ def _estimate_base_parameters(
         value = float(factors @ coordinates.values)
         gradient = np.where(inside, factors @ coordinates.derivatives * scale, 0.0)
         half = _QUANTILE * errors.deviation(gradient)
-        estimates.append(BaseParameterEstimate(
-            names[pivot], coordinates.units[pivot],
-            {names[i]: float(factors[i]) for i in terms}, value,
-            (value - half, value + half) if gradient.any() else None,
-        ))  # fmt: skip
+        estimates.append(
+            BaseParameterEstimate(
+                names[pivot],
+                coordinates.units[pivot],
+                {names[i]: float(factors[i]) for i in terms},
+                value,
+                (value - half, value + half) if gradient.any() else None,
+            )
+        )
     return tuple(estimates)
 
 
@@ -833,10 +861,12 @@ def _errors(point: _Point, prior: Prior, space: SearchSpace, is_alone: np.ndarra
     n = len(left_out)
     if n < FEWEST_RECORDS:
         return _Errors(noise, None)
-    steps = np.stack([
-        np.linalg.solve(whole - point.matrices[k][both], point.gradients[k][inside])
-        for k in left_out
-    ])  # fmt: skip
+    steps = np.stack(
+        [
+            np.linalg.solve(whole - point.matrices[k][both], point.gradients[k][inside])
+            for k in left_out
+        ]
+    )
     steps -= steps.mean(axis=0)
     clustered = (n - 1) / n * steps.T @ steps + inverse @ precision[both] @ inverse
     wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / _QUANTILE
@@ -860,12 +890,18 @@ def _estimates(
         error, half = deviations[i] * abs(derivatives[i]), _QUANTILE * deviations[i]
         edges = np.clip([point.vector[i] - half, point.vector[i] + half], lower[i], upper[i])
         interval = np.exp(edges) if p.positive else edges * derivatives[i]
-        estimates.append(Estimate(
-            name=p.name, unit=p.unit, value=values[p.name],
-            error=float(error) if has_error else None,
-            naive_error=float(error) if has_error else None,
-            interval=(float(interval[0]), float(interval[1])) if has_error else None,
-            lower=p.lower, upper=p.upper, bound=bounds.get(p.name, ""),
-            is_informed=bool(informed[i]) or p.name in bounds,
-        ))  # fmt: skip
+        estimates.append(
+            Estimate(
+                name=p.name,
+                unit=p.unit,
+                value=values[p.name],
+                error=float(error) if has_error else None,
+                naive_error=float(error) if has_error else None,
+                interval=(float(interval[0]), float(interval[1])) if has_error else None,
+                lower=p.lower,
+                upper=p.upper,
+                bound=bounds.get(p.name, ""),
+                is_informed=bool(informed[i]) or p.name in bounds,
+            )
+        )
     return tuple(estimates)

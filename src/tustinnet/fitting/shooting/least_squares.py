@@ -196,12 +196,16 @@ def minimise(
     if np.isfinite(point.cost):
         on_step(0, point.cost, _DAMPING_RULE.initial, False)
         result = iterate(
-            point, propose, has_converged, _DAMPING_RULE, stopping.max_iterations,
+            point,
+            propose,
+            has_converged,
+            _DAMPING_RULE,
+            stopping.max_iterations,
             lambda number, point, damping, is_accepted: on_step(
                 number, point.cost, damping, is_accepted
             ),
             should_stop,
-        )  # fmt: skip
+        )
         point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(
         point.vector, point.x0, cost.segments, point.products, point.cost, iterations, status

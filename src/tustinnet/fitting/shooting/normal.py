@@ -84,16 +84,23 @@ def compute_products(
         x0, parameter_rows, segments.adds_expected, polynomials[segments.first_row]
     )
     runs = Runs(
-        start=initial.states, parameters=parameter_rows, steps=segments.steps,
-        first=segments.first_row, periods=segments.periods,
+        start=initial.states,
+        parameters=parameter_rows,
+        steps=segments.steps,
+        first=segments.first_row,
+        periods=segments.periods,
         drive=polynomials,
-    )  # fmt: skip
+    )
     by_state = segments.is_free[:, :, None] * initial.by_state
     directions = np.concatenate([initial.by_parameter, by_state], axis=1)
     result = compare(
-        equations.motion, residual.formula, runs, substeps,
-        Directions(directions, parameters=True), Samples(segments.measurements, segments.weights),
-    )  # fmt: skip
+        equations.motion,
+        residual.formula,
+        runs,
+        substeps,
+        Directions(directions, parameters=True),
+        Samples(segments.measurements, segments.weights),
+    )
     # the engine differentiates by the equations' parameters, the search by its coordinates
     chain = equations.coordinate_derivatives(space, vector, segments.group_indices)
     free, n_p = equations.free_columns(space), equations.n_p

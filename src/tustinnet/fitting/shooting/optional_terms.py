@@ -72,9 +72,11 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     state = _fit_from_best_start(problem, state, stage)
     if state.result is not None and state.has_diverged:
         raise InputError(
-            f"system '{problem.system.name}'", "first values with which the simulations diverge",
-            "values that stay finite", "give others in the recipe: model.begin",
-        )  # fmt: skip
+            f"system '{problem.system.name}'",
+            "first values with which the simulations diverge",
+            "values that stay finite",
+            "give others in the recipe: model.begin",
+        )
     for longer_stage in longer_stages:
         longer = run_stage(problem, state, longer_stage)
         if not longer.is_stopped and longer.has_diverged:
@@ -169,10 +171,10 @@ def _drop_some(
     cost, space = make_quadratic_cost(problem, state, reach, _NEEDED), state.space
     optional = {p.name: p for p in problem.system.parameters if p.optional}
     choices = {
-        i: (0.0, *(x / (optional[name].upper - optional[name].lower)
-                   for x in optional[name].usual))
-        for i, name in enumerate(space.names) if name in optional
-    }  # fmt: skip
+        i: (0.0, *(x / (optional[name].upper - optional[name].lower) for x in optional[name].usual))
+        for i, name in enumerate(space.names)
+        if name in optional
+    }
     fixed = _find_unneeded(cost, choices)
     for _ in range(1 + _HALVES):
         if not fixed:

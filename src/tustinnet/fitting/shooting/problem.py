@@ -172,18 +172,23 @@ class Problem:
             horizons: longest segment of single records in steps, by name.
         """
         options = CutOptions(
-            residual=self.residual, steps=steps, initial_treatment=initial_treatment,
-            horizons=horizons, has_delays=bool(self.delays),
-        )  # fmt: skip
+            residual=self.residual,
+            steps=steps,
+            initial_treatment=initial_treatment,
+            horizons=horizons,
+            has_delays=bool(self.delays),
+        )
         indices = self.group_indices(self.records)
         return cut_records(self.records, self.nominal_model, options, indices)
 
     def free_runs(self, records: Sequence[Experiment]) -> Segments:
         """Records as a whole from `measured_start`; no initial state is searched for."""
         options = CutOptions(
-            residual=self.residual, initial_treatment=self.measured_start.name,
-            timestamps=False, has_delays=bool(self.delays),
-        )  # fmt: skip
+            residual=self.residual,
+            initial_treatment=self.measured_start.name,
+            timestamps=False,
+            has_delays=bool(self.delays),
+        )
         return cut_records(records, self.nominal_model, options, self.group_indices(records))
 
 

@@ -140,8 +140,9 @@ def _minimise_mean_rmse(
     identified = state.space.to_values_in_range(state.vector)
     first = np.array([identified[name] for name in names])
     # a change of 1 is the value, unless it is nearly 0
-    unit = np.array([max(abs(x), _LEAST * (p.upper - p.lower))
-                     for x, p in zip(first, free, strict=True)])  # fmt: skip
+    unit = np.array(
+        [max(abs(x), _LEAST * (p.upper - p.lower)) for x, p in zip(first, free, strict=True)]
+    )
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
     space = state.space.fixing({n: identified[n] for n in state.space.names if n not in names})
@@ -174,9 +175,14 @@ def _minimise_mean_rmse(
     point, iterations = _RefitPoint(np.zeros(len(free)), initial, 1.0), 0
     if 0 < scale < np.inf:
         result = iterate(
-            point, propose, has_converged, _DAMPING_RULE, _MAX_ITERATIONS, on_step,
+            point,
+            propose,
+            has_converged,
+            _DAMPING_RULE,
+            _MAX_ITERATIONS,
+            on_step,
             problem.should_stop,
-        )  # fmt: skip
+        )
         if result.status == "stopped":
             return None
         point, iterations = result.point, result.iterations
@@ -252,19 +258,30 @@ def _make_simulation(
         )
         if first_samples is not None:
             x0, by_parameter = fit_states_with_derivatives(
-                model, equations.motion, parameter_rows, x0, by_parameter,
-                signal=first_samples.signal, q=first_samples.q,
-            )  # fmt: skip
+                model,
+                equations.motion,
+                parameter_rows,
+                x0,
+                by_parameter,
+                signal=first_samples.signal,
+                q=first_samples.q,
+            )
         runs = Runs(
-            start=x0, parameters=parameter_rows, steps=lengths - 1,
+            start=x0,
+            parameters=parameter_rows,
+            steps=lengths - 1,
             first=first,
             drive=polynomials,
             periods=np.full(len(inputs), model.dt),
-        )  # fmt: skip
+        )
         result = compare(
-            equations.motion, position_residual(model.channels.n_q), runs, model.substeps,
-            Directions(by_parameter, parameters=True), samples,
-        )  # fmt: skip
+            equations.motion,
+            position_residual(model.channels.n_q),
+            runs,
+            model.substeps,
+            Directions(by_parameter, parameters=True),
+            samples,
+        )
         with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
             matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
             gradient = result.gradient[:, free] * chain

@@ -193,9 +193,11 @@ def _initial_states_by_record(
     delayed = segments.with_delays(state.space.to_values_in_range(result.vector))
     inputs = delayed.inputs[segments.first_row[first]]
     states = equations.initial_states(
-        result.x0[first], parameter_rows, segments.adds_expected[first],
+        result.x0[first],
+        parameter_rows,
+        segments.adds_expected[first],
         inputs[:, None] if inputs.ndim == 2 else inputs,
-    ).states  # fmt: skip
+    ).states
     return {e.name: tuple(x.tolist()) for e, x in zip(records, states, strict=True)}
 
 

@@ -99,10 +99,17 @@ class Segments:
         """Segments of some of the records, given by index."""
         k = np.flatnonzero(np.isin(self.record, list(records)))
         return replace(
-            self, x0=self.x0[k], is_free=self.is_free[k], adds_expected=self.adds_expected[k],
-            precision=self.precision[k], steps=self.steps[k], first_row=self.first_row[k],
-            record=self.record[k], share=self.share[k], group_indices=self.group_indices[k],
-        )  # fmt: skip
+            self,
+            x0=self.x0[k],
+            is_free=self.is_free[k],
+            adds_expected=self.adds_expected[k],
+            precision=self.precision[k],
+            steps=self.steps[k],
+            first_row=self.first_row[k],
+            record=self.record[k],
+            share=self.share[k],
+            group_indices=self.group_indices[k],
+        )
 
     def with_fixed_states(self, x0: Float[np.ndarray, "n_s n_x"]) -> "Segments":
         """Segments with given initial states, internal ones included; none is searched for."""
@@ -219,13 +226,15 @@ def cut_records(
             np.diff(e.t) if options.timestamps else np.full(len(e) - 1, e.dt) for e in experiments
         ),
         measurements=np.concatenate(
-            [e.q if n_y == e.channels.n_q else np.concatenate([e.q, e.velocities()], axis=1)
-             for e in experiments]
+            [
+                e.q if n_y == e.channels.n_q else np.concatenate([e.q, e.velocities()], axis=1)
+                for e in experiments
+            ]
         ),
         weights=np.concatenate(
             [np.tile(options.residual.weight / np.sqrt(len(e)), (len(e), 1)) for e in experiments]
         ),
-    )  # fmt: skip
+    )
 
 
 def first_of_records(record: Int[np.ndarray, " n_s"]) -> Int[np.ndarray, " n_r"]:

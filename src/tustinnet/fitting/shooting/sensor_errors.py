@@ -55,16 +55,19 @@ def _sensor_parameter(
     if channel_name not in channels:
         names = ", ".join(c.name for c in (*system.coordinates, *system.inputs))
         raise InputError(
-            _WHERE, f"'{name}': no channel '{channel_name}'",
+            _WHERE,
+            f"'{name}': no channel '{channel_name}'",
             f"CHANNEL.bias or CHANNEL.gain of {names}",
-        )  # fmt: skip
+        )
     channel = channels[channel_name]
     if kind == "delay":
         if isinstance(channel, Coordinate):
             raise InputError(
-                _WHERE, f"'{name}'", "a bias or a gain",
+                _WHERE,
+                f"'{name}'",
+                "a bias or a gain",
                 "a delay common to all sensors is the same as one of the inputs",
-            )  # fmt: skip
+            )
         declared = experiments[0].inputs[system.inputs.index(channel)].delay or 0.0
         dt, longest = experiments[0].dt, min(map(len, experiments)) - 2
         return Parameter(name, "s", declared, declared - dt, declared + min(_LATEST, longest) * dt)
@@ -85,7 +88,9 @@ def _sensor_parameter(
         ) / 2
     if not largest > 0:
         raise InputError(
-            _WHERE, f"'{name}': '{channel_name}' never moves in the training records",
-            "a channel that moves", "leave it out",
-        )  # fmt: skip
+            _WHERE,
+            f"'{name}': '{channel_name}' never moves in the training records",
+            "a channel that moves",
+            "leave it out",
+        )
     return Parameter(name, channel.unit, 0.0, -largest, largest)

@@ -266,9 +266,13 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     if result.status == "stopped":
         return replace(state, is_stopped=True)
     state = replace(
-        state, vector=result.vector, result=result, stage=name, initial_treatment=treatment,
+        state,
+        vector=result.vector,
+        result=result,
+        stage=name,
+        initial_treatment=treatment,
         finished_stages=state.finished_stages + 1,
-    )  # fmt: skip
+    )
     if state.has_diverged:
         return state
     weights = None

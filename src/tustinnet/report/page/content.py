@@ -184,8 +184,12 @@ def _training_content(name: str, lines: History) -> dict[str, Any]:
         values = np.log10(values)
     epochs = thin(values, _EPOCHS)
     loss, validation = values[epochs].T
-    return {"name": name, "epoch": pack(epochs + 1.0), "loss": pack(loss),
-            "validation": pack(validation)}  # fmt: skip
+    return {
+        "name": name,
+        "epoch": pack(epochs + 1.0),
+        "loss": pack(loss),
+        "validation": pack(validation),
+    }
 
 
 def _record_content(
@@ -193,9 +197,7 @@ def _record_content(
 ) -> dict[str, Any]:
     """The signals of record `i`, all at the same times."""
     c, t = e.channels, e.t - e.t[0]
-    columns: dict[str, np.ndarray] = {
-        "q": e.q, "v": e.measured_states()[:, c.velocity], "u": e.u,
-    }  # fmt: skip
+    columns: dict[str, np.ndarray] = {"q": e.q, "v": e.measured_states()[:, c.velocity], "u": e.u}
     for k, result in enumerate(results):
         simulated = bounded(result.scores[i].simulated[:, c.position], e.q)
         columns[f"{k} error"] = simulated - e.q
@@ -219,12 +221,15 @@ def _record_content(
         "t": pack(t[samples]),
         **{key: parts[key] for key in ("q", "v", "u")},
         "runs": [
-            {part: parts[f"{k} {part}"]
-             for part in ("error", "band", "energy") if f"{k} {part}" in parts}
+            {
+                part: parts[f"{k} {part}"]
+                for part in ("error", "band", "energy")
+                if f"{k} {part}" in parts
+            }
             | {"rmse": list(result.scores[i].rmse_by_unit(c).values())}
             for k, result in enumerate(results)
         ],
-    }  # fmt: skip
+    }
 
 
 def range_content(training_ranges: Sequence[Range | None], channels: Channels) -> dict[str, Any]:
@@ -237,14 +242,19 @@ def range_content(training_ranges: Sequence[Range | None], channels: Channels) -
             continue
         support = None
         if (points := training_range.support) is not None:
-            support = {"points": points.points.tolist(), "spread": points.spread.tolist(),
-                     "reach": points.reach}  # fmt: skip
+            support = {
+                "points": points.points.tolist(),
+                "spread": points.spread.tolist(),
+                "reach": points.reach,
+            }
             if support not in clouds:
                 clouds.append(support)
-        ranges.append({
-            "q": training_range.states[channels.position].tolist(),
-            "v": training_range.states[channels.velocity].tolist(),
-            "u": training_range.inputs.tolist(),
-            "cloud": None if support is None else clouds.index(support),
-        })  # fmt: skip
+        ranges.append(
+            {
+                "q": training_range.states[channels.position].tolist(),
+                "v": training_range.states[channels.velocity].tolist(),
+                "u": training_range.inputs.tolist(),
+                "cloud": None if support is None else clouds.index(support),
+            }
+        )
     return {"ranges": ranges, "clouds": clouds}

@@ -103,9 +103,13 @@ def _join_positions(design: ControlDesign) -> str:
 def _line_content(label: str, warm_up: int) -> dict[str, Any]:
     """A line that is drawn beside the plant, as scripts know it from models of a report."""
     return {
-        "label": label, "warmUp": warm_up, "ahead": [], "residuals": [], "search": None,
+        "label": label,
+        "warmUp": warm_up,
+        "ahead": [],
+        "residuals": [],
+        "search": None,
         "training": [],
-    }  # fmt: skip
+    }
 
 
 def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> dict[str, Any]:
@@ -134,11 +138,10 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
         "v": packed(v),
         "u": packed(u),
         "runs": [
-            {"error": packed(error),
-             "rmse": [_rms(error[:, places]) for places in by_unit]}
+            {"error": packed(error), "rmse": [_rms(error[:, places]) for places in by_unit]}
             for error in errors
         ],
-    }  # fmt: skip
+    }
 
 
 def _rms(errors: np.ndarray) -> float:

@@ -106,6 +106,14 @@ def compute_model_result(
     simulated = energy_along(model, records, runs)
     energies = None if measured is None or simulated is None else (measured, simulated)
     return ModelResult(
-        reported, scores, training_range, extrapolations, ahead, every, residuals, bands,
-        energies, tuple(notes),
-    )  # fmt: skip
+        reported,
+        scores,
+        training_range,
+        extrapolations,
+        ahead,
+        every,
+        residuals,
+        bands,
+        energies,
+        tuple(notes),
+    )

@@ -16,9 +16,20 @@ from tustinnet.store.files import nonfinite_to_none
 _PACKAGE = "tustinnet.report.page"
 # in the order in which they build on one another
 _SCRIPTS = (
-    "data.js", "theme.js", "clock.js", "linkage.js", "dials.js", "stage.js", "plots.js",
-    "charts.js", "range.js", "states.js", "pilot.js", "playground.js", "main.js",
-)  # fmt: skip
+    "data.js",
+    "theme.js",
+    "clock.js",
+    "linkage.js",
+    "dials.js",
+    "stage.js",
+    "plots.js",
+    "charts.js",
+    "range.js",
+    "states.js",
+    "pilot.js",
+    "playground.js",
+    "main.js",
+)
 _ENDING_TAG = re.compile(r"</(script|style)|<!--", re.IGNORECASE)
 _BEGIN = "globalThis.exported = [];"
 _REGISTER = "globalThis.exported.push({ init, step, states, inputs, period, samples, range });"
@@ -65,7 +76,7 @@ def render(
         exported=exported,
         program=program,
         data=nonfinite_to_none({**content, "exported": list(modules)}),
-    )  # fmt: skip
+    )
 
 
 @cache

@@ -214,8 +214,10 @@ def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
     ]
     refined = (identification.get("refined") or {}).get("values")
     title = estimates_title(identification.get("trust", "residuals"), refined)
-    fixed = [[name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
-             for name, value in identification.get("fixed", {}).items()]  # fmt: skip
+    fixed = [
+        [name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
+        for name, value in identification.get("fixed", {}).items()
+    ]
     shown, others = split_informed(estimates)
     few_fixed, many_fixed = ([], fixed) if is_many([*estimates, *fixed]) else (fixed, [])
     table = estimates_table([*map(estimate_cells, shown), *few_fixed], refined)
@@ -277,10 +279,15 @@ def stages_table(results: Sequence[ModelResult]) -> Table:
     rows = []
     for result in results:
         rows += [
-            [result.reported.label, f"{i}: {stage['stage']}", str(stage["iterations"]),
-             "–" if stage["cost"] is None else f"{stage['cost']:.4g}", stage["why"]]
+            [
+                result.reported.label,
+                f"{i}: {stage['stage']}",
+                str(stage["iterations"]),
+                "–" if stage["cost"] is None else f"{stage['cost']:.4g}",
+                stage["why"],
+            ]
             for i, stage in enumerate(result.reported.stages, 1)
-        ]  # fmt: skip
+        ]
     return Table(["model", "stage", "iterations", "cost", "ended"], rows)
 
 
@@ -292,22 +299,29 @@ def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) 
         recipe, training = header.get("recipe") or {}, header.get("training") or {}
         seed = f", seed {training['seed']}" if "seed" in training else ""
         count = len(records_in_header(header))
-        rows.append([
-            reported.label,
-            family_of(reported.model).kind,
-            f"{recipe['name']}{seed}" if recipe else "–",
-            f"{counted(count, 'record')} of {header['data']['name']}"
-            if header.get("data") else "–",
-            hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] if file else "–",
-            " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
-        ])  # fmt: skip
+        rows.append(
+            [
+                reported.label,
+                family_of(reported.model).kind,
+                f"{recipe['name']}{seed}" if recipe else "–",
+                f"{counted(count, 'record')} of {header['data']['name']}"
+                if header.get("data")
+                else "–",
+                hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] if file else "–",
+                " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
+            ]
+        )
     return Table(["model", "kind", "recipe", "fitted to", "SHA-256", "made with"], rows)
 
 
 def structure_table(results: Sequence[ModelResult]) -> Table:
     """Table of the parts of the models."""
-    rows = [[result.reported.label, part, text] for result in results
-            for part, text in result.reported.structure if part != "values"]  # fmt: skip
+    rows = [
+        [result.reported.label, part, text]
+        for result in results
+        for part, text in result.reported.structure
+        if part != "values"
+    ]
     return Table(["model", "part", "what it is"], rows)
 
 
@@ -316,11 +330,14 @@ def records_table(results: Sequence[ModelResult], records: Sequence[Experiment])
     trained = {r.reported.label: trained_on(r.reported, records) for r in results}
     rows = [
         [
-            e.name, e.split or "–", str(len(e)), f"{e.seconds:.4g}",
+            e.name,
+            e.split or "–",
+            str(len(e)),
+            f"{e.seconds:.4g}",
             ", ".join(label for label, names in trained.items() if e.name in names) or "–",
             e.sha256[:_DIGITS] or "–",
         ]
         for e in records
-    ]  # fmt: skip
+    ]
     columns = ["record", "split", "samples", "length [s]", "models fitted to it", "SHA-256"]
     return Table(columns, rows)

@@ -61,8 +61,17 @@ SYSTEM = LagrangianSystem(
 # without a controller the ball soon leaves the beam, so records are short
 TWIN = Twin(
     SYSTEM,
-    {"rolling_ratio": 1.57, "beam_inertia": 0.042, "gain": 0.13, "ball_viscous": 0.034,
-     "beam_viscous": 0.055},
-    resolution=(1e-4, 1.5e-3), amplitude=(1.2,), band=(0.7, 4.0),
-    rest=(0.0, 0.0), spread=(0.15, 0.1), seconds=0.8,
-)  # fmt: skip
+    {
+        "rolling_ratio": 1.57,
+        "beam_inertia": 0.042,
+        "gain": 0.13,
+        "ball_viscous": 0.034,
+        "beam_viscous": 0.055,
+    },
+    resolution=(1e-4, 1.5e-3),
+    amplitude=(1.2,),
+    band=(0.7, 4.0),
+    rest=(0.0, 0.0),
+    spread=(0.15, 0.1),
+    seconds=0.8,
+)

@@ -66,8 +66,17 @@ SYSTEM = LagrangianSystem(
 )
 TWIN = Twin(
     SYSTEM,
-    {"cart_mass": 0.52, "pole_inertia": 4.2e-3, "gain": 1.7,
-     "cart_viscous": 4.1, "cart_coulomb": 0.4, "pole_viscous": 1.6e-3},
-    resolution=(2e-5, 1.5e-3), amplitude=(2.5,), band=(0.3, 3.0),
-    rest=(0.0, 3.14), spread=(0.1, 1.5),
-)  # fmt: skip
+    {
+        "cart_mass": 0.52,
+        "pole_inertia": 4.2e-3,
+        "gain": 1.7,
+        "cart_viscous": 4.1,
+        "cart_coulomb": 0.4,
+        "pole_viscous": 1.6e-3,
+    },
+    resolution=(2e-5, 1.5e-3),
+    amplitude=(2.5,),
+    band=(0.3, 3.0),
+    rest=(0.0, 3.14),
+    spread=(0.1, 1.5),
+)

@@ -63,8 +63,19 @@ SYSTEM = LagrangianSystem(
 )
 TWIN = Twin(
     SYSTEM,
-    {"trolley_mass": 2.4, "rope_length": 0.67, "gain": 7.3, "trolley_viscous": 13.0,
-     "trolley_coulomb": 1.4, "rope_viscous": 8e-3},
-    resolution=(1e-4, 1.5e-3), amplitude=(3.0,), band=(0.2, 2.0),
-    rest=(0.0, 0.0), spread=(0.2, 0.3), dt=0.02, seconds=12.0,
-)  # fmt: skip
+    {
+        "trolley_mass": 2.4,
+        "rope_length": 0.67,
+        "gain": 7.3,
+        "trolley_viscous": 13.0,
+        "trolley_coulomb": 1.4,
+        "rope_viscous": 8e-3,
+    },
+    resolution=(1e-4, 1.5e-3),
+    amplitude=(3.0,),
+    band=(0.2, 2.0),
+    rest=(0.0, 0.0),
+    spread=(0.2, 0.3),
+    dt=0.02,
+    seconds=12.0,
+)

@@ -51,5 +51,9 @@ SYSTEM = LagrangianSystem(
 TWIN = Twin(
     SYSTEM,
     {"stiffness": 140.0, "cubic": 2.3e4, "damping": 0.7, "gain": 1.6},
-    resolution=(1e-4,), amplitude=(3.0,), band=(0.5, 5.0), rest=(0.0,), spread=(0.02,),
-)  # fmt: skip
+    resolution=(1e-4,),
+    amplitude=(3.0,),
+    band=(0.5, 5.0),
+    rest=(0.0,),
+    spread=(0.02,),
+)

@@ -85,8 +85,18 @@ def make_link_chain(count: int) -> LagrangianSystem:
 TWO_LINKS, THREE_LINKS = make_link_chain(2), make_link_chain(3)
 TWIN = Twin(
     TWO_LINKS,
-    {"centre1": 0.17, "inertia1": 2.7e-3, "viscous1": 4e-3,
-     "centre2": 0.13, "inertia2": 1.5e-3, "viscous2": 1.2e-3},
-    resolution=(1.5e-3, 1.5e-3), amplitude=(0.15,), band=(0.3, 2.0),
-    rest=(0.0, 0.0), spread=(0.5, 0.5), seconds=4.0,
-)  # fmt: skip
+    {
+        "centre1": 0.17,
+        "inertia1": 2.7e-3,
+        "viscous1": 4e-3,
+        "centre2": 0.13,
+        "inertia2": 1.5e-3,
+        "viscous2": 1.2e-3,
+    },
+    resolution=(1.5e-3, 1.5e-3),
+    amplitude=(0.15,),
+    band=(0.3, 2.0),
+    rest=(0.0, 0.0),
+    spread=(0.5, 0.5),
+    seconds=4.0,
+)

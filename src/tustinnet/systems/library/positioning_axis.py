@@ -48,6 +48,11 @@ SYSTEM = LagrangianSystem(
 TWIN = Twin(
     SYSTEM,
     {"mass": 53.0, "viscous": 75.0, "coulomb": 14.0, "breakaway": 9.0, "stribeck_speed": 0.045},
-    resolution=(1e-6,), amplitude=(1.6,), band=(0.3, 4.0), rest=(0.0,), spread=(0.0,), dt=0.005,
+    resolution=(1e-6,),
+    amplitude=(1.6,),
+    band=(0.3, 4.0),
+    rest=(0.0,),
+    spread=(0.0,),
+    dt=0.005,
     seconds=4.0,
-)  # fmt: skip
+)

@@ -64,5 +64,10 @@ SYSTEM = LagrangianSystem(
 TWIN = Twin(
     SYSTEM,
     {"weight_moment": 0.42, "viscous": 7e-3, "thrust": 0.36, "lag": 0.09},
-    resolution=(1.5e-3,), amplitude=(0.35,), band=(0.3, 2.0), rest=(0.0,), spread=(0.4,), dt=0.02,
-)  # fmt: skip
+    resolution=(1.5e-3,),
+    amplitude=(0.35,),
+    band=(0.3, 2.0),
+    rest=(0.0,),
+    spread=(0.4,),
+    dt=0.02,
+)

@@ -61,8 +61,17 @@ SYSTEM = LagrangianSystem(
 )
 TWIN = Twin(
     SYSTEM,
-    {"pendulum_inertia": 0.0117, "wheel_inertia": 2.8e-4, "weight_moment": 0.52,
-     "pendulum_viscous": 8e-4, "wheel_viscous": 3e-5, "wheel_coulomb": 1.7e-3},
-    resolution=(1.5e-3, 3e-3), amplitude=(0.6,), band=(0.3, 3.0),
-    rest=(0.0, 0.0), spread=(0.8, 0.0),
-)  # fmt: skip
+    {
+        "pendulum_inertia": 0.0117,
+        "wheel_inertia": 2.8e-4,
+        "weight_moment": 0.52,
+        "pendulum_viscous": 8e-4,
+        "wheel_viscous": 3e-5,
+        "wheel_coulomb": 1.7e-3,
+    },
+    resolution=(1.5e-3, 3e-3),
+    amplitude=(0.6,),
+    band=(0.3, 3.0),
+    rest=(0.0, 0.0),
+    spread=(0.8, 0.0),
+)

@@ -72,9 +72,22 @@ SYSTEM = LagrangianSystem(
 )
 TWIN = Twin(
     SYSTEM,
-    {"motor_inertia": 3.1e-4, "load_inertia": 1.9e-3, "stiffness": 2.6, "half_backlash": 0.035,
-     "shaft_viscous": 1.7e-3, "motor_viscous": 8e-4, "load_viscous": 3e-4,
-     "motor_coulomb": 7e-3, "load_coulomb": 3e-3},
-    resolution=(1.5e-3, 1.5e-3), amplitude=(0.4,), band=(0.7, 12.0),
-    rest=(0.0, 0.0), spread=(0.0, 0.0), dt=0.005, seconds=4.0,
-)  # fmt: skip
+    {
+        "motor_inertia": 3.1e-4,
+        "load_inertia": 1.9e-3,
+        "stiffness": 2.6,
+        "half_backlash": 0.035,
+        "shaft_viscous": 1.7e-3,
+        "motor_viscous": 8e-4,
+        "load_viscous": 3e-4,
+        "motor_coulomb": 7e-3,
+        "load_coulomb": 3e-3,
+    },
+    resolution=(1.5e-3, 1.5e-3),
+    amplitude=(0.4,),
+    band=(0.7, 12.0),
+    rest=(0.0, 0.0),
+    spread=(0.0, 0.0),
+    dt=0.005,
+    seconds=4.0,
+)
