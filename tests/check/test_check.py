@@ -237,6 +237,17 @@ def test_a_velocity_column_that_no_fit_uses_is_no_severe_finding() -> None:
     assert [f.severity for f in found if f.check == "velocity"] == ["warning"]
 
 
+def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
+    whole = np.sin(np.arange(500) * DT)
+    parts = [
+        replace(arm(whole[first : first + 125], name=f"run1_{first}"), source="run1.csv")
+        for first in range(0, 500, 125)
+    ]
+    assert not [f.text for f in check_records(parts) if f.check == "sign"]
+    apart = [replace(e, source=f"{e.name}.csv") for e in parts]
+    assert [f.check for f in check_records(apart) if f.is_serious] == ["sign"]
+
+
 # --- findings ---
 
 

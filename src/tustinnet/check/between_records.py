@@ -6,7 +6,7 @@ fault is found where the model then holds as it does for the others. Where no ch
 other parameters do, the record is of a machine with another payload or friction.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -207,6 +207,7 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
             for r in _find_suspects(model, suspicions)
             if (verdict := _judge(model, views[r], r, suspicions)) is not None
         }
+        verdicts = {r: v for r, v in verdicts.items() if _has_whole_file(r, verdicts, views)}
         if not verdicts:
             break
         r = max(verdicts, key=lambda r: verdicts[r].before / verdicts[r].after)
@@ -222,6 +223,16 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
         model = fit_motion_model(model.regressors, views, weights)
     if model is not None:
         yield from _other_machines(model, views)
+
+
+def _has_whole_file(r: int, verdicts: Mapping[int, _Verdict], views: Sequence[RecordView]) -> bool:
+    """Whether all parts of a record's file have its fault: a column is reversed as a whole."""
+    fault, source = verdicts[r].suspicion, views[r].experiment.source
+    parts = [k for k, view in enumerate(views) if source and view.experiment.source == source]
+    faults = [verdicts[k].suspicion if k in verdicts else None for k in parts]
+    return all(
+        f is not None and (f.check, f.channels) == (fault.check, fault.channels) for f in faults
+    )
 
 
 def _delay_everywhere(
