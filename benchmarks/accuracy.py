@@ -38,7 +38,7 @@ from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.report.fits import folds_table
 from tustinnet.report.tables import Table, number
 from tustinnet.selection.cross_validation import make_cross_validation_options
-from tustinnet.store.run import SCORES
+from tustinnet.store.run_folder import SCORES
 
 STARTS = ("file", "model-10", "model-20", "model-80")
 TIMES = (0.0, 1.0, 3.0, 6.0, np.inf)  # s

@@ -28,9 +28,10 @@ import pytest
 import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
 
 import tustinnet as tn
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
+from tustinnet.fitting.task import Member
 from tustinnet.simulate.programs import make_room
-from tustinnet.store.run import run_task
 
 # objects of JAX and of loaded modules live until the end: looking through them again and again took
 # a tenth of the time
@@ -280,9 +281,8 @@ def trained_once(pendulum: tn.DataSet, tmp_path_factory: pytest.TempPathFactory)
     place = tmp_path_factory.mktemp("trained")
     (place / "small.toml").write_text(SMALL_RECIPE)
     data = tn.load(write_folder(pendulum, place / "logs"))
-    run_task(
-        make_task(data, place / "small.toml", [Member(0), Member(1)]), data.name, place / "run"
-    )
+    request = FitRequest(data, place / "small.toml", [Member(0), Member(1)])
+    run_fit(prepare(request), place / "run")
     return place / "run"
 
 

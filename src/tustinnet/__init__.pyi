@@ -22,14 +22,14 @@ from .families.committee import committee as committee
 from .families.family import Family as Family
 from .families.hybrid import HybridModel as HybridModel
 from .families.tustin_net import TustinNet as TustinNet
-from .fitting.fit import fit as fit
-from .fitting.fit import fit_many as fit_many
+from .fits.fit import fit as fit
+from .fits.fit import fit_many as fit_many
+from .fits.fit import identify as identify
 from .fitting.recipe import Recipe as Recipe
 from .fitting.recipe_reading import read_recipe as read_recipe
 from .fitting.report import Estimate as Estimate
 from .fitting.report import FitResult as FitResult
 from .fitting.report import Identification as Identification
-from .fitting.shooting.identify import identify as identify
 from .fitting.task import Member as Member
 from .models.contract import Model as Model
 from .models.integrate import discretise as discretise

@@ -11,7 +11,7 @@ from any_machine import Machine, cover_pairs, write_logs
 from small_selection import GREY, HYBRID, NETWORK
 from test_verbs import tustinnet
 
-from tustinnet.store.run import MODEL
+from tustinnet.store.run_folder import MODEL
 
 LEVELS = {
     "inputs": (0, 1, 3),

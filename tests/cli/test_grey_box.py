@@ -14,12 +14,12 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import demo
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.task import make_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.store.header import read_header
-from tustinnet.store.run import run_task
 from tustinnet.systems import qube_servo2_twin, twin
 
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
@@ -62,8 +62,8 @@ def test_residuals_show_the_stretches_that_weighed_little(
         for e in pendulum
     ]
     recipe = read_recipe("grey", ["search.robust=student"])
-    task = make_task(tn.DataSet("spoilt", tuple(spoilt)), recipe, system=system)
-    model = run_task(task, "logs", tmp_path / "run").folder / "model.safetensors"
+    request = FitRequest(tn.DataSet("spoilt", tuple(spoilt)), recipe, system=system)
+    model = run_fit(prepare(request), tmp_path / "run").folder / "model.safetensors"
     told = read_header(model)["identification"]["downweighted"]
     name = told[0]["record"]
     arguments = ["residuals", model, folder, "--system", system, "--split", "train"]
@@ -77,7 +77,7 @@ def test_residuals_show_the_stretches_that_weighed_little(
 def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
     pendulum, system, tmp_path, monkeypatch
 ):
-    from tustinnet.store import run as run_module
+    from tustinnet.fits import in_folder
 
     def stopped(task, make_listener, *more):
         told, listener = [], make_listener(task)
@@ -90,14 +90,14 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
 
         return fit_task(task, lambda _: replace(after, on_iteration=iteration))
 
-    monkeypatch.setattr(run_module, "fit_task", stopped)
-    task = make_task(pendulum, "grey", system=system)
+    monkeypatch.setattr(in_folder, "fit_task", stopped)
+    fit = prepare(FitRequest(pendulum, "grey", system=system))
     with pytest.raises(KeyboardInterrupt):
-        run_module.run_task(task, "logs", tmp_path / "run")
+        run_fit(fit, tmp_path / "run")
     lines = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
     assert set(json.loads(lines[-1])["parameters"]) == {*TRUTH, "inertia"}
     with pytest.raises(tn.InputError, match=r"log\.jsonl"):
-        run_module.run_task(task, "logs", tmp_path / "run")
+        run_fit(fit, tmp_path / "run")
 
 
 def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):

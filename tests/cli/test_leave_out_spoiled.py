@@ -41,13 +41,6 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
     assert errors[("--leave-out-spoiled",)] < 0.5 * errors[()]
 
 
-def test_an_identification_is_not_resumed_without_what_spoils_it(tmp_path, capsys, system):
-    fit = ["fit", tmp_path, "--recipe", "grey", "--system", system, "--out", tmp_path / "o"]
-    code, _, err = tustinnet(capsys, *fit, "--resume", "--leave-out-spoiled")
-    assert code == 1
-    assert "--resume, --leave-out-spoiled" in err
-
-
 def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     folder, out = tmp_path / "logs", tmp_path / "out"
     write(folder, records("hand"))

@@ -11,8 +11,8 @@ from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
 from tustinnet.cli.main import run
+from tustinnet.fits import run as runs
 from tustinnet.selection import jobs
-from tustinnet.store import run as store
 
 GREY_TOO = NETWORK_ONLY.replace(
     "candidates = [",
@@ -145,7 +145,7 @@ def refused(place, capsys, monkeypatch):
         pytest.fail("fitted before it refused")
 
     def check(*verb: object, names: str) -> None:
-        monkeypatch.setattr(store, "fit_in_folder", fits)
+        monkeypatch.setattr(runs, "fit_in_folder", fits)
         monkeypatch.setattr(jobs, "fit_in_folder", fits)
         before = everything(place.root)
         code, out, err = tustinnet(capsys, *verb)

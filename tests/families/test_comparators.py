@@ -10,11 +10,13 @@ from tustinnet.channels import Channels
 from tustinnet.families.family import family_of
 from tustinnet.families.gru import GRU, random_gru
 from tustinnet.families.neural_ode import NeuralODE
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.recipe_reading import packaged_recipes
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member
 from tustinnet.models.blocks import learn_scaling
 from tustinnet.simulate.along import states_along
-from tustinnet.store.run import MODEL, run_task
+from tustinnet.store.run_folder import MODEL
 
 STAGE = {
     "name": "one",
@@ -38,8 +40,8 @@ def recipe(kind: str, **stage) -> dict:
 def trained(request, pendulum, tmp_path_factory):
     """A run of two seeds of a kind."""
     folder = tmp_path_factory.mktemp(request.param)
-    task = make_task(pendulum, recipe(request.param), [Member(0), Member(1)])
-    return run_task(task, pendulum.name, folder), task
+    fit = prepare(FitRequest(pendulum, recipe(request.param), [Member(0), Member(1)]))
+    return run_fit(fit, folder), fit
 
 
 def test_it_trains(trained):
@@ -52,16 +54,16 @@ def test_it_trains(trained):
 
 
 def test_it_resumes_saves_loads_and_shows(trained, pendulum, capsys):
-    run, task = trained
+    run, fit = trained
     before = (run.folder / MODEL).read_bytes()
-    again = run_task(task, pendulum.name, run.folder, "resume")
+    again = run_fit(fit, run.folder, "resume")
     assert [m.mean for m in again.members] == [m.mean for m in run.members]
     loaded = tn.load_model(run.folder / MODEL)
     assert jax.tree.structure(loaded) == jax.tree.structure(run.best.result.model)
     for a, b in zip(jax.tree.leaves(loaded), jax.tree.leaves(run.best.result.model), strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
     header, own = tn.read_header(run.folder / MODEL), family_of(loaded)
-    assert header["kind"] == own.kind == task.recipe.model.kind
+    assert header["kind"] == own.kind == fit.task.recipe.model.kind
     assert len(before) > 0
 
 

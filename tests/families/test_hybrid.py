@@ -11,15 +11,16 @@ from swinging import CREEPING, DT, SWING, TRUTH, swing_model
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.gradient.plan import groups_alike
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Fold, Member, Task, make_task
+from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.integrate import Discretised
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollout, rollouts
-from tustinnet.store.run import run_task
 
 SYSTEMS = {"swing": SWING, "creeping swing": CREEPING}  # without and with an internal state
 
@@ -216,10 +217,10 @@ def records() -> tn.DataSet:
 def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records, tmp_path):
     model, folder = physics(), tmp_path / "run"
 
-    def task(model):
-        return make_task(records, RECIPE, [Member(0)], physics=model)
+    def prepared(model):
+        return prepare(FitRequest(records, RECIPE, [Member(0)], physics=model))
 
-    run = run_task(task(model), records.name, folder)
+    run = run_fit(prepared(model), folder)
     result = run.best.result
     assert isinstance(result.model, tn.HybridModel)
     held = list(records.split("validation"))
@@ -233,11 +234,11 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
     loaded = tn.load_model(folder / "model.safetensors", SWING)
     assert isinstance(loaded, tn.HybridModel)
     assert tn.mean_rmse(tn.evaluate(loaded, held, "file")) == pytest.approx(after, rel=1e-9)
-    again = run_task(task(model), records.name, folder, "resume")
+    again = run_fit(prepared(model), folder, "resume")
     assert again.best.mean == run.best.mean
     other = jax.tree.map(lambda value: value * 1.01, model)
     with pytest.raises(tn.InputError, match="with another physics;"):
-        run_task(task(other), records.name, folder, "resume")
+        run_fit(prepared(other), folder, "resume")
 
 
 def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):

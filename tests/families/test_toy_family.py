@@ -18,12 +18,14 @@ from tustinnet.channels import Channels
 from tustinnet.cli.main import run
 from tustinnet.families import family
 from tustinnet.families.family import Hyper, TrainedFamily, named_arrays, restore_arrays
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
+from tustinnet.fitting.task import Member
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import AccelerationModel
 from tustinnet.registry import FAMILIES
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
-from tustinnet.store.run import MODEL, run_task
+from tustinnet.store.run_folder import MODEL
 
 
 class Toy(AccelerationModel):
@@ -166,11 +168,11 @@ def test_it_trains_and_better_than_it_began(place, pendulum):
 
 def test_it_resumes_with_the_same_bits(place, tmp_path):
     data = tn.load(place / "logs")
-    task = make_task(data, place / "toy.toml", [Member(0), Member(1)])
+    fit = prepare(FitRequest(data, place / "toy.toml", [Member(0), Member(1)]))
     before = arrays(place / "run" / MODEL)
-    run_task(task, data.name, place / "run", "resume")
+    run_fit(fit, place / "run", "resume")
     assert arrays(place / "run" / MODEL) == before
-    run_task(task, data.name, tmp_path / "again")
+    run_fit(fit, tmp_path / "again")
     assert arrays(tmp_path / "again" / MODEL) == before
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 import tustinnet as tn
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, assign_roles
-from tustinnet.fitting.task import make_task
-from tustinnet.store.run import run_task
 
 
 def split_as(pendulum: tn.DataSet, *splits: str | None) -> tn.DataSet:
@@ -80,9 +80,8 @@ def with_short_validation(pendulum: tn.DataSet) -> tn.DataSet:
 def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, tmp_path):
     data, messages = with_short_validation(pendulum), []
     recipe = read_recipe(tiny_recipe, ["start=model-20", "stages.*.epochs=1"])
-    run = run_task(
-        make_task(data, recipe),
-        "toy",
+    run = run_fit(
+        prepare(FitRequest(data, recipe)),
         tmp_path / "run",
         make_listener=lambda plan: Listener(on_message=messages.append),
     )

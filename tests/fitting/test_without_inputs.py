@@ -10,13 +10,14 @@ from swinging import TRUTH
 import tustinnet as tn
 from tustinnet.evaluate.bands import Band, BandOptions, calibrate_bands, make_bands, predict
 from tustinnet.evaluate.residuals import residual_reports
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
 from tustinnet.simulate import rollout as simulator
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.rollout import rollouts
-from tustinnet.store.run import run_task
 
 TRAINED = {
     "tustin-net": {"kind": "tustin-net", "hidden": [4]},
@@ -63,8 +64,9 @@ WITH_VALIDATION = ("train", "train", "validation", "validation")
 )
 def test_every_family_trains_on_them_and_is_judged(of, keys, splits, tmp_path):
     data, physics = free_swings(splits), free() if of == "hybrid" else None
-    task = make_task(data, recipe(TRAINED[of], **keys), [Member(0), Member(1)], physics=physics)
-    run = run_task(task, data.name, tmp_path / "run")
+    members = [Member(0), Member(1)]
+    request = FitRequest(data, recipe(TRAINED[of], **keys), members, physics=physics)
+    run = run_fit(prepare(request), tmp_path / "run")
     assert all(member.result.finished for member in run.members)
     assert np.isfinite(run.best.mean)
     model = tn.load_model(tmp_path / "run" / "model.safetensors", FREE if physics else None)

@@ -14,6 +14,7 @@ from swinging import CREEPING, SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.families.family import family_of
+from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.inverse_dynamics import (
     are_all_driven,
@@ -33,7 +34,7 @@ from tustinnet.selection.jobs import Job, RunContext, make_job_task
 from tustinnet.selection.plan import packaged_plans, read_plan
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
-from tustinnet.store.run import Earlier, fit_in_folder
+from tustinnet.store.run_folder import Earlier
 from tustinnet.systems.files import find_system
 
 PENDULUM = Path(__file__).parents[2] / "examples" / "robots" / "double_pendulum.urdf"

@@ -18,11 +18,11 @@ from swinging import SWING
 
 from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
+from tustinnet.fits.deadline import NEVER
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection import cluster as room
 from tustinnet.selection.cluster import _make_work, cluster, perform_here, versions
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
-from tustinnet.selection.deadline import NEVER
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from small_selection import swings
 
-from tustinnet.selection.deadline import NEVER, Deadline
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.halving import Halving
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import SelectionPlan

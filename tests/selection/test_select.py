@@ -18,13 +18,14 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fits.deadline import Deadline
+from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import deadline, final_models, halving, jobs, scoring
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import combine, score_committee, score_committees
-from tustinnet.selection.deadline import Deadline
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.plan import read_plan
 from tustinnet.selection.scoring import Scorer
@@ -32,7 +33,7 @@ from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.store.header import read_header
 from tustinnet.store.kept_system import HEADER
 from tustinnet.store.model_file import read_system_name
-from tustinnet.store.run import Earlier, fit_in_folder
+from tustinnet.store.run_folder import Earlier
 from tustinnet.systems.files import find_system
 
 

@@ -7,10 +7,10 @@ import pytest
 from conftest import SMALL_RECIPE
 
 import tustinnet as tn
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.selection.cross_validation import make_cross_validation_options
 from tustinnet.selection.learning import learning_curve, make_learning_curve_options
-from tustinnet.store.run import run_task
 
 RECIPE = tomllib.loads(SMALL_RECIPE)
 
@@ -25,9 +25,7 @@ RECIPE = tomllib.loads(SMALL_RECIPE)
         "learning_curve": lambda data, out: learning_curve(
             data, make_learning_curve_options(RECIPE)
         ),
-        "run_task": lambda data, out: run_task(
-            make_task(data, RECIPE, [Member(0)]), "pendulum", out
-        ),
+        "run_fit": lambda data, out: run_fit(prepare(FitRequest(data, RECIPE)), out),
     }.items(),
 )
 def test_scores_in_single_precision_are_refused_before_anything_is_fitted(
@@ -36,7 +34,7 @@ def test_scores_in_single_precision_are_refused_before_anything_is_fitted(
     def fit(*_, **__):
         pytest.fail("fitted")
 
-    for module in ("selection.jobs", "store.run"):
+    for module in ("selection.jobs", "fits.in_folder"):
         monkeypatch.setattr(f"tustinnet.{module}.fit_task", fit)
     with jax.enable_x64(False), pytest.raises(tn.InputError, match=f"{name}: .*float64"):
         compute(pendulum, tmp_path / "run")

@@ -24,10 +24,10 @@ from typing import Any
 
 import tustinnet as tn
 from tustinnet.cli.show import show
+from tustinnet.fits.run import run_fit
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import make_task
 from tustinnet.store.checkpoint import read_checkpoint
-from tustinnet.store.run import run_task
 
 from . import material, oracle
 from .mutations import mutate
@@ -183,17 +183,17 @@ def _check_model(place: Path, kind: str, path: Path, content: bytes) -> None:
 
 
 @cache
-def _task(place: Path) -> Any:
-    return material.run_of(place)
+def _fit(place: Path) -> Any:
+    return material.fit_of(place)
 
 
 @cache
 def _clean_state(place: Path) -> Any:
-    return read_checkpoint(place / "run/seed-0/checkpoint.safetensors", _task(place))[1]
+    return read_checkpoint(place / "run/seed-0/checkpoint.safetensors", _fit(place).task)[1]
 
 
 def _check_checkpoint(place: Path, path: Path, content: bytes) -> None:
-    members, found = read_checkpoint(path, _task(place))
+    members, found = read_checkpoint(path, _fit(place).task)
     if members:  # else it says that it is of others, and is not used
         oracle.require_same_state(found, _clean_state(place), content)
 
@@ -203,7 +203,7 @@ def _check_run_log(place: Path, path: Path, content: bytes) -> None:
     run = path.parent / "run"
     shutil.copytree(place / "run", run, dirs_exist_ok=True)
     (run / "seed-0" / path.name).write_bytes(content)
-    run_task(_task(place), "pendulum", run, "resume")
+    run_fit(_fit(place), run, "resume")
     found, clean = (p / "seed-0" / path.name for p in (run, place / "run"))
     told = found.with_name("log.damaged.jsonl").exists()
     oracle.require_log(found.read_text(), None if told else clean.read_text())

@@ -14,10 +14,11 @@ from conftest import CARD, SMALL_RECIPE, record, write_folder
 
 import tustinnet as tn
 from tustinnet.data.catalog import QUBE_SERVO2
-from tustinnet.fitting.task import Member, Task, make_task
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
+from tustinnet.fitting.task import make_task
 from tustinnet.models.contract import Model
 from tustinnet.registry import FAMILIES
-from tustinnet.store.run import run_task
 
 from .pendulum import SYSTEM
 
@@ -161,9 +162,9 @@ def write_all(place: Path) -> None:
     (place / "search.toml").write_text(SEARCH)
     shutil.copy(SYSTEM_FILE, place)
     write_folder(records(), place / "logs")
-    run_task(run_of(place), "pendulum", place / "run")
+    run_fit(fit_of(place), place / "run")
 
 
-def run_of(place: Path) -> Task:
-    """The task of the finished run."""
-    return make_task(tn.load(place / "logs"), place / "recipe.toml", [Member(0)])
+def fit_of(place: Path) -> PreparedFit:
+    """The fit of the finished run."""
+    return prepare(FitRequest(tn.load(place / "logs"), place / "recipe.toml"))

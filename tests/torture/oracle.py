@@ -22,7 +22,7 @@ import tustinnet
 import tustinnet as tn
 from tustinnet.channels import HasChannels
 from tustinnet.store.files import PART
-from tustinnet.store.run import SCORES
+from tustinnet.store.run_folder import SCORES
 from tustinnet.store.sealed import KEY, SEAL
 
 from .mutations import parts

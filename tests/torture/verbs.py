@@ -36,7 +36,7 @@ from .report import Part
 _SLOW = 60.0  # seconds that a verb may take on small records
 _OUTPUTS = ("--out", "--figure", "--figures")
 _COMPUTING = (
-    "tustinnet.store.run.fit_task",
+    "tustinnet.fits.in_folder.fit_task",
     "tustinnet.selection.jobs.fit_task",
     "tustinnet.selection.select.Halving.run",
     "tustinnet.systems.qube_servo2_twin.twin",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.page.reported_model import ReportedModel
     from tustinnet.report.tables import Table
-    from tustinnet.store.run import Earlier
+    from tustinnet.store.run_folder import Earlier
 
 # the plan, with a system that lacks the cable's relaxation and dry friction; its time limit
 _PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 105.0

@@ -1,7 +1,6 @@
 """`tustinnet fit`: a model from a folder of logs."""
 
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,17 +12,16 @@ from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from rich.console import Console
 
     from tustinnet.cli.request import FitOptions
     from tustinnet.data.dataset import DataSet
-    from tustinnet.fitting.fit import MakeListener
+    from tustinnet.fits.run import Run
     from tustinnet.fitting.report import FitResult
     from tustinnet.fitting.task import Task
-    from tustinnet.store.run import Earlier, Run
-    from tustinnet.systems.files import SystemFile
+    from tustinnet.store.run_folder import Earlier
 
 
 _Plan = Annotated[
@@ -113,13 +111,6 @@ def fit(
             "no recipe, no model",
             "omit --recipe, --physics and --from to try several",
         )
-        if resume and leave_out_spoiled:
-            raise InputError(
-                "--resume, --leave-out-spoiled",
-                "both, with a single recipe",
-                "one of them",
-                "fit anew (--overwrite), or put the lines for the card into it",
-            )
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
     request.require_system_of_card(found_system, data, card)
@@ -172,12 +163,13 @@ def _fit_recipe(
 ) -> None:
     """Fits one recipe, writes and prints the results, and the time since the start time."""
     from tustinnet.cli.automatic_report import after_model, require_report
-    from tustinnet.fitting.task import make_task
+    from tustinnet.fits.request import FitRequest, prepare
+    from tustinnet.fits.run import run_fit
     from tustinnet.report.progress import FitProgress
     from tustinnet.report.summary import time_sentence
     from tustinnet.store.files import lock_folder
     from tustinnet.store.model_file import load_model, read_system_name
-    from tustinnet.store.run import MODEL
+    from tustinnet.store.run_folder import MODEL
 
     system, console = fit_options.system, terminal.messages()
     stored_recipe = (
@@ -191,7 +183,7 @@ def _fit_recipe(
     if system is None and (file := physics or origin) is not None:
         system = request.kept_system(file)
     physics_model = None if physics is None else load_model(physics, system)
-    records, left_out = _load_records(fit_options)
+    records = fit_options.load()
     if "validation" not in records.splits:
         console.print("note: no validation split; the scores below are of the training records")
     task_system = system
@@ -200,17 +192,19 @@ def _fit_recipe(
     elif physics is not None or origin is not None:
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
-    make_task_of = partial(
-        make_task,
-        recipe=recipe,
-        members=members,
+    fit_request = FitRequest(
+        records,
+        recipe,
+        members,
         physics=physics_model,
         system=task_system,
         origin=initial_model,
+        leaves_out_spoiled=fit_options.leave_out_spoiled,
     )
-    timing_start = time.perf_counter()
-    task, records = _with_timing(make_task_of(records), records, quiet=fit_options.quiet)
-    timing_seconds = time.perf_counter() - timing_start
+    preparation_start = time.perf_counter()
+    prepared = prepare(fit_request, on_message=terminal.make_printer(quiet=fit_options.quiet))
+    preparation_seconds = time.perf_counter() - preparation_start
+    task = prepared.task
     request.print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
@@ -223,8 +217,13 @@ def _fit_recipe(
         FitProgress(console, quiet=fit_options.quiet) as progress,
         terminal.interruptible(remedy),
     ):
-        run, records = _run_members(
-            task, records, left_out, make_task_of, fit_options, progress.follow, system_file
+        run = run_fit(
+            prepared,
+            fit_options.out,
+            fit_options.earlier,
+            progress.follow,
+            system_file,
+            judges_records=fit_options.leave_out_spoiled,
         )
     # the folder is let go only when figures and report, which are of this model, are there
     with after_model(run.folder / MODEL), lock_folder(run.folder):
@@ -234,14 +233,14 @@ def _fit_recipe(
             terminal.print_json(run.summary())
         else:
             _print_run(run, fit_options.report.data_words)
-        _draw_run(run, records)
+        _draw_run(run, prepared.records.data)
         report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
         typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
         if not fit_options.quiet:
             seconds = time.perf_counter() - start_time
-            typer.echo(time_sentence(seconds, run.seconds, timing_seconds))
+            typer.echo(time_sentence(seconds, run.seconds, preparation_seconds))
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
         member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
@@ -250,98 +249,6 @@ def _fit_recipe(
     if not any(_is_usable(m.result) for m in run.members):
         raise typer.Exit(1)
     require_report(report)
-
-
-def _load_records(fit_options: "FitOptions") -> "tuple[DataSet, tuple[str, ...]]":
-    """Records of a fit, and sentences on the parts left out that spoil it without a doubt."""
-    records = fit_options.load()
-    if not fit_options.leave_out_spoiled:
-        return records, ()
-    return request.leave_out_visible(records, terminal.messages())
-
-
-def _run_members(
-    task: "Task",
-    records: "DataSet",
-    left_out: tuple[str, ...],
-    make_task_of: "Callable[[DataSet], Task]",
-    fit_options: "FitOptions",
-    make_listener: "MakeListener",
-    system_file: "SystemFile | None",
-) -> "tuple[Run, DataSet]":
-    """Runs a task, and where requested again without the parts of records that spoil it.
-
-    Args:
-        task: the task.
-        records: its records.
-        left_out: sentences on the parts that were left out before.
-        make_task_of: makes the task of fewer records.
-        fit_options: the options of the command.
-        make_listener: see `run_task`.
-        system_file: the file of the system.
-
-    Returns:
-        The run, and the records that it was fitted to.
-    """
-    from tustinnet.data.spoiled import leave_out
-    from tustinnet.store.run import run_task
-
-    judges, out = fit_options.leave_out_spoiled, fit_options.out
-    run = run_task(
-        task,
-        records.name,
-        out,
-        fit_options.earlier,
-        make_listener,
-        system_file,
-        judges_records=judges,
-        left_out=left_out,
-    )
-    if not judges:
-        return run, records
-    records, sentences = leave_out(records, run.spoiled)
-    nothing = () if left_out else ("spoiled records: none found, nothing was left out",)
-    for sentence in sentences or nothing:
-        terminal.messages().print(sentence, highlight=False, soft_wrap=True)
-    if not sentences:
-        return run, records
-    run = run_task(
-        make_task_of(records),
-        records.name,
-        out,
-        "discard",
-        make_listener,
-        system_file,
-        judges_records=True,
-        left_out=(*left_out, *sentences),
-    )
-    return run, records
-
-
-def _with_timing(task: "Task", records: "DataSet", *, quiet: bool) -> "tuple[Task, DataSet]":
-    """A task of one fold and its records with the holds and delays that no card declares.
-
-    Those of a fit that begins with a model, or corrects one, are the model's.
-    """
-    from tustinnet.fitting.recipe import IdentificationRecipe
-    from tustinnet.fitting.roles import assign_roles
-    from tustinnet.fitting.shooting.inverse_dynamics import require_possible
-    from tustinnet.models.lagrangian import LagrangianSystem
-    from tustinnet.selection.timing import determine_recipe_timing
-
-    recipe = task.recipe
-    is_by_forces = isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
-    if is_by_forces and isinstance(task.system, LagrangianSystem):
-        require_possible(task.system, records.experiments)  # before time is spent
-    (fold,) = task.folds
-    if fold.physics is not None or fold.origin is not None:
-        return task, records
-    on_message = terminal.make_printer(quiet=quiet)
-    timing = determine_recipe_timing(records, task.recipe, task.system, on_message=on_message)
-    for sentence in timing.sentences:
-        on_message(sentence)
-    timed_fold = replace(fold, roles=assign_roles(timing.data))
-    return replace(task, folds=(timed_fold,)), timing.data
 
 
 def _is_usable(result: "FitResult") -> bool:
@@ -366,7 +273,7 @@ def _print_windows(task: "Task", console: "Console") -> None:
 def _write_report(run: "Run", fit_options: "FitOptions") -> str | None:
     """Writes the report of the best model; see `AutomaticReport.write`."""
     from tustinnet.report.page.fit_reports import write_run_report
-    from tustinnet.store.run import REPORT
+    from tustinnet.store.run_folder import REPORT
 
     score, folder = run.best.scores[0], run.folder
     split = run.judging_split if run.roles.ranking[0].split else None
@@ -387,7 +294,7 @@ def _print_run(run: "Run", data: str) -> None:
         validation_table,
     )
     from tustinnet.report.summary import fit_summary
-    from tustinnet.store.run import BASE_PARAMETERS
+    from tustinnet.store.run_folder import BASE_PARAMETERS
 
     identification = run.best.result.identification
     if identification is None:

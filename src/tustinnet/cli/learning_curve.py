@@ -107,7 +107,9 @@ def learning_curve(
     draw_records(data_set, curve_options)  # raises at once where there are too few records
     with lock_folder(out):
         with FitProgress(console, quiet=quiet) as progress:
-            curve = learning_curve(data_set, curve_options, progress.follow)
+            curve = learning_curve(
+                data_set, curve_options, progress.follow, terminal.make_printer(quiet=quiet)
+            )
         table, sentences = learning_table(curve), [curve.sentence(a) for a in curve.approaches]
         write_into(out, names[0], to_json(curve.as_plain()))
         write_into(out, names[1], table.markdown() + "".join(f"\n* {s}." for s in sentences) + "\n")

@@ -84,7 +84,7 @@ def reproduce(
     from tustinnet.reproduce import figures, table1
     from tustinnet.reproduce.page import choose_reported_rows, write_rows_report
     from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
-    from tustinnet.store.run import REPORT
+    from tustinnet.store.run_folder import REPORT
 
     console = terminal.messages()
     folder, card = locate(data)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tustinnet.models.contract import Model
     from tustinnet.selection.runner import MakeExecutor
     from tustinnet.simulate.range import Range
-    from tustinnet.store.run import Earlier
+    from tustinnet.store.run_folder import Earlier
     from tustinnet.systems.files import AnySystem, SystemFile
 
 _MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
@@ -180,7 +180,7 @@ def load_records_to_fit(
     from tustinnet.data.loading import load_folder
     from tustinnet.simulate.start_rules import DerivedStart
     from tustinnet.store.files import require_outputs
-    from tustinnet.store.run import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
+    from tustinnet.store.run_folder import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
 
     folder, located_card = locate(data, card)
     require_apart(out, folder)
@@ -202,18 +202,6 @@ def load_records_to_fit(
     for line in (*lines, *spoiled_lines(records, map(held_equilibrium, records))):
         console.print(line, highlight=False, soft_wrap=True)
     return records
-
-
-def leave_out_visible(records: "DataSet", console: "Console") -> "tuple[DataSet, tuple[str, ...]]":
-    """Leaves out the parts that show to spoil a fit without a model; prints and returns which."""
-    from tustinnet.data.inspection import held_equilibrium
-    from tustinnet.data.spoiled import find_without_model, leave_out
-
-    parts = [part for e in records for part in find_without_model(e, held_equilibrium(e))]
-    records, sentences = leave_out(records, parts)
-    for sentence in sentences:
-        console.print(sentence, highlight=False, soft_wrap=True)
-    return records, sentences
 
 
 def load_records(

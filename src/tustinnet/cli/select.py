@@ -76,7 +76,7 @@ def select(
     from tustinnet.report.summary import next_steps
     from tustinnet.selection.select import select_model
     from tustinnet.store.files import lock_folder
-    from tustinnet.store.run import MODEL, REPORT
+    from tustinnet.store.run_folder import MODEL, REPORT
 
     quiet, report = fit_options.quiet, fit_options.report
     records = fit_options.load()
@@ -130,7 +130,7 @@ def draw_choice(choice: "Choice") -> None:
     from tustinnet.report.figures import free_run_figure, write_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
     from tustinnet.store.files import write_into
-    from tustinnet.store.run import TABLE
+    from tustinnet.store.run_folder import TABLE
 
     folder = choice.context.folder
     sentences = "".join(f"* {sentence}\n" for sentence in choice.sentences)
@@ -159,7 +159,7 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
 
 def print_files(choice: "Choice", report: str = "") -> None:
     """Prints the line that names the files, and the duration of the choice."""
-    from tustinnet.store.run import FIGURES, MODEL, TABLE
+    from tustinnet.store.run_folder import FIGURES, MODEL, TABLE
 
     out = choice.context.folder
     typer.echo(

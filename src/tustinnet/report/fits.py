@@ -6,11 +6,12 @@ from statistics import median
 
 from tustinnet.channels import Channels
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
+from tustinnet.fits.run import Run
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, Identification
 from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.run import SUMMARY, Run
+from tustinnet.store.run_folder import SUMMARY
 
 _MOST_ROWS = 30  # of parameters that are all shown
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.evaluate.scores import mean_rmse_by_unit
+from tustinnet.fits.run import Run
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.run import MODEL, Run
+from tustinnet.store.run_folder import MODEL
 from tustinnet.wording import counted
 
 _SHORTEST = 1.0  # s, of a part of a command that is named
@@ -34,18 +35,18 @@ def fit_summary(run: Run, data: str) -> tuple[str, ...]:
     )
 
 
-def time_sentence(total: float, fitting: float, timing: float) -> str:
+def time_sentence(total: float, fitting: float, preparation: float) -> str:
     """Sentence on the time that a command took, and for what.
 
     Args:
         total: time of the command [s].
         fitting: time of the fits [s].
-        timing: time of the search for holds and delays of inputs [s].
+        preparation: time of the preparation of the records [s]: holds, delays, parts left out.
     """
     parts = {
         "the fit": fitting,
-        "holds and delays of inputs": timing,
-        "scores, figures and the rest": total - fitting - timing,
+        "preparation of the records": preparation,
+        "scores, figures and the rest": total - fitting - preparation,
     }
     listed = ", ".join(f"{what} {duration(x)}" for what, x in parts.items() if x >= _SHORTEST)
     return f"time: {duration(total)}" + (f" ({listed})" if listed else "")

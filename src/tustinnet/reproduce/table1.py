@@ -10,10 +10,12 @@ from typing import Any
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import Run, run_fit
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.recipe import Criterion, TrainingRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
 from tustinnet.report.tables import Table, number
 from tustinnet.reproduce.entries import ALL_MODELS, AUTHORS, DEFAULT_MODELS, ENTRIES
@@ -23,7 +25,7 @@ from tustinnet.reproduce.published import (
     WEIGHTS_FOLDER,
     load_authors_weights,
 )
-from tustinnet.store.run import MODEL, Run, run_task
+from tustinnet.store.run_folder import MODEL
 from tustinnet.wording import counted
 
 START = "file"  # Table 1 starts from the first row as it is stored
@@ -157,11 +159,11 @@ def build_rows(
                 recipe = changed_recipe.model_copy(update={"name": changed_name})
             physics = None if entry.corrects is None else fit(entry.corrects).best.result.model
             members = [Member(seed) for seed in recipe.family.select_seeds(range(options.seeds))]
-            task = make_task(data, recipe, members, physics=physics, system=entry.system)
+            request = FitRequest(data, recipe, members, physics=physics, system=entry.system)
             continues = recipe.family.resumable and not options.overwrite
             earlier = "resume" if continues else "discard"
             listener = make_listener(name)
-            runs[name] = run_task(task, data.name, runs_folder / name, earlier, listener)
+            runs[name] = run_fit(prepare(request), runs_folder / name, earlier, listener)
         return runs[name]
 
     rows = []

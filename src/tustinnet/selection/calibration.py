@@ -3,8 +3,8 @@
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration, Prediction, calibrate_bands, predict
 from tustinnet.families.family import family_of
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.committees import combine, member_weights
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.final_models import FinalModel, SelectionResults
 from tustinnet.selection.jobs import RunContext
 from tustinnet.store.header import read_header

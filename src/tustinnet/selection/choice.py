@@ -28,7 +28,7 @@ from tustinnet.selection.ranking import (
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.run import MODEL
+from tustinnet.store.run_folder import MODEL
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
 _POOR = 0.2  # of the motion, an error with which a model is of little use

@@ -31,8 +31,8 @@ import jax
 
 from tustinnet.cores import count_cores
 from tustinnet.errors import InputError, convert_errors, describe_error, require_package
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fitting.listener import SILENT
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import Job, JobResult, RunContext, perform_jobs
 from tustinnet.selection.runner import Executor, MakeExecutor
 from tustinnet.store.files import PART

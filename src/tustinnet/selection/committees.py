@@ -12,8 +12,8 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.families.family import family_of
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.models.contract import Model
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, RunContext
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult

@@ -10,10 +10,11 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.task import AnyRecipe, require_feedback, resolve_system
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -21,11 +22,10 @@ from tustinnet.selection.folds import FOLDS, records_without_test, split_into_fo
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
-from tustinnet.selection.timing import determine_recipe_timing
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.run import SCORES
+from tustinnet.store.run_folder import SCORES
 from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 DEFAULT_PHYSICS = "best-grey"  # identifies the physics of a hybrid where nothing else is given
@@ -224,12 +224,11 @@ def cross_validate(
     require_float64("cross_validate")
     recipe = options.recipe
     require_feedback(options.physics or recipe, data)
-    timing = determine_recipe_timing(
-        data, recipe, options.system, is_repeated=True, on_message=on_message
+    # for all folds at once, those inputs included whose timing the data card calls `unknown`
+    preparation = PreparationOptions(
+        system=options.system, searches_timing=not is_published(recipe), on_message=on_message
     )
-    for sentence in timing.sentences:
-        on_message(sentence)
-    data = timing.data
+    data = prepare_records(data, preparation).data
     records = records_without_test(data)
     folds = len(split_into_folds(data, options.folds))
     starts = options.starts or default_and_fitted_starts(records)

@@ -11,18 +11,18 @@ from typing import Any
 
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fits.deadline import NEVER, Deadline
+from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, combine, member_weights
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.folds import FoldSplit, records_without_test
 from tustinnet.selection.jobs import FitScore, Job, MakeJobListener, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.kept_system import CANDIDATES
-from tustinnet.store.run import fit_in_folder
 
 WHOLE = "all-records"  # the folder of an identification from all records
 _AS_PROMISED = 1.5  # times the error that folds promise: more is another model than was scored

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.selection.deadline import NEVER, Deadline
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, Round, SelectionPlan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank, shared_folds
 from tustinnet.selection.runner import Executor, run_jobs
-from tustinnet.store.run import SCORES
+from tustinnet.store.run_folder import SCORES
 
 _TRYING = 0.6  # share of the time in which candidates are tried for the first time
 _TRYING_LAST = 0.4  # that share of candidates that come last or are another one of their kind

@@ -24,6 +24,8 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.families.family import family_of
+from tustinnet.fits.deadline import NEVER, Deadline, StopCheck
+from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
@@ -32,7 +34,6 @@ from tustinnet.fitting.shooting.inverse_dynamics import find_obstacle, unexplain
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
 from tustinnet.selection.folds import FoldSplit, split_into_folds
 from tustinnet.selection.plan import Candidate
 from tustinnet.selection.scoring import RmseByStart, Scorer
@@ -45,7 +46,7 @@ from tustinnet.store.files import (
 )
 from tustinnet.store.kept_system import CANDIDATES, system_header
 from tustinnet.store.model_file import load_model, read_system_name, save
-from tustinnet.store.run import MODEL, SCORES, fit_in_folder
+from tustinnet.store.run_folder import MODEL, SCORES
 from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
 
 SPENT = "its share of the budget was spent"

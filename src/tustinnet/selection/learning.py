@@ -6,7 +6,7 @@ corrects, and the twin that a network is pre-trained on.
 """
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -17,10 +17,11 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import AnyRecipe
 from tustinnet.models.contract import Model, require_float64
@@ -410,6 +411,7 @@ def learning_curve(
     data: DataSet,
     options: LearningCurveOptions,
     make_listener: MakeListener = lambda prepared: SILENT,
+    on_message: Callable[[str], None] = lambda sentence: None,
 ) -> LearningCurve:
     """Fits models to more and more records and scores records that none of them has seen.
 
@@ -418,12 +420,20 @@ def learning_curve(
         options: the recipes, the draws.
         make_listener: given the plan of trainings that run together, or the task of an
             identification, returns the listener of its progress.
+        on_message: called with sentences on the holds and delays of inputs, which are searched for
+            once where the data card does not declare them.
 
     Raises:
         InputError: too few records; see also `fit`. A single identification that cannot be done
             with so few records is a point without a model, and its outcome says why.
     """
     require_float64("learning_curve")
+    preparation = PreparationOptions(
+        system=None if options.hybrid is None else options.hybrid.system,
+        searches_timing=not is_published(options.network),
+        on_message=on_message,
+    )
+    data = prepare_records(data, preparation).data
     draws = draw_records(data, options)
     start = options.start or default_start(list(data))
     fitter = DrawFitter(data, start, make_listener)

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fitting.listener import SILENT
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import Job, JobResult, MakeJobListener, RunContext, perform_jobs
 
 

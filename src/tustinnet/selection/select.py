@@ -11,6 +11,8 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
+from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.shooting.inverse_dynamics import choose_cutoff
 from tustinnet.models.contract import require_float64
@@ -18,7 +20,6 @@ from tustinnet.selection.applicability import adds_lag, applicable_candidates
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
-from tustinnet.selection.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds, records_without_test
 from tustinnet.selection.halving import NO_TIME, Halving
@@ -27,14 +28,12 @@ from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import InProcess, MakeExecutor
 from tustinnet.selection.scoring import Scorer
-from tustinnet.selection.spoiled import leave_out_spoiled
-from tustinnet.selection.timing import determine_timing
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_system_copy
 from tustinnet.store.model_file import save
-from tustinnet.store.run import (
+from tustinnet.store.run_folder import (
     FIGURES,
     MODEL,
     REPORT,
@@ -55,8 +54,6 @@ from tustinnet.systems.files import AnySystem
 
 _TENTH = 0.1  # of a record, a horizon where no fit chose one
 _STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
-_TIMING = 0.1  # share of the budget for holds and delays, at most
-_SPOILED = 0.2  # share of the budget for parts of records that spoil fits, at most
 _ENDING = 0.07  # share of the budget for committees, the last fit and bands
 _LONGEST_ENDING = 60.0  # s
 _COMMITTEES = 0.5  # share of that for committees
@@ -134,15 +131,13 @@ def select_model(
     started = time.monotonic() if options.since is None else options.since
     stopwatch = Stopwatch(started)
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
-    # when time is up for holds and delays, for the rounds, and for all before figures
-    timing_end = rounds_end = models_end = NEVER
+    rounds_end = models_end = NEVER  # when time is up for the rounds, and for all before figures
     ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
         files, ending = min(files, _LONGEST_FILES), min(_ENDING * budget, _LONGEST_ENDING)
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
-        timing_end = Deadline.after(_TIMING * budget)
     # what cannot be done is said before time is spent
     records, cut = prepare_for_folds(data)
     horizon = effective_horizon(plan.horizon, list(records))
@@ -173,29 +168,25 @@ def select_model(
         reporter.on_message(note)
     specification = _make_specification(plan, context)
     stopwatch.end("records")
-    timing = determine_timing(data, context.loaded_system, timing_end, reporter.on_message)
-    promising = [c.name for c in candidates if timing.lags and adds_lag(c)]
-    for note in timing.sentences:
-        reporter.on_message(note)
-    stopwatch.end("holds and delays")
-    usable, left_out = timing.data, ()
-    if options.leave_out_spoiled:
-        end = NEVER if budget is None else Deadline.after(_SPOILED * budget)
-        usable, left_out = leave_out_spoiled(
-            usable, context.loaded_system, end, reporter.on_message
-        )
-        for note in left_out:
-            reporter.on_message(note)
-    context = context.with_changes(data=prepare_for_folds(usable)[0])
+    prepared = prepare_records(
+        data,
+        PreparationOptions(
+            system=context.loaded_system,
+            leaves_out_spoiled=options.leave_out_spoiled,
+            budget=budget,
+            on_message=reporter.on_message,
+            on_step=stopwatch.end,
+        ),
+    )
+    promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
+    context = context.with_changes(data=prepare_for_folds(prepared.data)[0])
     folds = min(context.scoring.folds, len(context.data))
     by_forces = any(c.is_by_forces for c in candidates)
     context = context.with_changes(
         scoring=replace(context.scoring, folds=folds),
         cutoff=choose_cutoff(records_without_test(context.data)) if by_forces else None,
     )
-    if options.leave_out_spoiled:
-        stopwatch.end("parts left out")
-    notes = (*timing.sentences, *left_out, *before)
+    notes = (*prepared.sentences, *before)
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
         make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
@@ -211,7 +202,9 @@ def select_model(
         if not remaining:
             raise _nothing_fitted(halving)
         stopwatch.end("candidates")
-        choice = _choose(halving, remaining, context, reporter, models_end, left_out, stopwatch)
+        choice = _choose(
+            halving, remaining, context, reporter, models_end, prepared.left_out, stopwatch
+        )
         choice = replace(
             choice,
             notes=notes,

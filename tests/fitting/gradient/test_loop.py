@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.fitting.fit import fit_many, fit_task
+from tustinnet.fits.fit import fit_many
+from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient import loop
 from tustinnet.fitting.gradient.epoch import (
     WindowLoss,

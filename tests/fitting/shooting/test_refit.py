@@ -20,7 +20,7 @@ from swinging import (
 
 import tustinnet as tn
 from tustinnet.families.family import family_of
-from tustinnet.fitting.fit import fit
+from tustinnet.fits.fit import fit
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.report import Identification
 from tustinnet.fitting.shooting import refit

@@ -1,22 +1,19 @@
-"""Identification of a grey-box model: from records and a system to parameters with errors.
+"""Identification of a grey-box model: from the task of a fit to parameters with errors.
 
-`identify` is the public function; `identify_task` does the same for a task of `fit`. Both return
-the identified model, its parameters with errors and correlations, and findings as sentences.
+The steps of `tustinnet.identify` after the preparation of the records.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
 
 from tustinnet.channels import Channels, Input
-from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
-from tustinnet.fitting.listener import Iteration, Listener
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
-from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
 from tustinnet.fitting.roles import describe_left_out
 from tustinnet.fitting.shooting.added_forces import with_added
@@ -44,73 +41,22 @@ from tustinnet.fitting.shooting.refit import refit_to_free_runs
 from tustinnet.fitting.shooting.results import make_identification
 from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
-from tustinnet.fitting.task import AnyRecipe, Member, Task, make_task
+from tustinnet.fitting.task import Member, Task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.feedback import with_controller
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
-from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.start_rules import FIT_SAMPLES
-from tustinnet.systems.files import AnySystem, SystemTemplate
+from tustinnet.systems.files import SystemTemplate
 
 # what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
 _POORLY_EXPLAINED = 0.1
 _SHORTEST = 10  # samples of a transient worth fitting
-DEFAULT_IDENTIFICATION = "grey"
 
 
 class UnfinishedSearchError(InputError):
     """A search was stopped before any of its stages was finished: there is no model."""
-
-
-@with_renamed_arguments(told="on_iteration")
-def identify(
-    data: DataSet,
-    system: AnySystem,
-    recipe: AnyRecipe = DEFAULT_IDENTIFICATION,
-    *,
-    begin: Mapping[str, float] | None = None,
-    fixed: Mapping[str, float] | None = None,
-    on_iteration: Callable[[Iteration], None] = lambda _: None,
-    should_stop: ShouldStopSearch = never_stop_search,
-) -> Identification:
-    """Identifies a system's parameters by the simulation error over all training records at once.
-
-    First values come from the equations of motion on the measured motion; then the simulation
-    error over segments of one swing, of four swings and over whole records is minimised. Records
-    along which errors grow without end, as about an unstable equilibrium that a controller
-    holds, stay in segments; `findings` says which.
-
-    Args:
-        data: records; those of the split `train` are used, or all where there are no splits.
-        system: the system, its name or its file, see `LagrangianSystem`.
-        recipe: a recipe of a kind that is identified; `grey` by default.
-        begin: values where the search starts, by name, besides those of the recipe; the nominal
-            values for all others.
-        fixed: parameters to fix at a value, besides those that the recipe and the system fix.
-        on_iteration: called with every iteration.
-        should_stop: asked before every step of the search, as for a time limit. A search that it
-            stops returns the model of its last finished stage, and says so in `outcome`.
-
-    Returns:
-        The model, its parameters with errors and correlations, and findings as sentences.
-
-    Raises:
-        InputError: records of another system, a value outside its range, a mass matrix that is
-            not positive definite, float64 is off; it was stopped before a stage was finished
-            (`UnfinishedSearchError`).
-    """
-    recipe = read_recipe(recipe)
-    tables = {
-        "begin": {**getattr(recipe.model, "begin", {}), **(begin or {})},
-        "fixed": {**getattr(recipe.model, "fixed", {}), **(fixed or {})},
-    }
-    recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
-    task = make_task(data, recipe, system=system)
-    result = identify_task(task, Member(), Listener(on_iteration=on_iteration), should_stop)
-    assert result.identification is not None
-    return result.identification
 
 
 def identify_task(
@@ -127,13 +73,13 @@ def identify_task(
         task: what is to be fitted.
         member: one of its members.
         listener: functions that are called while the search goes on.
-        should_stop: see `identify`.
+        should_stop: see `tustinnet.identify`.
         checks_signs: whether reversed signs are searched for, where the equations of motion explain
             the records poorly.
 
     Raises:
         UnfinishedSearchError: it was stopped before a stage was finished.
-        InputError: see `identify`.
+        InputError: see `tustinnet.identify`.
     """
     require_float64("identify")
     start_time = time.perf_counter()

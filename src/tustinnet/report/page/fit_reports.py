@@ -5,11 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.fits.run import Run
 from tustinnet.report.page.reported_model import ReportedModel, read_reported_models
 from tustinnet.report.page.write import ReportOptions, write_page
 from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.selection.choice import Choice
-from tustinnet.store.run import MODEL, REPORT, Run
+from tustinnet.store.run_folder import MODEL, REPORT
 
 
 def write_run_report(run: Run, command: str) -> Path:

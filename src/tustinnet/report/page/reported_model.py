@@ -12,7 +12,7 @@ from tustinnet.selection.final_models import WHOLE
 from tustinnet.store.header import read_description
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.log import LOG, is_stage_end, read_log, read_search_log
-from tustinnet.store.run import MODEL
+from tustinnet.store.run_folder import MODEL
 
 History = Sequence[Mapping[str, Any]]
 

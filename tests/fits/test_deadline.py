@@ -2,8 +2,8 @@
 
 import time
 
+from tustinnet.fits.deadline import NEVER, Deadline, StopCheck
 from tustinnet.fitting.gradient.state import Progress
-from tustinnet.selection.deadline import NEVER, Deadline, StopCheck
 
 
 def ran(epochs: int, stage: int = 0) -> list[Progress]:

@@ -14,10 +14,12 @@ import pytest
 import safetensors.numpy
 
 import tustinnet as tn
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import Run, run_fit
 from tustinnet.fitting.listener import Iteration, Listener, StageResult
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member
 from tustinnet.store.log import SearchLog, read_log, read_search_log
-from tustinnet.store.run import MODEL, Earlier, Run, discard_results, run_task
+from tustinnet.store.run_folder import MODEL, Earlier, discard_results
 
 
 def arrays(path: Path) -> dict[str, bytes]:
@@ -27,7 +29,7 @@ def arrays(path: Path) -> dict[str, bytes]:
 def run(data, recipe, seeds, folder: Path, earlier: Earlier = "refuse", rates=(1.0,)) -> Run:
     """Trains seeds at some rates and keeps everything in a folder."""
     members = [Member(seed, rate) for seed in seeds for rate in rates]
-    return run_task(make_task(data, recipe, members), data.name, folder, earlier)
+    return run_fit(prepare(FitRequest(data, recipe, members)), folder, earlier)
 
 
 def small(small_recipe: Path) -> tn.Recipe:
@@ -156,8 +158,8 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
         log.unlink()
     sound = {"cut": 4, "list": 3, "other keys": 1, "again": 6}.get(damage, 0)
     told: list[str] = []
-    task = make_task(tn.load(folder), small(small_recipe), [Member(0), Member(1)])
-    run_task(task, "x", run_folder, "resume", lambda prepared: Listener(on_message=told.append))
+    fit = prepare(FitRequest(tn.load(folder), small(small_recipe), [Member(0), Member(1)]))
+    run_fit(fit, run_folder, "resume", lambda prepared: Listener(on_message=told.append))
     assert len(told) == 1
     assert f"seed-0/log.jsonl: {sound} sound lines, expected 9" in told[0]
     assert log.read_text() == "".join(lines[:sound])
@@ -218,9 +220,9 @@ def test_a_folder_that_is_removed_while_it_is_written_into_ends_the_run(
         if report.epoch == 2 and place.exists():
             shutil.rmtree(place)
 
-    task = make_task(tn.load(folder), small(small_recipe))
+    fit = prepare(FitRequest(tn.load(folder), small(small_recipe)))
     with pytest.raises(tn.InputError, match=r"log\.jsonl: cannot be written \(No such file"):
-        run_task(task, "x", place, "refuse", lambda prepared: Listener(on_epoch=remove))
+        run_fit(fit, place, "refuse", lambda prepared: Listener(on_epoch=remove))
 
 
 def test_a_run_without_validation_records_is_judged_on_its_training_records(
@@ -236,13 +238,13 @@ import sys, jax
 jax.config.update("jax_enable_x64", True)
 from pathlib import Path
 import tustinnet as tn
-from tustinnet.fitting.task import make_task
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.run import run_fit
 from tustinnet.store import checkpoint
-from tustinnet.store.run import run_task
 checkpoint._INTERVAL = 0.0
 data = tn.load(sys.argv[1])
 earlier = "resume" if "resume" in sys.argv else "refuse"
-run_task(make_task(data, sys.argv[2]), data.name, Path(sys.argv[3]), earlier)
+run_fit(prepare(FitRequest(data, sys.argv[2])), Path(sys.argv[3]), earlier)
 """
 
 

@@ -1,4 +1,4 @@
-"""Holds and delays of inputs, found once for all candidates by the cheapest model that can tell.
+"""Holds and delays of inputs, found before anything is fitted by the cheapest model that can tell.
 
 They are properties of the records, not of a model: what an input does between two samples, and
 the time from a logged sample to its effect. A system that is given, or a mechanism, is identified
@@ -17,16 +17,16 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import error_message
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
-from tustinnet.fitting.recipe_reading import is_published, read_recipe
+from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import Estimate, Identification
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.holds import describe_hold_errors
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
-from tustinnet.selection.deadline import NEVER, Deadline
 from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
 
 _RECORDS, _SAMPLES = 6, 10_000  # that are enough to tell a delay
@@ -57,7 +57,7 @@ class Timing:
 def determine_timing(
     data: DataSet,
     system: AnySystem | None = None,
-    deadline: Deadline = NEVER,
+    should_stop: ShouldStopSearch = never_stop_search,
     on_message: Callable[[str], None] = lambda sentence: None,
 ) -> Timing:
     """Finds the holds that the data card does not declare, and the delay where it declares none.
@@ -69,7 +69,7 @@ def determine_timing(
     Args:
         data: the records.
         system: the system that is given, or None for a mechanism.
-        deadline: when it has to end; what is not known by then is as usual.
+        should_stop: asked often: whether it ends; what is not known by then is as usual.
         on_message: called with what is being done.
     """
     declared = _holds_of(system)
@@ -83,7 +83,7 @@ def determine_timing(
     ]
     if not open_holds and not open_delays:
         return Timing(data, tuple(sentences))
-    search = _make_search(data, system, deadline)
+    search = _make_search(data, system, should_stop)
     lags: list[str] = []
     try:
         _require_applicable(search)
@@ -120,34 +120,6 @@ def determine_timing(
     return Timing(replace(data, experiments=experiments), tuple(sentences), tuple(lags))
 
 
-def determine_recipe_timing(
-    data: DataSet,
-    recipe: Recipe,
-    system: AnySystem | SystemTemplate | None = None,
-    *,
-    is_repeated: bool = False,
-    on_message: Callable[[str], None] = lambda sentence: None,
-) -> Timing:
-    """Finds holds and delays for the fits of one recipe, see `determine_timing`.
-
-    The records stay as they are for the recipes of the publication, and for a single
-    identification that searches for what its data card calls `unknown`.
-
-    Args:
-        data: the records.
-        recipe: the recipe.
-        system: the system that is given; None, or a template, for a mechanism.
-        is_repeated: whether several fits follow, which would search for the same again.
-        on_message: called with what is being done.
-    """
-    is_unknown = any(i.hold == "unknown" or i.delay is None for i in data.channels.inputs)
-    searches = isinstance(recipe, IdentificationRecipe) and is_unknown and not is_repeated
-    if searches or is_published(recipe):
-        return Timing(data)
-    given = None if isinstance(system, SystemTemplate) else system
-    return determine_timing(data, given, on_message=on_message)
-
-
 @dataclass(frozen=True)
 class _TimingSearch:
     """Identifications of some records, with inputs that act in one way or another.
@@ -156,13 +128,13 @@ class _TimingSearch:
         records: the records.
         recipe: the recipe.
         system: the system that is identified.
-        deadline: when the last one has to end.
+        should_stop: asked often: whether the last one ends.
     """
 
     records: Sequence[Experiment]
     recipe: Recipe
     system: LagrangianSystem | SystemTemplate | None
-    deadline: Deadline
+    should_stop: ShouldStopSearch
 
     def identify(self, inputs: Sequence[Input], forces: Sequence[str] = ()) -> Identification:
         """The system identified with inputs in the place of the records' own, and added forces.
@@ -176,18 +148,20 @@ class _TimingSearch:
         recipe = self.recipe.model_copy(update={"model": model})
         task = Task(recipe, (Fold(roles),), (Member(),), self.system)
         # an identification asks for the time only when it has compiled its programs
-        is_late = self.deadline.has_passed()
+        is_late = self.should_stop()
         fit = (
             None
             if is_late
-            else identify_task(task, Member(), SILENT, self.deadline.has_passed, checks_signs=False)
+            else identify_task(task, Member(), SILENT, self.should_stop, checks_signs=False)
         )
         if fit is None or fit.identification is None or fit.is_out_of_time:
             raise UnfinishedSearchError("holds and delays", "no time was left", "more time")
         return fit.identification
 
 
-def _make_search(data: DataSet, system: AnySystem | None, deadline: Deadline) -> _TimingSearch:
+def _make_search(
+    data: DataSet, system: AnySystem | None, should_stop: ShouldStopSearch
+) -> _TimingSearch:
     """Makes the search for the timing of records by a system, or by a mechanism."""
     records = _choose_records(data)
     # short pieces: there a delay of a period shows most, and nothing runs away; positions alone,
@@ -198,7 +172,7 @@ def _make_search(data: DataSet, system: AnySystem | None, deadline: Deadline) ->
         f"search.horizon={_LENGTH * records[0].dt}",
     )
     recipe = read_recipe("mechanism" if system is None else "best-grey", changes)
-    return _TimingSearch(records, recipe, resolve_system(recipe, system), deadline)
+    return _TimingSearch(records, recipe, resolve_system(recipe, system), should_stop)
 
 
 def _find_hold(

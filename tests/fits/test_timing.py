@@ -9,11 +9,11 @@ from swinging import DT, LAGGING, SWING, TRUTH, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.channels import Hold, Input
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fits.deadline import Deadline
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.timing import determine_timing
 from tustinnet.fitting.shooting import identify
 from tustinnet.models.integrate import discretise
-from tustinnet.selection.deadline import Deadline
-from tustinnet.selection.timing import determine_recipe_timing, determine_timing
 from tustinnet.simulate.input_signal import input_signal
 
 
@@ -91,18 +91,15 @@ def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():
 
 
 @pytest.mark.parametrize(
-    ("recipe", "known", "is_repeated"),
-    [("paper-standard", 0.0, False), ("grey", None, False), ("grey", None, True)],
+    ("recipe", "known"), [("paper-standard", 0.0), ("grey", None), ("grey", 0.0)]
 )
-def test_only_recipes_that_search_themselves_or_are_published_have_no_search(
-    recipe, known, is_repeated
-):
+def test_only_recipes_that_search_themselves_or_are_published_have_no_search(recipe, known):
     data, messages = records("zero-order", DT, "zero-order", known), list[str]()
-    passed = determine_recipe_timing(
-        data, read_recipe(recipe), SWING, is_repeated=is_repeated, on_message=messages.append
-    )
-    assert bool(messages) == is_repeated
-    assert (passed.data is data) != is_repeated
+    system = SWING if recipe == "grey" else None
+    fit = prepare(FitRequest(data, recipe, system=system), on_message=messages.append)
+    searches = (recipe, known) == ("grey", 0.0)
+    assert bool(messages) == searches
+    assert (fit.records.data is data) != searches
 
 
 def test_a_hold_that_the_card_calls_unknown_is_found():
@@ -121,7 +118,7 @@ def test_what_is_declared_stays_and_the_card_decides_over_the_system():
 
 
 def test_where_time_is_up_the_usual_timing_is_taken_and_said_where_it_was_asked_for():
-    passed = Deadline.after(-1.0)
+    passed = Deadline.after(-1.0).has_passed
     quiet = determine_timing(records("zero-order", DT), SWING, passed)
     assert quiet.sentences == ()
     assert quiet.data.channels.inputs[0].delay == 0.0

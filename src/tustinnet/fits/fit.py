@@ -1,0 +1,142 @@
+"""Fits in memory: a model from records and a recipe, by training or by identification."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.listener import SILENT, Iteration, Listener
+from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.task import AnyRecipe, Member
+from tustinnet.models.contract import Model, warn_of_single_precision
+from tustinnet.systems.files import AnySystem
+
+DEFAULT_IDENTIFICATION = "grey"
+
+
+def fit(
+    data: DataSet,
+    recipe: AnyRecipe | None = None,
+    seed: int = 0,
+    *,
+    physics: Model | None = None,
+    system: AnySystem | None = None,
+    listener: Listener = SILENT,
+) -> FitResult:
+    """Fits a model to a data set, as a recipe says.
+
+    Holds and delays of inputs that the records do not declare are searched for first.
+
+    Args:
+        data: records with the splits `train` and, if free runs are to choose, `validation`.
+        recipe: a packaged recipe's name, a TOML file, its content as a mapping, or a `Recipe`; by
+            default `standard`, with a `system` `grey`, with `physics` `best-hybrid`.
+        seed: initial weights, windows and shuffling follow from it; an identification has none.
+        physics: a model to correct, as an identification gives it; it stays as it is.
+        system: the system whose parameters are identified, its name or its file.
+        listener: functions that are called while the fit goes on, see `Listener`.
+
+    Returns:
+        The model and how it came about. A training that diverged returns the best weights it
+        had and says so in `outcome`.
+
+    Raises:
+        InputError: records too short for a window, no training split, a recipe that does not fit
+            or to which an argument is not applicable; see also `identify`.
+    """
+    warn_of_single_precision("fit")
+    request = FitRequest(data, recipe, (Member(seed),), physics=physics, system=system)
+    return _fit(request, listener)[0]
+
+
+def fit_many(
+    data: DataSet,
+    recipe: AnyRecipe | None = None,
+    seeds: Sequence[int] = (0,),
+    rates: Sequence[float] = (1.0,),
+    *,
+    physics: Model | None = None,
+    listener: Listener = SILENT,
+) -> list[FitResult]:
+    """Trains a recipe from several seeds, at several rates, as one batched program.
+
+    Each training has its own learning rate and its own best weights. One that diverges does not
+    disturb the others.
+
+    Args:
+        data: as for `fit`.
+        recipe: as for `fit`.
+        seeds: one training each.
+        rates: factors of the recipe's rates; every seed is trained with each.
+        physics: as for `fit`.
+        listener: as for `fit`.
+
+    Returns:
+        One result, as `fit` returns it, for each seed and rate: all rates of the first seed, then
+        those of the next.
+
+    Raises:
+        InputError: no seed, a rate that is not positive; see `fit`.
+    """
+    warn_of_single_precision("fit_many")
+    members = tuple(Member(seed, rate) for seed in seeds for rate in rates)
+    return _fit(FitRequest(data, recipe, members, physics=physics), listener)
+
+
+def identify(
+    data: DataSet,
+    system: AnySystem,
+    recipe: AnyRecipe = DEFAULT_IDENTIFICATION,
+    *,
+    begin: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    on_iteration: Callable[[Iteration], None] = lambda _: None,
+    should_stop: ShouldStopSearch = never_stop_search,
+) -> Identification:
+    """Identifies a system's parameters by the simulation error over all training records at once.
+
+    Holds and delays of inputs that the records do not declare are searched for first. First values
+    come from the equations of motion on the measured motion; then the simulation error over
+    segments of one swing, of four swings and over whole records is minimised. Records along which
+    errors grow without end, as about an unstable equilibrium that a controller holds, stay in
+    segments; `findings` says which.
+
+    Args:
+        data: records; those of the split `train` are used, or all where there are no splits.
+        system: the system, its name or its file, see `LagrangianSystem`.
+        recipe: a recipe of a kind that is identified; `grey` by default.
+        begin: values where the search starts, by name, besides those of the recipe; the nominal
+            values for all others.
+        fixed: parameters to fix at a value, besides those that the recipe and the system fix.
+        on_iteration: called with every iteration.
+        should_stop: asked before every step of the search, as for a time limit. A search that it
+            stops returns the model of its last finished stage, and says so in `outcome`.
+
+    Returns:
+        The model, its parameters with errors and correlations, and findings as sentences.
+
+    Raises:
+        InputError: records of another system, a value outside its range, a mass matrix that is
+            not positive definite, float64 is off; it was stopped before a stage was finished
+            (`UnfinishedSearchError`).
+    """
+    recipe = read_recipe(recipe)
+    tables = {
+        "begin": {**getattr(recipe.model, "begin", {}), **(begin or {})},
+        "fixed": {**getattr(recipe.model, "fixed", {}), **(fixed or {})},
+    }
+    recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
+    request = FitRequest(data, recipe, system=system)
+    (result,) = _fit(request, Listener(on_iteration=on_iteration), should_stop)
+    assert result.identification is not None
+    return result.identification
+
+
+def _fit(
+    request: FitRequest, listener: Listener, should_stop: ShouldStopSearch = never_stop_search
+) -> list[FitResult]:
+    """Prepares the records of a request and fits its members."""
+    task = prepare(request, should_stop, listener.on_message).task
+    return fit_task(task, lambda _: listener, should_stop_search=should_stop)

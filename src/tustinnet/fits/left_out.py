@@ -1,0 +1,54 @@
+"""Parts of records that spoil fits, left out before anything is fitted.
+
+What spoils one fit spoils all: folds, scores, committees and bands. So the parts are found once,
+by the cheapest model that can tell: the system that is given, or a mechanism.
+"""
+
+from collections.abc import Callable
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.inspection import held_equilibrium
+from tustinnet.data.spoiled import find_without_model, leave_out
+from tustinnet.errors import error_message
+from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.task import Fold, Member, Task, resolve_system
+from tustinnet.systems.files import AnySystem
+
+
+def leave_out_visible(data: DataSet) -> tuple[DataSet, tuple[str, ...]]:
+    """Leaves out the parts that show to spoil a fit without a model; a sentence on each, too."""
+    parts = [part for e in data for part in find_without_model(e, held_equilibrium(e))]
+    return leave_out(data, parts)
+
+
+def leave_out_unexplained(
+    data: DataSet,
+    system: AnySystem | None = None,
+    should_stop: ShouldStopSearch = never_stop_search,
+    on_message: Callable[[str], None] = lambda sentence: None,
+) -> tuple[DataSet, tuple[str, ...]]:
+    """Leaves out the parts of records that a model does not explain; a sentence on each, too.
+
+    Args:
+        data: the records, whose holds and delays are known.
+        system: the system that is given, or None for a mechanism.
+        should_stop: asked often: whether the search for them ends.
+        on_message: called with what is being done.
+    """
+    by = "a mechanism" if system is None else "the system"
+    on_message(f"parts of records that spoil fits: searched for by {by}")
+    recipe = read_recipe("mechanism" if system is None else "best-grey", ("search.refine=none",))
+    roles = Roles(tuple(e for e in data if e.split != "test"), ())
+    task = Task(recipe, (Fold(roles),), (Member(),), resolve_system(recipe, system))
+    try:
+        fit = identify_task(task, Member(), SILENT, should_stop)
+    except UnfinishedSearchError:
+        return data, ("spoiled records: no time was left to search for them",)
+    except Exception as error:  # of any kind: all records are fitted to
+        return data, (f"spoiled records: not searched for: {error_message(error)}",)
+    return leave_out(data, find_spoiled(fit.model, roles.all))

@@ -1,0 +1,100 @@
+"""Requests of fits: all that a fit is of, and the task that comes of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from tustinnet.data.dataset import DataSet
+from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
+from tustinnet.fitting.recipe import IdentificationRecipe
+from tustinnet.fitting.recipe_reading import is_published
+from tustinnet.fitting.roles import assign_roles
+from tustinnet.fitting.shooting.inverse_dynamics import require_possible
+from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.task import AnyRecipe, Member, Origin, Task, make_task
+from tustinnet.models.contract import Model
+from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.systems.files import AnySystem
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """Fits of one recipe to records.
+
+    Attributes:
+        data: the records.
+        recipe: a packaged recipe's name, a TOML file, its content as a mapping, or a `Recipe`; by
+            default `standard`, with a `system` `grey`, with `physics` `best-hybrid`.
+        members: seeds and rates; an identification has neither.
+        physics: a model whose accelerations a network corrects, or None.
+        system: the system whose parameters are identified, or None.
+        origin: a fitted model to begin with, or None.
+        leaves_out_spoiled: whether parts of records that spoil the fit are left out.
+    """
+
+    data: DataSet
+    recipe: AnyRecipe | None = None
+    members: Sequence[Member] = (Member(),)
+    physics: Model | None = None
+    system: AnySystem | None = None
+    origin: Origin | None = None
+    leaves_out_spoiled: bool = False
+
+
+@dataclass(frozen=True)
+class PreparedFit:
+    """Fits whose records are prepared.
+
+    Attributes:
+        task: the fits.
+        records: their records, and what was done to them.
+    """
+
+    task: Task
+    records: PreparedRecords
+
+
+def prepare(
+    request: FitRequest,
+    should_stop: ShouldStopSearch = never_stop_search,
+    on_message: Callable[[str], None] = lambda sentence: None,
+) -> PreparedFit:
+    """Checks that the parts of a request fit together, and prepares its records.
+
+    Holds and delays of a fit that begins with a model, or corrects one, are those of the model.
+
+    Args:
+        request: what is fitted.
+        should_stop: see `PreparationOptions`.
+        on_message: likewise.
+
+    Raises:
+        InputError: an argument that is not applicable to the recipe, or one that is missing; see
+            `make_task`.
+    """
+    task = make_task(
+        request.data,
+        request.recipe,
+        request.members,
+        physics=request.physics,
+        system=request.system,
+        origin=request.origin,
+    )
+    recipe, (fold,) = task.recipe, task.folds
+    is_by_forces = isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
+    if is_by_forces and isinstance(task.system, LagrangianSystem):
+        require_possible(task.system, request.data.experiments)  # before time is spent
+    has_model = fold.physics is not None or fold.origin is not None
+    searches_itself = isinstance(recipe, IdentificationRecipe) and any(
+        i.hold == "unknown" or i.delay is None for i in request.data.channels.inputs
+    )
+    options = PreparationOptions(
+        system=task.system,
+        searches_timing=not (has_model or searches_itself or is_published(recipe)),
+        leaves_out_spoiled=request.leaves_out_spoiled,
+        should_stop=should_stop,
+        on_message=on_message,
+    )
+    records = prepare_records(request.data, options)
+    if records.data is not request.data:
+        task = replace(task, folds=(replace(fold, roles=assign_roles(records.data)),))
+    return PreparedFit(task, records)

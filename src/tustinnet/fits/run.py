@@ -1,0 +1,285 @@
+"""Runs: fits of one recipe, scored, and kept in a folder with all that belongs to them."""
+
+import csv
+import io
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tustinnet.channels import Channels
+from tustinnet.data.spoiled import SpoiledPart, spoiled_header
+from tustinnet.evaluate.scores import (
+    Score,
+    evaluate,
+    mean_rmse,
+    mean_rmse_by_unit,
+    rmse_by_record,
+    scores_header,
+)
+from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.fits.in_folder import fit_in_folder
+from tustinnet.fits.request import PreparedFit
+from tustinnet.fitting.fit import MakeListener
+from tustinnet.fitting.gradient.plan import TrainingPlan
+from tustinnet.fitting.listener import Listener
+from tustinnet.fitting.report import FitResult, Identification, data_header
+from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.task import Task
+from tustinnet.models.contract import require_float64
+from tustinnet.simulate.horizon import effective_horizon
+from tustinnet.simulate.range import KEY as RANGE
+from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
+from tustinnet.store.files import lock_folder, to_json, write_into
+from tustinnet.store.header import ORIGIN
+from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
+from tustinnet.store.model_file import save
+from tustinnet.store.run_folder import (
+    BASE_PARAMETERS,
+    MODEL,
+    SUMMARY,
+    Earlier,
+    prepare_run_folder,
+)
+from tustinnet.store.specification import SPECIFICATION, make_specification, write_specification
+from tustinnet.systems.files import SystemFile
+
+
+@dataclass(frozen=True)
+class MemberRun:
+    """The fit of one member.
+
+    Attributes:
+        result: the model and how it came about.
+        scores: free runs of the judging records, in float64.
+        folder: where its files are.
+    """
+
+    result: FitResult
+    scores: tuple[Score, ...]
+    folder: Path
+
+    @property
+    def mean(self) -> float:
+        """Mean RMSE over the judging records [rad or m]."""
+        return mean_rmse(self.scores)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Fits of one recipe.
+
+    Attributes:
+        members: each of them.
+        data: what the records are called.
+        roles: the records.
+        start: where the free runs start that rank the members.
+        folder: where the files are.
+        system: the system's file, where one was given.
+        origin: the account of the model that the fits began with, empty where they began anew.
+        spoiled: parts of the records that the best model does not explain.
+        left_out: sentences on the parts of records that were left out before.
+    """
+
+    members: tuple[MemberRun, ...]
+    data: str
+    roles: Roles
+    start: str
+    folder: Path
+    system: SystemFile | None = None
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    spoiled: tuple[SpoiledPart, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> MemberRun:
+        """The member with the lowest mean RMSE."""
+        return min(self.members, key=lambda run: run.mean)
+
+    @cached_property
+    def training_rmse(self) -> Mapping[str, float]:
+        """RMSE of each training record that the best model leaves [rad or m].
+
+        Of a training that of its free run; of an identification from its initial states.
+        """
+        identification = self.best.result.identification
+        return (
+            rmse_by_record(self.training_scores) if identification is None else identification.rmse
+        )
+
+    @cached_property
+    def training_scores(self) -> Sequence[Score]:
+        """Scores of the best model's free runs of the training records."""
+        result = self.best.result
+        if self.roles.ranking is self.roles.train:
+            return self.best.scores
+        horizon = effective_horizon(result.horizon, self.roles.train)
+        return evaluate(result.model, self.roles.train, result.start, horizon=horizon)
+
+    @property
+    def channels(self) -> Channels:
+        """Coordinates, inputs and sampling period of the records."""
+        return self.roles.train[0].channels
+
+    @cached_property
+    def _support(self) -> TrainingSupport | None:
+        return training_support(self.channels, self.roles.train)
+
+    @property
+    def seconds(self) -> float:
+        """Time that the fits of all members took [s]."""
+        return sum(member.result.seconds for member in self.members)
+
+    @property
+    def judging_split(self) -> str:
+        """The split whose free runs rank them."""
+        return self.roles.ranking_split
+
+    def spread(self) -> dict[str, float]:
+        """Median, mean, standard deviation, lowest and highest mean RMSE [rad or m]."""
+        means = [run.mean for run in self.members]
+        return {
+            "median": statistics.median(means),
+            "mean": statistics.fmean(means),
+            "std": statistics.stdev(means) if len(means) > 1 else 0.0,
+            "min": min(means),
+            "max": max(means),
+        }
+
+    def header(self, member: MemberRun) -> dict[str, Any]:
+        """The header of the model file of a member, beside the model's own."""
+        channels = self.channels
+        return {
+            **member.result.as_header(),
+            "data": data_header(self.data, self.roles.all),
+            RANGE: recorded_range(member.result.model, self.roles.train, self._support).as_header(),
+            "scores": scores_header(
+                self.judging_split,
+                self.start,
+                channels,
+                member.scores[0].horizon,
+                rmse_by_record(member.scores),
+                mean_rmse_by_unit(member.scores, channels),
+            ),
+            **system_header(self.system),
+            **({ORIGIN: dict(self.origin)} if self.origin else {}),
+            **spoiled_header(self.spoiled, self.left_out),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The account of the run as plain values: the best model's header, and every member."""
+        best = self.best
+        return {
+            **self.header(best),
+            "recipe": best.result.recipe.name,
+            "kind": best.result.recipe.model.kind,
+            "split": self.judging_split,
+            "start": self.start,
+            "horizon": best.scores[0].horizon,
+            "best_seed": best.result.seed,
+            "spread": self.spread(),
+            "training_rmse": dict(self.training_rmse),
+            "seeds": [
+                {
+                    "seed": run.result.seed,
+                    "rate": run.result.member.rate,
+                    "outcome": run.result.outcome,
+                    "mean": run.mean,
+                    "mean_by_unit": mean_rmse_by_unit(run.scores, self.channels),
+                    "rmse": rmse_by_record(run.scores),
+                    "train_seconds": run.result.seconds,
+                    **run.result.details.get("training", {}),
+                    "findings": list(run.result.findings),
+                    "model": (run.folder / MODEL).relative_to(self.folder).as_posix(),
+                }
+                for run in self.members
+            ],
+        }
+
+
+def run_fit(
+    fit: PreparedFit,
+    folder: Path,
+    earlier: Earlier = "refuse",
+    make_listener: MakeListener = lambda prepared: Listener(),
+    system: SystemFile | None = None,
+    *,
+    judges_records: bool = False,
+) -> Run:
+    """Fits all members of a prepared fit, scores them, and keeps everything in a folder.
+
+    Args:
+        fit: the fits, of one fold.
+        folder: where the files go.
+        earlier: what to do with a run that the folder holds: `refuse`, `discard`, or `resume`: go
+            on from the checkpoints that are there; members without one start.
+        make_listener: given the plan of trainings that run together, or the task of an
+            identification, returns the listener of its progress.
+        system: the file of the system that the fits are of; a copy is kept with the models.
+        judges_records: whether parts of records that spoil the fit are looked for with networks,
+            too, which takes longer than with an identified system.
+
+    Raises:
+        InputError: the folder cannot be written, another run is writing there, it holds an earlier
+            run that is neither resumed nor discarded; a resumed run had another specification, or
+            its checkpoints belong to another run; an identification is to be resumed; see also
+            `fit`.
+    """
+    require_float64("run_fit")
+    task = fit.task
+    with lock_folder(folder):
+        own = [folder / MODEL, folder / SPECIFICATION] if earlier == "discard" else []
+        require_copy_fits(system, folder, own)
+        specification, family = make_specification(task, system), task.recipe.family
+        prepare_run_folder(folder, earlier, specification, resumable=family.resumable)
+
+        def listen(prepared: TrainingPlan | Task) -> Listener:
+            # the records of a training are known to fit the recipe now
+            if isinstance(prepared, TrainingPlan):
+                write_specification(folder, specification)
+            return make_listener(prepared)
+
+        fits = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        (fold,) = task.folds
+        roles = fold.roles.with_long_validation(fits[0].fewest_samples)
+        members = []
+        for member, result in zip(task.members, fits, strict=True):
+            horizon = effective_horizon(result.horizon, roles.ranking)
+            scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
+            place = folder / member.name if family.has_seeds else folder
+            members.append(MemberRun(result, scores, place))
+        run = Run(
+            tuple(members),
+            fit.records.data.name,
+            roles,
+            fits[0].start,
+            folder,
+            system,
+            {} if fold.origin is None else fold.origin.provenance,
+            left_out=fit.records.left_out,
+        )
+        if judges_records or not family.has_seeds:
+            run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
+        write_specification(folder, specification)
+        if system is not None:
+            write_system_copy(system, folder)
+        for member in run.members:
+            save(member.result.model, member.folder / MODEL, **run.header(member))
+        save(run.best.result.model, folder / MODEL, **run.header(run.best))
+        identification = run.best.result.identification
+        if identification is not None and identification.base_parameters:
+            write_into(folder, BASE_PARAMETERS, _base_parameters_csv(identification))
+        write_into(folder, SUMMARY, to_json(run.summary()))
+    return run
+
+
+def _base_parameters_csv(identification: Identification) -> str:
+    """The base parameters of an identification as CSV: a row each, with value and interval."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["base parameter", "unit", "value", "low (95 %)", "high (95 %)"])
+    for b in identification.base_parameters:
+        writer.writerow([b.expression, b.unit, b.value, *(b.interval or ("", ""))])
+    return text.getvalue()
