@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 import tustinnet
 from tustinnet.registry import FAMILIES
 
@@ -82,18 +80,15 @@ EVERYDAY_WORDS = {"linear"}  # also a kind of coordinate
 FREE_OF_FAMILIES = modules_outside("families", "registry.py", "models", "reproduce")
 
 
-@pytest.mark.parametrize("module", FREE_OF_FAMILIES)
-def test_nothing_is_decided_by_the_kind_of_a_model(module):
-    tree, kinds = tree_of(module), set(FAMILIES.places) - EVERYDAY_WORDS
-    classes = classes_of_families()
-    if module == "fitting/recipe.py":
-        classes -= WAYS_OF_FITTING
-    lines = [
-        node.lineno
-        for found in (asking_for_class(tree, classes), decisions_by_text(tree, kinds))
-        for node in found
-    ]
-    assert not lines, f"{module}: a family answers by a method or a flag, see families/family.py"
+def test_nothing_is_decided_by_the_kind_of_a_model():
+    kinds, all_classes = set(FAMILIES.places) - EVERYDAY_WORDS, classes_of_families()
+    places = []
+    for module in FREE_OF_FAMILIES:
+        classes = all_classes - (WAYS_OF_FITTING if module == "fitting/recipe.py" else set())
+        tree = tree_of(module)
+        found = [*asking_for_class(tree, classes), *decisions_by_text(tree, kinds)]
+        places += [f"{module}:{node.lineno}" for node in found]
+    assert not places, "a family answers by a method or a flag, see families/family.py"
 
 
 def test_linear_is_only_asked_of_coordinates():
@@ -147,14 +142,14 @@ def doubled(tree: ast.AST) -> Iterator[ast.expr]:
                 yield node
 
 
-@pytest.mark.parametrize("module", modules_outside("channels.py"))
-def test_a_state_is_taken_apart_by_its_channels(module):
-    tree = tree_of(module)
-    found: set[ast.expr] = set(slices_by_hand(tree))
-    if module not in SIZES:
-        found |= set(doubled(tree))
-    lines = sorted(node.lineno for node in found)
-    assert not lines, f"{module}: channels.position, .velocity, .measured, .internal say it"
+def test_a_state_is_taken_apart_by_its_channels():
+    places = []
+    for module in modules_outside("channels.py"):
+        found = [*slices_by_hand(tree_of(module))]
+        if module not in SIZES:
+            found += doubled(tree_of(module))
+        places += [f"{module}:{node.lineno}" for node in found]
+    assert not places, "channels.position, .velocity, .measured, .internal say it"
 
 
 # --- time is run through in two places ---
@@ -171,18 +166,15 @@ OTHER_LOOPS = {
 }
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_time_is_run_through_in_two_places(module):
-    lines = [
-        node.lineno
+def test_time_is_run_through_in_two_places():
+    modules_with_loops = {
+        module
+        for module in MODULES
         for node in ast.walk(tree_of(module))
         if (isinstance(node, ast.Attribute) and node.attr in LOOPS and "lax" in names_in(node))
         or (isinstance(node, ast.ImportFrom) and {a.name for a in node.names} & LOOPS)
-    ]
-    if module in LOOPS_OVER_TIME or module in OTHER_LOOPS:
-        assert lines, f"{module}: has no loop any more, take it off the list"
-    else:
-        assert not lines, f"{module}: use simulate.rollout"
+    }
+    assert modules_with_loops == {*LOOPS_OVER_TIME, *OTHER_LOOPS}, "others use simulate.rollout"
 
 
 # --- the checks find what they are for ---
