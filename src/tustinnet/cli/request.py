@@ -362,20 +362,19 @@ def load_model(path: Path, system: str | None) -> "Model":
 
 def kept_system(model: Path) -> "SystemFile | None":
     """The system file that is stored with a model; raises an error unless the user trusts it."""
-    from tustinnet.store.kept_system import find_system_copy, is_trusted, trust
+    from tustinnet.store.kept_system import find_trusted_copy
 
-    copy = find_system_copy(model)
-    if copy is None or is_trusted(copy):
-        return copy
-    if terminal.confirm(f"{copy.path} is Python code that was kept with this model; run it?"):
-        trust(copy)
-        return copy
-    raise InputError(
-        copy.path,
-        "Python code that was kept with the model, and not trusted on this machine",
-        "your consent",
-        f"if you would run it yourself, add --system {copy.path}",
-    )
+    def ask(copy: "SystemFile") -> bool:
+        if terminal.confirm(f"{copy.path} is Python code that was kept with this model; run it?"):
+            return True
+        raise InputError(
+            copy.path,
+            "Python code that was kept with the model, and not trusted on this machine",
+            "your consent",
+            f"if you would run it yourself, add --system {copy.path}",
+        )
+
+    return find_trusted_copy(model, ask)
 
 
 def records_of_split(data: "DataSet", split: str | None) -> "DataSet":

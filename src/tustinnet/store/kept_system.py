@@ -5,7 +5,7 @@ that the user has consented to is kept, a file of that name in the user's config
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,32 @@ def find_system_copy(model: Path) -> SystemFile | None:
             if path.exists():
                 return SystemFile(path, _read_copy(path))
     return None
+
+
+def find_trusted_copy(
+    model: Path, has_consent: Callable[[SystemFile], bool] = lambda copy: False
+) -> SystemFile | None:
+    """The copy that was kept with a model file, if it may be run; None where there is none.
+
+    Args:
+        model: the model file.
+        has_consent: asks whether to run a Python file that is not trusted; a yes is remembered.
+
+    Raises:
+        InputError: the copy is Python code that is not trusted; see also `find_system_copy`.
+    """
+    copy = find_system_copy(model)
+    if copy is None or is_trusted(copy):
+        return copy
+    if not has_consent(copy):
+        raise InputError(
+            model,
+            f"a model of the system in {copy.path}, Python code that its run keeps",
+            "your consent",
+            f"to run it, give that file as the system: load_model(path, system={str(copy.path)!r})",
+        )
+    trust(copy)
+    return copy
 
 
 def _run_folders(folder: Path) -> Iterator[Path]:

@@ -88,14 +88,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             "leave --system out",
         )
     if system is None and kept_system.HEADER in header and _systems_in(header, path):
-        system = copy = kept_system.find_system_copy(Path(path))
-        if copy is not None and copy.is_code and not kept_system.is_trusted(copy):
-            raise InputError(
-                path,
-                f"a model of the system in {copy.path}, Python code that its run keeps",
-                "your consent",
-                f"to run it, load_model(path, system={str(copy.path)!r})",
-            )
+        system = kept_system.find_trusted_copy(Path(path))
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
         return FAMILIES[header["kind"]].restore(header, arrays, system, Path(path))
 
