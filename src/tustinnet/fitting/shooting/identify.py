@@ -49,7 +49,6 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.feedback import with_controller
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
-from tustinnet.renamed import with_renamed_arguments
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.start_rules import FIT_SAMPLES
 from tustinnet.systems.files import AnySystem, SystemTemplate
@@ -64,7 +63,6 @@ class UnfinishedSearchError(InputError):
     """A search was stopped before any of its stages was finished: there is no model."""
 
 
-@with_renamed_arguments(told="on_iteration")
 def identify(
     data: DataSet,
     system: AnySystem,
