@@ -395,7 +395,7 @@ class Channels:
         for c in coordinates:
             del c["column"]  # of the records, not of a model
             if c["unit"] == _default_unit(c["kind"]):
-                del c["unit"]  # files of earlier versions have none
+                del c["unit"]  # the kind says it
         inputs = [asdict(i) for i in self.inputs]
         for i in inputs:
             del i["is_delay_declared"]  # of the records, not of a model

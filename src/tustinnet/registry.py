@@ -125,11 +125,6 @@ DESCRIPTIONS: Registry[Any] = Registry(
         "committee": "tustinnet.families.descriptions:CommitteeDescription",
     },
 )
-# kinds of model files that earlier versions wrote, and what to do instead
-REMOVED_KINDS = {
-    "encoded": "retrain it with a start such as `model-20`: networks that estimate the initial "
-    "state are no longer supported",
-}
 DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none
 SCALINGS: Registry[Any] = Registry(
     "scaling",

@@ -67,7 +67,7 @@ def test_what_was_understood_is_said_in_both_units(name, text, values, line):
         ("elbow", "1", 2, "not understood; expected LOW:HIGH"),
         ("elbow", "2:1", 2, "not understood; expected LOW:HIGH, the smaller number first"),
         ("elbow", "1rad:90deg", 2, "not understood"),
-        ("elbow", "1 furlong", 1, "'furlong' is not a unit of a quantity in rad"),
+        ("elbow", "1 mile", 1, "'mile' is not a unit of a quantity in rad"),
         ("elbow", "1 nothing", 1, "unit 'nothing' is not known"),
         ("der_elbow", "5 deg", 1, "'deg' is not a unit of a quantity in rad/s"),
         ("motor", "5 A", 1, "'A' is not a unit of a quantity in V"),

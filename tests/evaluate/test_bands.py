@@ -163,13 +163,3 @@ def test_a_width_follows_the_root_of_the_spread():
     assert moving.floor == pytest.approx(0.2 * moving.unit)
     widths = moving.width(np.array([0.0, moving.unit, 100 * moving.unit]))
     np.testing.assert_allclose(widths / moving.unit, [0.2, 1.04**0.5, 100.04**0.5])
-
-
-def test_bands_of_files_from_before_are_as_they_were():
-    calibration = calibrate_bands(*some(range(9)), "file")
-    header = calibration.as_header()
-    for part in (*header["moving"], *header["resting"]):
-        del part["unit"]
-    (part,) = Calibration.from_header({"bands": header}, "model").moving
-    spread = np.array([0.0, 0.1])
-    np.testing.assert_allclose(part.width(spread), np.hypot(spread, part.floor))

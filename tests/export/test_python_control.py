@@ -1,5 +1,6 @@
 """Models as systems of python-control: the simulation is the rollout, the matrices are exact."""
 
+import sys
 from importlib import import_module
 
 import numpy as np
@@ -63,3 +64,10 @@ def test_the_pages_program_designs_a_controller_and_tries_it_on_the_model():
 def test_shapes_that_the_model_does_not_have_are_refused():
     with pytest.raises(InputError, match=r"x of shape \(2,\), u of shape \(1,\).*\(4,\) and"):
         tn.state_space(example("qube"), np.zeros(2), np.zeros(1))
+
+
+def test_it_asks_for_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    for make in (tn.control_system, lambda model: tn.state_space(model, np.zeros(4), np.zeros(1))):
+        with pytest.raises(InputError, match=r"control is not installed.*'tustinnet\[control\]'"):
+            make(example("qube"))

@@ -83,7 +83,7 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
     [
         ('los = "state"', r"search\.los: unknown key.*did you mean 'loss'"),
         ('loss = "speed"', r"search\.loss: .*'position' or 'state' \(got 'speed'\)"),
-        ('times = "nominal"', r"search: `times` was removed: to ignore timestamps, give `dt`"),
+        ('times = "nominal"', r"search\.times: unknown key; to ignore timestamps, give `dt`"),
         ('part = "other"', r"search\.part: .*'whole' or 'transients'"),
         ('method = "other"', r"search\.method: .*'levenberg-marquardt'"),
         ("iterations = 0", r"search\.iterations: .*greater than 0"),

@@ -8,7 +8,7 @@ import pytest
 
 from tustinnet.registry import FAMILIES, SUMMARIES
 
-HEAVY = {"jax", "equinox", "scipy", "matplotlib", "polars", "rich", "pint", "h5py", "jinja2"}
+HEAVY = {"jax", "equinox", "scipy", "matplotlib", "polars", "rich", "h5py", "jinja2"}
 READING = {"polars", "rich"}  # records of text, and tables of them
 # prints whether matplotlib is loaded when a table is printed, instead of the table
 TELLING = """

@@ -269,15 +269,6 @@ def test_what_is_called_a_level_and_is_none_is_refused():
         added(once, "stribeck:x")
 
 
-def test_the_name_of_an_earlier_version_stands_for_the_same_force():
-    assert added(CART, "rubbing:x").added == ("coulomb_by_position:x",)
-    with pytest.warns(FutureWarning, match="'rubbing' is called 'coulomb_by_position' now"):
-        old = forces.rubbing  # pyright: ignore[reportAttributeAccessIssue]
-    assert old is forces.coulomb_by_position
-    with pytest.raises(AttributeError, match="has no attribute 'glue'"):
-        _ = forces.glue  # pyright: ignore[reportAttributeAccessIssue]
-
-
 @pytest.mark.parametrize(
     # laws that share parameters exclude one another
     "laws",

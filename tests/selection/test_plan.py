@@ -84,7 +84,7 @@ def test_a_candidate_may_change_its_recipe(tmp_path):
         (
             'recipe = "small.toml"',
             'recipe = "small.toml"\nset = ["rates=[1.0, 2.0]"]',
-            "`rates` was removed",
+            "rates: unknown key; train each by itself",
         ),
     ],
 )

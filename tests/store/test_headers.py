@@ -212,16 +212,11 @@ def rewrite_without(path: Path, *names: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "stop", "knows_rows", "is_fitted"),
-    [(50, 70, True, False), (30, 60, True, True), (0, 80, True, True), (50, 70, False, True)],
+    ("first", "stop", "is_fitted"), [(50, 70, False), (30, 60, True), (0, 80, True)]
 )
-def test_other_rows_of_a_file_that_a_model_was_fitted_to_are_another_record(
-    first, stop, knows_rows, is_fitted
-):
+def test_other_rows_of_a_file_that_a_model_was_fitted_to_are_another_record(first, stop, is_fitted):
     whole = replace(record("fall1", 80, 1, "train"), source="long.csv", sha256="0" * 64)
     data = data_header("one", [whole[:40]])
-    if not knows_rows:  # a file of an earlier version
-        del data["records"][0]["rows"]
     judged = replace(whole[first:stop], name="fresh")
     assert find_fitted({"data": data}, [judged]) == (["fresh"] if is_fitted else [])
 
@@ -242,4 +237,4 @@ def test_units_of_columns_are_those_of_the_records_also_of_a_committees_parts():
     header = {"data": {"columns": column}}
     assert columns_in_header(header)["angle"] == ("deg", 0.0175)
     assert columns_in_header({"files": [header, {}]})["angle"].name == "deg"
-    assert columns_in_header({"data": {"name": "older"}}) == {}
+    assert columns_in_header({}) == {}

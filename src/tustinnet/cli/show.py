@@ -83,12 +83,11 @@ def _identification_lines(header: dict[str, Any]) -> Lines:
     for e in identification["estimates"]:
         name = e["name"]
         error = "" if e["error"] is None else f" +- {e['error']:.2g}"
-        bound = f", at its {e['bound']} bound" if e.get("bound") else ""
+        bound = f", at its {e['bound']} bound" if e["bound"] else ""
         final = f"; in the model {refined[name]:.4g}" if name in refined else ""
         lines.append(("", f"{name} {e['value']:.4g}{error} {e['unit']}{bound}{final}"))
-    # files of format 1 say `held`
-    fixed = identification.get("fixed", identification.get("held", {}))
-    lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed.items()]
+    fixed = identification["fixed"].items()
+    lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed]
     if "outcome" in identification:
         lines.append(("outcome", identification["outcome"]))
     return lines + [("finding", finding) for finding in identification.get("findings", ())]

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from tustinnet.errors import InputError
+from tustinnet.user_folders import cache_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -267,9 +268,7 @@ def _cache_programs() -> None:
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        import platformdirs
-
-        cache = Path(platformdirs.user_cache_dir("tustinnet")) / "compiled"
+        cache = cache_folder() / "compiled"
         try:
             cache.mkdir(parents=True, exist_ok=True)
         except OSError:

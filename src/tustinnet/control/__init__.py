@@ -3,6 +3,6 @@
 The public names, listed in `__init__.pyi`. Arrays in and out are plain NumPy.
 """
 
-import lazy_loader
+from tustinnet.lazy_package import make_lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+make_lazy(__name__, __file__)

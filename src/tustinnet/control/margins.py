@@ -1,14 +1,19 @@
 """Margins of a feedback loop: how far it is from being unstable."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
 from tustinnet.control.lqr import Feedback, loop_matrices
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+
+Numbers = Float[np.ndarray, " n"]
+Matrix = Float[np.ndarray, "n m"]
 
 # frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
 _FREQUENCIES, _LOWEST = 2000, 1e-5
@@ -53,7 +58,7 @@ class Margins:
 
 
 def margins(model: Model, feedback: Feedback) -> Margins:
-    """Margins of linear feedback about its operating point, computed by python-control.
+    """Margins of linear feedback about its operating point.
 
     The loop is that of model and state feedback, delays and integral action included. An estimator
     in the loop makes them smaller.
@@ -65,8 +70,6 @@ def margins(model: Model, feedback: Feedback) -> Margins:
     Raises:
         InputError: the loop is unstable without limits.
     """
-    from control import FrequencyResponseData, StateSpace, frequency_response, stability_margins
-
     system = controlled(model, feedback.delay)
     a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.speeds, feedback.integral)
     gain, dt = feedback.gain, feedback.dt
@@ -79,35 +82,68 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             "design the feedback on this model",
         )
     frequencies = np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
-    results = []
+    inputs = []
     for j, channel in enumerate(model.channels.inputs):
         others = [i for i in range(system.n_u) if i != j]
-        rest = a - b[:, others] @ gain[others]
-        loop = StateSpace(rest, b[:, [j]], gain[[j]], [[0.0]], dt)
-        # by the response: by polynomials, rounding makes crossings that there are none
-        response = FrequencyResponseData(loop, frequencies, smooth=True)
-        gains, phases, _, _, crossings, _ = map(
-            np.atleast_1d, stability_margins(response, returnall=True)
-        )
-        # at both ends the response is real: -180 degrees are reached there, not crossed
-        ends = [float(np.real(loop(z, warn_infinite=False))) for z in (1.0, -1.0)]
-        gains = np.concatenate([gains, [-1 / end for end in ends if -np.inf < end < 0]])
-        nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
-        lags = np.radians(phases % 360) / crossings
-        results.append(
-            InputMargins(
-                input=channel.name,
-                gain_up=float(min(gains[gains > 1], default=np.inf)),
-                gain_down=float(max(gains[gains < 1], default=0.0)),
-                phase=np.inf if nearest is None else float(np.radians(abs(phases[nearest]))),
-                delay=float(min(lags, default=np.inf)),
-                crossover=np.nan if nearest is None else float(crossings[nearest]),
-            )
-        )
+        loop = _Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
+        inputs.append(_input_margins(channel.name, loop, frequencies))
     # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
-    sensitivity = StateSpace(a - b @ gain, b, -gain, np.eye(system.n_u), dt)
-    responses: Any = frequency_response(sensitivity, frequencies, squeeze=False)
-    response = responses.complex
-    peaks = np.linalg.norm(np.moveaxis(response, 2, 0), 2, axis=(1, 2))
+    sensitivity = np.eye(system.n_u) - _Response(a - b @ gain, b, gain, dt).at(frequencies)
+    peaks = np.linalg.norm(sensitivity, 2, axis=(1, 2))
     highest = int(np.argmax(peaks))
-    return Margins(tuple(results), float(peaks[highest]), float(frequencies[highest]))
+    return Margins(tuple(inputs), float(peaks[highest]), float(frequencies[highest]))
+
+
+class _Response(NamedTuple):
+    """The frequency response `c (z - a)^-1 b`."""
+
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    dt: float
+
+    def at(self, frequencies: Numbers) -> Complex[np.ndarray, "n n_y n_u"]:
+        """Its values at some frequencies, (n, n_y, n_u); inf at a pole."""
+        z = np.exp(1j * frequencies * self.dt)[:, None, None]
+        try:
+            return self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b)
+        except np.linalg.LinAlgError:
+            return np.full((len(z), len(self.c), self.b.shape[1]), np.inf + 0j)
+
+
+def _input_margins(name: str, loop: _Response, frequencies: Numbers) -> InputMargins:
+    """Margins of a loop that is broken at one input, crossings found between frequencies."""
+
+    def respond(w: Numbers) -> Complex[np.ndarray, " n"]:
+        return loop.at(w)[:, 0, 0]
+
+    crossings = _find_crossings(lambda w: np.abs(respond(w)) - 1, frequencies)
+    phases = np.angle(-respond(crossings))
+    # at -180 degrees; the angle also jumps where the response is positive
+    turns = _find_crossings(lambda w: np.angle(-respond(w)), frequencies)
+    # at both ends the response is real: -180 degrees are reached there, not crossed
+    values = [
+        *np.real(respond(turns)),
+        *(respond(np.array([w]))[0].real for w in (0.0, np.pi / loop.dt)),
+    ]
+    gains = np.array([-1 / value for value in values if -np.inf < value < 0])
+    nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
+    return InputMargins(
+        input=name,
+        gain_up=float(min(gains[gains > 1], default=np.inf)),
+        gain_down=float(max(gains[gains < 1], default=0.0)),
+        phase=np.inf if nearest is None else float(abs(phases[nearest])),
+        delay=float(min(phases % (2 * np.pi) / crossings, default=np.inf)),
+        crossover=np.nan if nearest is None else float(crossings[nearest]),
+    )
+
+
+def _find_crossings(
+    function: Callable[[Numbers], Numbers], at: Numbers
+) -> Float[np.ndarray, " crossings"]:
+    """The places between some where a function changes its sign."""
+    from scipy.optimize import brentq  # takes long to load
+
+    begins = np.flatnonzero(np.diff(np.sign(function(at))))
+    found = [brentq(lambda x: function(np.array([x]))[0], at[k], at[k + 1]) for k in begins]
+    return np.array(found, float)

@@ -104,7 +104,7 @@ class CoordinateCard(Declaration):
         column: name or number of the position column.
         unit: rad, deg, rev, ... of an angle; m, mm, in, ... of a linear coordinate, or a unit that
             is no length (V, mA, K, 1), of which the records have the SI unit; or `counts` of the
-            encoder. Any unit that pint knows.
+            encoder. See `units` for the others.
         scale: units of `unit` in one unit of the column, as of a gear or of a sensor in volts; also
             applies to a velocity column without a unit.
         sine: column of the sine of an angle whose cosine `column` has; the unit is then rad.

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, cast
-
-import platformdirs
 
 from tustinnet.data.card import Card
 from tustinnet.data.card_files import list_record_files
@@ -18,10 +15,12 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
 from tustinnet.data.readers import is_log
-from tustinnet.errors import InputError
+from tustinnet.errors import InputError, describe_error
+from tustinnet.user_folders import cache_folder
 
 CARD_NAME = "dataset.toml"
 DATA_VARIABLE = "TUSTINNET_DATA"
+_PATIENCE = 30  # seconds for an answer of a server
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class PublishedDataSet:
 
     def cache(self) -> Path:
         """The folder of downloaded files."""
-        return Path(platformdirs.user_cache_dir("tustinnet")) / self.stem
+        return cache_folder() / self.stem
 
     def changed_files(self, folder: Path) -> list[str]:
         """Files that are in a folder but are not the published ones."""
@@ -167,29 +166,32 @@ def find_folder(entry: PublishedDataSet) -> Path:
 
 def _download(entry: PublishedDataSet) -> Path:
     """Downloads the files that the cache lacks, each checked against its checksum."""
-    # imported here: loading requests takes longer than `tustinnet --help` may
-    import pooch
-    import requests
+    # imported here: it takes longer to load than `tustinnet --help` may
+    from http.client import HTTPException
+    from urllib.error import HTTPError, URLError
+    from urllib.request import urlopen
 
-    cache = entry.cache()
-    fetcher = pooch.create(
-        path=cache,
-        base_url=entry.address,
-        registry={file: f"sha256:{digest}" for file, digest in entry.checksums().items()},
-    )
-    pooch.get_logger().setLevel("WARNING")
-    # pooch's own type of a downloader names the arguments of its processors
-    downloader = cast(Any, pooch.HTTPDownloader(timeout=30))
-    for file in fetcher.registry:
+    cache, changed = entry.cache(), entry.changed_files(entry.cache())
+    for file, digest in entry.checksums().items():
+        path = cache / file
+        if path.is_file() and file not in changed:
+            continue
         try:
-            fetcher.fetch(file, downloader=downloader)
-        except (requests.RequestException, OSError, ValueError) as error:
-            offline = isinstance(error, requests.ConnectionError | requests.Timeout)
-            reason = "no connection" if offline else f"{type(error).__name__}: {error}"[:200]
+            with urlopen(f"{entry.address}{file}", timeout=_PATIENCE) as reply:
+                content = reply.read()
+            if hashlib.sha256(content).hexdigest() != digest:
+                raise ValueError("its checksum is another one")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_name(f".{path.name}.{os.getpid()}.part")
+            part.write_bytes(content)
+            part.replace(path)
+        except (OSError, ValueError, HTTPException) as error:
+            is_offline = isinstance(error, URLError) and not isinstance(error, HTTPError)
+            reason = "no connection" if is_offline else describe_error(error)
             raise InputError(
                 f"data set '{entry.name}'",
                 f"{entry.address}{file} could not be fetched ({reason})",
-                f"{len(fetcher.registry)} files ({_describe_files(entry)})",
+                f"{len(entry.checksums())} files ({_describe_files(entry)})",
                 f"put them into {cache} in these subfolders, or give their folder with "
                 f"--data PATH or {DATA_VARIABLE}=PATH",
             ) from error

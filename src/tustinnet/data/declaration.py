@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar, get_args
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from tustinnet.errors import InputError, convert_errors, require_name, require_text
+from tustinnet.old_names import KEYS
 
 _LARGEST = 1_000_000  # bytes of a text file that is written by hand
 _DEEPEST = 20  # tables in tables
@@ -192,7 +193,8 @@ def declare(
             keys = _table_keys(kind, first["loc"][:-1])
         if keys is not None:
             near = difflib.get_close_matches(location[-1], keys, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(keys)}"
+            hint = KEYS.get(location[-1], f"known keys: {', '.join(keys)}")
+            hint = f"did you mean '{near[0]}'?" if near else hint
             raise InputError(f"{where}, {key}", "unknown key", "", hint) from None
         if first["type"] == "missing":
             raise InputError(f"{where}, {key}", "missing", "a value for this key") from None

@@ -60,18 +60,17 @@ class Part:
         factors: times of the width at levels 0.001, 0.002, ... that hold that share of the time;
             as far as the number of records allows.
         records: times of the width that hold all of each calibration record, in rising order.
-        unit: a spread of which the root is as wide as itself [rad or m]; None in files from before
-            roots were taken.
+        unit: a spread of which the root is as wide as itself [rad or m].
     """
 
     floor: float
     factors: tuple[float, ...]
     records: tuple[float, ...]
-    unit: float | None = None
+    unit: float
 
     def width(self, spread: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The root of the spread, or the floor [rad or m]; smooth between."""
-        return np.sqrt((spread if self.unit is None else self.unit) * spread + self.floor**2)
+        return np.sqrt(self.unit * spread + self.floor**2)
 
     def factor(self, level: float, scope: BandScope) -> float:
         """Times of the width that hold a share of the time, or of whole records.
@@ -203,7 +202,7 @@ class Calibration:
             )
         parts = {
             key: tuple(
-                Part(p["floor"], tuple(p["factors"]), tuple(p["records"]), p.get("unit"))
+                Part(p["floor"], tuple(p["factors"]), tuple(p["records"]), p["unit"])
                 for p in content[key]
             )
             for key in ("moving", "resting")

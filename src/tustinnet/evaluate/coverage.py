@@ -90,8 +90,6 @@ def compute_crps(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q
     calibration records, taken as quantiles (the mean pinball loss). The level of the band itself
     does not matter.
     """
-    import scoringrules  # takes long to load, and only bands need it
-
     calibration, prediction = band.calibration, band.prediction
     levels = [level for level in _TENTHS.tolist() if level <= calibration.highest_level]
     halves = np.stack([calibration.half_width(prediction, level) for level in levels], axis=-1)
@@ -99,7 +97,8 @@ def compute_crps(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q
     quantiles = np.concatenate([middle - halves[..., ::-1], middle, middle + halves], axis=-1)
     tails = (1 - np.array(levels)) / 2
     shares = np.concatenate([tails[::-1], [0.5], 1 - tails])
-    return np.asarray(scoringrules.crps_quantile(experiment.q, quantiles, shares))
+    error = experiment.q[..., None] - quantiles
+    return 2 * np.mean(np.maximum(shares * error, (shares - 1) * error), axis=-1)
 
 
 def _binomial_interval(successes: float, trials: int) -> tuple[float, float]:

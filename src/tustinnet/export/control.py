@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine.runs import make_step
+from tustinnet.errors import require_package
 from tustinnet.export.source import Source, make_source
 from tustinnet.export.tangent import compute_tangent
 from tustinnet.models.contract import Model
@@ -22,7 +23,11 @@ def control_system(model: Model) -> "NonlinearIOSystem":
 
     Args:
         model: a model that steps from sample to sample.
+
+    Raises:
+        InputError: python-control is not installed.
     """
+    require_package("control", "control", "control_system")
     from control import nlsys
 
     source = make_source(model)
@@ -50,8 +55,10 @@ def state_space(
         u: the inputs there, (n_u,).
 
     Raises:
-        InputError: other shapes, or derivatives that are not finite there.
+        InputError: other shapes, derivatives that are not finite there, or python-control is not
+            installed.
     """
+    require_package("control", "control", "state_space")
     from control import StateSpace
 
     source = make_source(model)

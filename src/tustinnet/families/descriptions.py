@@ -57,7 +57,7 @@ class CoordinateEntry(Entries):
 
     name: Name
     kind: Kind
-    resolution: float | None = None
+    resolution: float | None
     unit: Text = ""
 
     @model_validator(mode="after")
@@ -73,9 +73,9 @@ class InputEntry(Entries):
 
     name: Name
     unit: Text
-    hold: Hold | None = None
-    limits: tuple[float, float] | None = None
-    delay: float | None = 0.0
+    hold: Hold | None
+    limits: tuple[float, float] | None
+    delay: float | None
 
     @model_validator(mode="after")
     def _check(self) -> "InputEntry":
@@ -144,16 +144,18 @@ class NetworkEntries(Entries):
     stem: Units | None
     activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"]
     output_bias: bool
-    linear: bool = False
-    odd: bool = False
+    linear: bool
+    odd: bool
+    centred_angles: bool
+    pairs: list[tuple[int, int]]
 
 
 class TustinNetEntries(NetworkEntries):
     """The layers and the memory of a Tustin-Net."""
 
-    relaxation_times: list[Seconds] = Field(default_factory=list, max_length=MOST_TIMES)
-    input_taps: Taps = Field(default_factory=list)
-    remembered: float = Field(default=0.0, ge=0, le=1)
+    relaxation_times: list[Seconds] = Field(max_length=MOST_TIMES)
+    input_taps: Taps
+    remembered: float = Field(ge=0, le=1)
 
 
 class TustinNetDescription(Description):
@@ -174,7 +176,7 @@ class GRUEntries(Entries):
 
     hidden: Units
     warm_up: int = Field(ge=0, le=LONGEST_WARM_UP)
-    input_taps: Taps = Field(default_factory=list)
+    input_taps: Taps
 
 
 class GRUDescription(Description):
@@ -223,28 +225,15 @@ class EulerLagrangeDescription(Description):
 
 
 class HybridDescription(Description):
-    """A hybrid; files of format 1 have both parts side by side."""
+    """A hybrid."""
 
-    fades_at_rest: bool = False
-    physics: dict[str, Any] | None = None
-    correction: dict[str, Any] | None = None
-    structure: TustinNetEntries | None = None
-    system: SystemEntries | None = None
-    parameters: list[str] = Field(default_factory=list)
-    substeps: int = Field(default=1, gt=0, le=MOST_SUBSTEPS)
-
-    @model_validator(mode="after")
-    def _check_parts(self) -> "HybridDescription":
-        parts = (self.physics, self.correction), (self.structure, self.system)
-        if sum(all(part is not None for part in pair) for pair in parts) != 1:
-            raise ValueError("neither physics with its correction, nor what format 1 has instead")
-        return self
+    fades_at_rest: bool
+    physics: dict[str, Any]
+    correction: dict[str, Any]
 
     def parts(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
         """Physics and correction."""
-        for name, part in ((PHYSICS, self.physics), (CORRECTION, self.correction)):
-            if part is not None:
-                yield name, part
+        yield from ((PHYSICS, self.physics), (CORRECTION, self.correction))
 
 
 class MemberEntries(Entries):

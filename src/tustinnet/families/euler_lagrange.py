@@ -5,7 +5,6 @@ values, never its code; what its code computes at fixed states is compared when 
 """
 
 import inspect
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -131,7 +130,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
             raise InputError(
                 where, "parameters that the system does not have", "those of the system"
             )
-        _require_same(model, arrays.get(_PROBED), where)
+        _require_same(model, arrays[_PROBED], where)
         return discretise(model, header["dt"], header["substeps"], inputs=channels.inputs)
 
     def with_initial_values(
@@ -200,13 +199,10 @@ def draw_values(
     Returns:
         The sets, by name; none of a model whose file has no errors.
     """
-    identification = header.get("identification", {})
-    estimates, correlation = (
-        identification.get("estimates", ()),
-        identification.get("correlation"),
-    )
-    if correlation is None or not estimates:
+    identification = header.get("identification")
+    if identification is None or not identification["estimates"]:
         return []
+    estimates, correlation = identification["estimates"], identification["correlation"]
     errors, lower, upper = (
         np.array([estimate[key] for estimate in estimates], float)  # None becomes NaN
         for key in ("error", "lower", "upper")
@@ -274,16 +270,8 @@ def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     return evaluate(Formula(probe, points.shape[1], where=where), points)
 
 
-def _require_same(model: LagrangianModel, stored: np.ndarray | None, where: Path) -> None:
+def _require_same(model: LagrangianModel, stored: np.ndarray, where: Path) -> None:
     """Raises unless the system computes what it did when the model was identified."""
-    if stored is None:
-        if model.system.name not in SYSTEMS:
-            warnings.warn(
-                f"{where}: written before model files kept what a system computes; that "
-                f"'{model.system.name}' has not changed since could not be checked",
-                stacklevel=2,
-            )
-        return
     now = _compute_probes(model)
     if now.shape != stored.shape:
         raise InputError(

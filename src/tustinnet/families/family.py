@@ -21,27 +21,10 @@ from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sizes import MOST_LAYERS
+from tustinnet.old_names import FAMILY_METHODS, refuse_old_names
 from tustinnet.registry import FAMILIES, SUMMARIES, SYSTEMS
-from tustinnet.renamed import current_name, refuse_outdated
 
 Requirement = Literal["system", "physics"]
-
-# names of earlier versions, which families of other packages may have or use
-_RENAMED_HOOKS = {
-    "trainable": "trainable_mask",
-    "begun": "with_weights_from",
-    "beginning": "with_initial_values",
-    "corrected": "physics_in",
-    "stepped": "physics_for_training",
-    "shown": "summarise",
-}
-_RENAMED_FUNCTIONS = {"filled": "restore_arrays", "mask_of": "make_mask"}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _RENAMED_FUNCTIONS:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return globals()[current_name(name, _RENAMED_FUNCTIONS, "function")]
 
 
 class Hyper(Declaration):
@@ -148,12 +131,12 @@ class Family(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        outdated = {old: new for old, new in _RENAMED_HOOKS.items() if old in vars(cls)}
+        where = f"class {cls.__module__}.{cls.__qualname__}"
+        refuse_old_names(where, vars(cls), FAMILY_METHODS)
         if "kind" in vars(cls) and not (
             cls.remedy or issubclass(cls, TrainedFamily | IdentifiedFamily)
         ):
-            outdated = {"class Family": "TrainedFamily or IdentifiedFamily", **outdated}
-        refuse_outdated(cls, outdated)
+            raise InputError(where, "a class Family", "TrainedFamily or IdentifiedFamily")
 
     def select_seeds(self, seeds: Iterable[int]) -> tuple[int, ...]:
         """The seeds of fits: those given, or 0 alone where a fit does not depend on one."""
@@ -411,8 +394,6 @@ def restore_arrays(make: Callable[[], PyTree], arrays: Arrays, prefix: str = "")
         if not isinstance(leaf, jax.ShapeDtypeStruct):
             return leaf
         name = prefix + jax.tree_util.keystr(path, simple=True, separator=".")
-        if name not in arrays and 0 in leaf.shape:
-            return jnp.zeros(leaf.shape, leaf.dtype)  # files from before there were any
         array = jnp.asarray(arrays[name])
         if array.shape != leaf.shape:
             raise ValueError(f"{name} of shape {array.shape}, expected {leaf.shape}")

@@ -160,7 +160,7 @@ class GRUFamily(TrainedFamily):
         channels, s = Channels.from_header(header), header["structure"]
         blank = blank_scaling(channels)
         key = jax.random.key(0)
-        sizes = s["hidden"], s["warm_up"], tuple(s.get("input_taps", ()))
+        sizes = s["hidden"], s["warm_up"], tuple(s["input_taps"])
         return restore_arrays(lambda: random_gru(channels, blank, key, *sizes), arrays)
 
 

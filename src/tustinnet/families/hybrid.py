@@ -26,7 +26,7 @@ from tustinnet.families.family import (
     family_of,
     restore_part,
 )
-from tustinnet.families.summaries import CORRECTION, PHYSICS, upgrade_hybrid
+from tustinnet.families.summaries import CORRECTION, PHYSICS
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -293,12 +293,11 @@ class HybridFamily(TrainedFamily):
         return header, arrays
 
     def parts(self, header: Header) -> Sequence[Header]:
-        """The descriptions of physics and correction; files of format 1 have none."""
-        return [header[name] for name in (PHYSICS, CORRECTION) if name in header]
+        """The descriptions of physics and correction."""
+        return [header[PHYSICS], header[CORRECTION]]
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
-        """The hybrid of a file; files of format 1 have both parts side by side in the header."""
-        header, arrays = upgrade_hybrid(header, arrays)
+        """The hybrid of a file, from its parts."""
         physics, correction = (
             restore_part(header[name], arrays, f"{name}.", system, where)
             for name in (PHYSICS, CORRECTION)

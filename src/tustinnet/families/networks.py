@@ -88,13 +88,11 @@ def restore_network(
 ) -> Network:
     """The network of a model file."""
     taps = len(structure.get("input_taps", ())) or 1
-    centred = bool(structure.get("centred_angles", False))
-    pairs = tuple((int(i), int(j)) for i, j in structure.get("pairs", ()))
+    centred = structure["centred_angles"]
+    pairs = tuple((i, j) for i, j in structure["pairs"])
     features = feature_count(channels, memory, taps, len(pairs))
-    layers = Layers(
-        **{key: structure[key] for key in ("hidden", "stem", "activation", "output_bias")},
-        **{key: structure.get(key, False) for key in ("linear", "odd")},
-    )
+    keys = ("hidden", "stem", "activation", "output_bias", "linear", "odd")
+    layers = Layers(**{key: structure[key] for key in keys})
 
     def make() -> Network:
         scaling = blank_scaling(channels, memory, centred, pairs)

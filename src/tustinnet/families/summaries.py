@@ -32,9 +32,9 @@ def tustin_net(header: Header, arrays: Arrays) -> Lines:
     """Layers, units and memory of a Tustin-Net."""
     structure = header["structure"]
     lines = _network(structure, arrays)
-    if structure.get("relaxation_times"):
+    if structure["relaxation_times"]:
         memory = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
-        if structure.get("remembered"):
+        if structure["remembered"]:
             rest = ", ".join(f"{x:.3g}" for x in arrays[REST])
             memory += f"; begins with {structure['remembered']:g} of the way from ({rest})"
         lines.append(("memory", memory))
@@ -78,7 +78,6 @@ def euler_lagrange(header: Header, arrays: Arrays) -> Lines:
 
 def hybrid(header: Header, arrays: Arrays) -> Lines:
     """The physics and the correction of a hybrid."""
-    header, arrays = upgrade_hybrid(header, arrays)
     fades = ", fading at rest" if header["fades_at_rest"] else ""
     lines = []
     for name, remark in ((PHYSICS, ""), (CORRECTION, fades)):
@@ -109,22 +108,6 @@ def committee(header: Header, arrays: Arrays) -> Lines:
     return lines
 
 
-def upgrade_hybrid(header: Header, arrays: Arrays) -> tuple[Header, Arrays]:
-    """Header and arrays of a hybrid's file of format 1 as they would be written today."""
-    if PHYSICS in header:
-        return header, arrays
-    channels = {key: header[key] for key in ("coordinates", "inputs", "dt")}
-    physics = {key: header[key] for key in ("system", "parameters", "substeps")}
-    upgraded = {
-        **header,
-        "fades_at_rest": header["structure"].get("fades_at_rest", False),
-        PHYSICS: {"kind": "euler-lagrange", **physics, **channels},
-        CORRECTION: {"kind": "tustin-net", "structure": header["structure"], **channels},
-    }
-    correction = {f"{CORRECTION}.{n}": a for n, a in arrays_below("residual.", arrays).items()}
-    return upgraded, {**correction, f"{PHYSICS}.values": arrays[VALUES]}
-
-
 def arrays_below(prefix: str, arrays: Arrays) -> Arrays:
     """The arrays whose names begin with a prefix, without it."""
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
@@ -134,9 +117,9 @@ def _network(structure: dict[str, Any], arrays: Arrays) -> Lines:
     """Layers and units of a network."""
     bias = "with" if structure["output_bias"] else "without"
     layers = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
-    if structure.get("linear"):
+    if structure["linear"]:
         layers += ", beside a linear map"
-    if structure.get("odd"):
+    if structure["odd"]:
         layers += ", odd"
     return [("network", layers), _units(arrays)]
 

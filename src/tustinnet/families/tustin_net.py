@@ -273,10 +273,10 @@ class TustinNetFamily(NetworkFamily):
         """The Tustin-Net of a file, from structure and arrays."""
         channels = Channels.from_header(header)
         structure = header["structure"]
-        times, taps = (tuple(structure.get(key, ())) for key in ("relaxation_times", "input_taps"))
+        times, taps = (tuple(structure[key]) for key in ("relaxation_times", "input_taps"))
         memory = len(times) * channels.n_q
         network = restore_network(structure, arrays, channels, channels.n_q, memory)
-        share = float(structure.get("remembered", 0.0))
+        share = float(structure["remembered"])
         rest = restore_arrays(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
         return TustinNet(network, channels, times, taps, share, rest)
 

@@ -7,7 +7,7 @@ for kinds with weights, `search` for kinds with parameters.
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, SerializeAsAny, create_model, field_validator, model_validator
 
@@ -39,23 +39,6 @@ _WINDOWS = 10**7
 _STAGES = 100
 Count = Annotated[int, Field(gt=0, le=_MANY)]
 Horizon = Annotated[float, Field(gt=0, le=_MANY)]  # s
-RemovedKeys = Mapping[str, tuple[Any, str]]  # by key: what changes nothing, what to do instead
-
-
-class _Table(Declaration):
-    """A table whose keys of earlier versions are left out where they change nothing."""
-
-    removed_keys: ClassVar[RemovedKeys] = {}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _leave_out_removed_keys(cls, content: Any) -> Any:
-        if not isinstance(content, Mapping):
-            return content
-        for key, (unchanged, remedy) in cls.removed_keys.items():
-            if content.get(key, unchanged) != unchanged:
-                raise ValueError(f"`{key}` was removed: {remedy}")
-        return {key: value for key, value in content.items() if key not in cls.removed_keys}
 
 
 class WindowRecipe(Declaration):
@@ -113,7 +96,7 @@ class PlateauRecipe(Declaration):
     watch: Criterion = "validation"
 
 
-class StageRecipe(_Table):
+class StageRecipe(Declaration):
     """A stage of training; kinds of models may have further keys.
 
     Attributes:
@@ -138,10 +121,6 @@ class StageRecipe(_Table):
         averaging: share of the running average of the weights that a step of the optimiser
             keeps; the average is what is validated and saved. None saves the weights themselves.
     """
-
-    removed_keys: ClassVar[RemovedKeys] = {
-        "penalty": (0.0, "train fewer epochs, or a smaller correction")
-    }
 
     name: Name
     windows: WindowRecipe
@@ -180,7 +159,7 @@ class StageRecipe(_Table):
 _SIMULATED = ("initial", "loss", "periodic", "scaled", "robust", "refine")
 
 
-class SearchRecipe(_Table):
+class SearchRecipe(Declaration):
     """The table `[search]`: how parameters are identified.
 
     Attributes:
@@ -209,10 +188,6 @@ class SearchRecipe(_Table):
         refine: start of free runs to which the parameters are fitted once more after the search,
             as `model-20`; `none` for the parameters as the search ends.
     """
-
-    removed_keys: ClassVar[RemovedKeys] = {
-        "times": ("recorded", "to ignore timestamps, give `dt` and no [time] in the data card")
-    }
 
     initial: Initial | str = "choose"
     loss: Compared = "position"
@@ -271,7 +246,7 @@ class SearchRecipe(_Table):
         return self.method == "inverse-dynamics"
 
 
-class Recipe(_Table):
+class Recipe(Declaration):
     """A recipe: how a model is built and fitted.
 
     Attributes:
@@ -333,13 +308,6 @@ class TrainingRecipe(Recipe):
             end into segments with a start each; none for whole records.
         stages: at least one.
     """
-
-    removed_keys: ClassVar[RemovedKeys] = {
-        "rates": (
-            [1.0],
-            "train each by itself with --set stages.*.rate=RATE, or use tn.fit_many(rates=...)",
-        )
-    }
 
     velocity: VelocitySource = "auto"
     start: str | None = None

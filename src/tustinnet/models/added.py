@@ -25,7 +25,7 @@ from tustinnet.models.forces import (
     Spring,
 )
 from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
-from tustinnet.renamed import FORCES
+from tustinnet.old_names import FORCES, refuse_old_names
 
 WHERE = "model.forces"
 _FAST = 1e6  # speed at which a Coulomb friction has reached its level [rad/s or m/s]
@@ -102,8 +102,7 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
     Args:
         system: the system that they are to be added to.
         names: `LAW` for a force at every coordinate, `LAW:COORDINATE` for one; of a law at inputs
-            `LAW` for every input, `LAW:INPUT` for one; also laws by the names that they had in
-            earlier versions, as files have them.
+            `LAW` for every input, `LAW:INPUT` for one.
 
     Raises:
         InputError: no such force, coordinate or input, or a force twice at one.
@@ -114,7 +113,7 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
     forces: list[PlacedForce] = []
     for name in names:
         law, colon, channel = name.partition(":")
-        law = FORCES.get(law, law)
+        refuse_old_names(WHERE, [law], FORCES)
         if law not in LAWS:
             raise InputError(WHERE, f"no force '{law}'", f"one of {', '.join(LAWS)}")
         kind, channels = ("input", inputs) if LAWS[law].is_at_input else ("coordinate", coordinates)

@@ -17,7 +17,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.step_layout import StepInput, StepInputs, StepLayout
-from tustinnet.renamed import METHODS, current_name, refuse_outdated
+from tustinnet.old_names import METHODS, refuse_old_names
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
@@ -38,18 +38,14 @@ class Stateful(HasChannels, eqx.Module):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        hooks = {**METHODS, **dict.fromkeys(("seen", "step_inputs"), "step_layout")}
-        outdated = {old: new for old, new in hooks.items() if callable(vars(cls).get(old))}
-        if cls.__module__ != __name__:
-            refuse_outdated(cls, outdated)
+        methods = [name for name, item in vars(cls).items() if callable(item)]
+        refuse_old_names(f"class {cls.__module__}.{cls.__qualname__}", methods, METHODS)
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            current = current_name(name, METHODS, "method")
-            if current == name:
-                raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
-            return getattr(self, current)
+            refuse_old_names(f"a {type(self).__name__}", [name], METHODS)
+            raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
 
     @property
     def internal(self) -> tuple[str, ...]:
@@ -99,9 +95,7 @@ class Stateful(HasChannels, eqx.Module):
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
     ) -> State:
         """The state at the beginning of a record from its first [q, v]; see `initial_internal`."""
-        # families of other packages may know of no inputs here
-        inputs = (u,) if self.initial_needs_inputs else ()
-        return jnp.concatenate([measured, self.initial_internal(measured, *inputs)])
+        return jnp.concatenate([measured, self.initial_internal(measured, u)])
 
     def for_record(self: SameModel, experiment: Experiment) -> SameModel:
         """The model that simulates a record, with the values of the record's groups.

@@ -11,14 +11,13 @@ and the springs of the system `mechanism` follow from it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.models.parameters import Parameter
-from tustinnet.renamed import FORCES, current_name
 
 Value = Float[Array, "..."] | float
 
@@ -26,14 +25,6 @@ CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # of a friction curve, by the width of th
 LARGEST_LOAD_SHARE = 0.5  # of a load, as friction
 # level and width of the Coulomb friction that a system has itself at a coordinate, `theta.NAME`
 OWN_LEVEL, OWN_WIDTH = "coulomb", "coulomb_speed"
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> Any:
-        current = current_name(name, FORCES, "function")
-        if current == name:
-            raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-        return globals()[current]
 
 
 def viscous(v: Value, damping: Value) -> Any:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tustinnet.errors import InputError, require_name
-from tustinnet.renamed import FORCES, current_name
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,6 @@ class Parameter:
     basis: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "brings", tuple(map(current_force, self.brings)))
         where = f"parameter '{self.name}'"
         limits = f"{self.lower:g}..{self.upper:g}"
         if self.per is not None:
@@ -96,12 +94,6 @@ class Parameter:
         prefix = f"{self.name}["
         names = sorted(name for name in values if name.startswith(prefix) and name.endswith("]"))
         return {name[len(prefix) : -1]: values[name] for name in names}
-
-
-def current_force(name: str) -> str:
-    """The name of a force, `LAW` or `LAW:COORDINATE`, with a warning if it is an old one."""
-    law, colon, coordinate = name.partition(":")
-    return f"{current_name(law, FORCES, 'force')}{colon}{coordinate}"
 
 
 def require_group_value(

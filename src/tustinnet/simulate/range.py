@@ -69,9 +69,9 @@ class Range:
     Attributes:
         states: of [q, v, z], (n_x, 2).
         inputs: (n_u, 2).
-        support: the points that came together, None of one record and in older files.
+        support: the points that came together, None of one record.
         recorded_states: positions and velocities at some samples of the records, (k, 2 n_q), None
-            in older files.
+            where they are not known.
     """
 
     states: Float[np.ndarray, "n_x 2"]

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from tustinnet.channels import PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.drafting.card_text import bare_key, quote
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
 
 
@@ -95,7 +95,7 @@ def write_data_set(
         kind = "pid" if any("ki" in loop.gains for loop in loops) else "pd"
         entries = [_loop_entry(loop, kind, places) for loop in loops]
         content["controller"] = {"kind": kind, "loops": entries}
-    write_into(folder, CARD_NAME, tomli_w.dumps(content))
+    write_into(folder, CARD_NAME, _to_toml(content))
     return card
 
 
@@ -112,3 +112,31 @@ def _loop_entry(loop: PDLoop, kind: str, places: Mapping[str, int]) -> dict[str,
         | {key: gain for key, gain in gains.items() if gain is not None}
         | {key: value for key, value in others.items() if value}
     )
+
+
+def _to_toml(content: Mapping[str, Any]) -> str:
+    """A card as TOML: values, then tables, and lists of tables."""
+    plain, tables = [], []
+    for name, value in content.items():
+        if isinstance(value, dict):
+            tables += ["", f"[{name}]", *_lines(value)]
+        elif isinstance(value, list) and value:
+            tables += [line for row in value for line in ("", f"[[{name}]]", *_lines(row))]
+        else:
+            plain += _lines({name: value})
+    return "\n".join([*plain, *tables]) + "\n"
+
+
+def _lines(table: Mapping[str, Any]) -> list[str]:
+    return [f"{bare_key(key)} = {_value(value)}" for key, value in table.items()]
+
+
+def _value(value: Any) -> str:
+    """A value as TOML has it, on one line."""
+    if isinstance(value, str):
+        return quote(value)
+    if isinstance(value, dict):
+        return f"{{ {', '.join(_lines(value))} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)

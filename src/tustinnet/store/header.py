@@ -51,8 +51,8 @@ class _Estimate(_Exact):
     interval: Interval | None
     lower: Number
     upper: Number
-    bound: Literal["", "lower", "upper"] = ""
-    is_informed: bool = True
+    bound: Literal["", "lower", "upper"]
+    is_informed: bool
 
     @model_validator(mode="after")
     def _check_range(self) -> "_Estimate":
@@ -77,13 +77,12 @@ class _Refit(Entries):
 
 
 class _Identification(Entries):
-    """An identification, see `fitting.report.Identification.as_plain`; format 1 has `held`."""
+    """An identification, see `fitting.report.Identification.as_plain`."""
 
     estimates: list[_Estimate]
-    correlation: list[list[Share | None]] | None = None
-    fixed: dict[str, Number] = Field(default_factory=dict)
-    held: dict[str, Number] = Field(default_factory=dict)
-    trust: str = "residuals"
+    correlation: list[list[Share | None]]
+    fixed: dict[str, Number]
+    trust: str
     outcome: str = ""
     findings: list[str] = Field(default_factory=list)
     residual_rmse: dict[str, Size | None] = Field(default_factory=dict)
@@ -93,7 +92,7 @@ class _Identification(Entries):
     @model_validator(mode="after")
     def _check_sizes(self) -> "_Identification":
         n = len(self.estimates)
-        if self.correlation is not None and [len(row) for row in self.correlation] != [n] * n:
+        if [len(row) for row in self.correlation] != [n] * n:
             raise ValueError(f"`correlation` is not of {n} by {n}, as there are estimates")
         if len({e.name for e in self.estimates}) < n:
             raise ValueError("two estimates of one name")
@@ -121,11 +120,11 @@ class _Record(Entries):
 
     name: str
     sha256: str
-    split: str | None = None
-    source: str = ""
-    rows: Annotated[list[Count], Field(min_length=2, max_length=2)] | None = None
+    split: str | None
+    source: str
+    rows: Annotated[list[Count], Field(min_length=2, max_length=2)]
     groups: dict[str, str] = Field(default_factory=dict)
-    fingerprint: str = Field(default="", pattern=FINGERPRINT)
+    fingerprint: str = Field(pattern=FINGERPRINT)
 
 
 class _Data(Entries):
@@ -133,8 +132,8 @@ class _Data(Entries):
 
     name: str
     records: list[_Record]
-    quanta: list[Positive] = Field(default_factory=list)
-    columns: dict[str, tuple[str, Positive]] = Field(default_factory=dict)
+    quanta: list[Positive]
+    columns: dict[str, tuple[str, Positive]]
 
 
 class _Origin(Entries):
@@ -142,7 +141,7 @@ class _Origin(Entries):
 
     file: str
     sha256: str
-    made_from: dict[str, str] = Field(default_factory=dict)
+    made_from: dict[str, str]
 
 
 class _Selection(Entries):
@@ -192,7 +191,7 @@ class _Range(Entries):
     states: list[tuple[Number | None, Number | None]]
     inputs: list[Interval]
     cloud: _Support | None = None
-    recorded_states: list[list[Number]] | None = Field(default=None, min_length=1)
+    recorded_states: list[list[Number]] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _check_order(self) -> "_Range":
@@ -208,7 +207,7 @@ class _Band(Entries):
     floor: Positive
     factors: list[Size] = Field(min_length=1)
     records: list[Size] = Field(min_length=1)
-    unit: Positive | None = None
+    unit: Positive
 
 
 class _Bands(Entries):
@@ -231,7 +230,7 @@ class Judgement(Entries):
     """The free runs by which a model was judged when it was fitted.
 
     Attributes:
-        start: where they started; "" where a file says none.
+        start: where they started.
         horizon: how long each lasted at most [s], None for whole records.
         split: split of the records; `left out` of a selection, whose folds left them out.
     """
@@ -376,8 +375,7 @@ def find_fitted(header: Mapping[str, Any], records: Iterable[Experiment]) -> lis
 
     A record is one of them where it shares rows of an identical file, or where its samples are
     those of a copy: with other times, line ends or digits, or a part of it. Of records that a model
-    was made from which the fit began with, and of those in files of earlier versions, the whole
-    file counts.
+    was made from which the fit began with, the whole file counts.
 
     Args:
         header: the header of the model's file.
@@ -395,16 +393,15 @@ def find_fitted(header: Mapping[str, Any], records: Iterable[Experiment]) -> lis
 def _shares_rows(experiment: Experiment, header: Mapping[str, Any]) -> bool:
     """Whether a record is of a file that a model was made from, and of rows of it that were."""
     first, stop = experiment.logged_rows
-    element, whole = experiment.name.partition("[")[2], (0, math.inf)
+    element = experiment.name.partition("[")[2]
     rows = [
-        r.get("rows") or whole
+        r["rows"]
         for r in _fitted_entries(header)
-        if r["sha256"] == experiment.sha256
         # elements of a MAT file are other arrays
-        and ("rows" not in r or r["name"].partition("[")[2] == element)
+        if (r["sha256"], r["name"].partition("[")[2]) == (experiment.sha256, element)
     ]
     if experiment.sha256 in header.get(ORIGIN, {}).get("made_from", {}):
-        rows.append(whole)
+        rows.append((0, math.inf))
     return bool(experiment.sha256) and (
         any(first < end and begin < stop for begin, end in rows)
         or any(_shares_rows(experiment, part) for part in header.get("files", ()))

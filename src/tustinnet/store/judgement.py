@@ -6,7 +6,6 @@ from typing import Any
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import KEY, Calibration
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.start_rules import StoredStart, start_named
@@ -50,10 +49,7 @@ def judged_free_runs(
     starts, horizons = ({getattr(j, key, None) for j in judged} for key in ("start", "horizon"))
     start = starts.pop() if len(starts) == 1 else None
     horizon = horizons.pop() if len(horizons) == 1 else None
-    try:
-        rule = start_named(start) if start else None
-    except InputError:  # a start of an earlier version
-        rule = None
+    rule = start_named(start) if start else None
     lacks_velocities = isinstance(rule, StoredStart) and any(e.v is None for e in records)
     if rule is None or lacks_velocities or all(len(e) < rule.samples for e in records):
         start = None

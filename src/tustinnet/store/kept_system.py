@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import platformdirs
-
 from tustinnet.data.declaration import read_source
 from tustinnet.errors import InputError
 from tustinnet.store.files import write_into
 from tustinnet.store.header import read_header
 from tustinnet.systems.files import SystemFile
 from tustinnet.systems.robot_reading import ROBOT_ENDINGS
+from tustinnet.user_folders import config_folder
 
 COPY = "system"  # what the copy is called in a run folder, before the ending of the file
 CANDIDATES = "candidates"  # the folder of a selection that has one for each candidate
@@ -146,8 +145,7 @@ def _copy_name(system: SystemFile) -> str:
 
 
 def _trusted_folder() -> Path:
-    folder = os.environ.get(CONFIG_VARIABLE)
-    return Path(folder or platformdirs.user_config_dir("tustinnet")) / "trusted-systems"
+    return Path(os.environ.get(CONFIG_VARIABLE) or config_folder()) / "trusted-systems"
 
 
 def _read_copy(path: Path) -> str:

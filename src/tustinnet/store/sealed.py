@@ -11,14 +11,11 @@ import safetensors
 import safetensors.numpy
 
 from tustinnet.errors import InputError, convert_errors
-from tustinnet.registry import REMOVED_KINDS
 from tustinnet.store.files import write_into
 
-# 1 had other names in the headers of hybrids and a digest of a system's code, 2 no SHA-256
 FORMAT = 3
 KEY = "tustinnet"  # where the header stands in the safetensors metadata
 SEAL = "sha256"  # of header and arrays, within the header
-_UNSEALED = 2  # the last format without
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -45,8 +42,8 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
     """Header and arrays of a file of one of some kinds, as they were written.
 
     Raises:
-        InputError: no such file, cut short, not of this package, of another kind, of a newer
-            version, or changed since it was written.
+        InputError: no such file, cut short, not of this package, of another kind, of an earlier
+            or a newer version, or changed since it was written.
     """
     kind, remedy = "model", "copy or train it again"
     if len(kinds) == 1:
@@ -77,14 +74,11 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
         raise InputError(
             path, f"format version {version}", f"at most {FORMAT}", "upgrade tustinnet to read it"
         )
-    if file_kind in REMOVED_KINDS and len(kinds) > 1:
-        raise InputError(
-            path, f"a model of the removed kind '{file_kind}'", "", REMOVED_KINDS[file_kind]
-        )
+    if version < FORMAT:
+        raise InputError(path, "written by an earlier version", f"format {FORMAT}", "fit again")
     if file_kind not in kinds:
         raise InputError(path, f"a file of kind '{file_kind}'", f"kind {' or '.join(kinds)}")
-    seal = header.pop(SEAL, None)
-    if not (seal is None and version <= _UNSEALED) and seal != _digest(header, arrays):
+    if header.pop(SEAL, None) != _digest(header, arrays):
         raise InputError(
             path,
             "changed since it was written (its SHA-256 is another one)",

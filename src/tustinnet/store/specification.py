@@ -115,8 +115,7 @@ def _read_specification(
     if "selection" in header:
         name = header["selection"]["plan"]  # and nothing else of the plan
         return {"plan": {**specification.get("plan", {}), "name": name}}
-    recipe = {key: value for key, value in header.get("recipe", {}).items() if key != "rates"}
-    return {"recipe": recipe}
+    return {"recipe": header.get("recipe", {})}
 
 
 def _differing_paths(before: Any, now: Any, path: str = "") -> Iterator[str]:

@@ -287,13 +287,3 @@ def test_forces_and_sensors_go_together():
 def test_kinds_with_weights_do_not_know_the_key():
     with pytest.raises(tn.InputError, match="forces"):
         tn.read_recipe("standard", ['model.forces=["coulomb"]'])
-
-
-def test_a_force_under_the_name_of_an_earlier_version_is_added_with_a_warning():
-    with pytest.warns(FutureWarning, match="'rubbing' is called 'coulomb_by_position' now"):
-        old = with_added(SWING, ["rubbing"], records(), {})
-    assert old == with_added(SWING, ["coulomb_by_position"], records(), {})
-    assert old.added == ("coulomb_by_position:angle",)
-    with pytest.warns(FutureWarning, match="the old name goes"):
-        term = tn.Parameter("k", "", 0.0, -1.0, 1.0, optional=True, brings=("rubbing:angle",))
-    assert term.brings == ("coulomb_by_position:angle",)

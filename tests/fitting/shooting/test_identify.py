@@ -1,7 +1,6 @@
 """Identification from end to end, on records made with known values."""
 
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -139,14 +138,6 @@ def test_every_stage_is_told():
     assert stages[-1] == "whole records, anchored start"
     for stage in stages[1:]:
         assert next(i.number for i in iterations if i.stage == stage) == 1
-
-
-def test_the_old_name_of_an_argument_still_works_with_a_message():
-    iterations: list[Iteration] = []
-    old: dict[str, Any] = {"told": iterations.append}
-    with pytest.warns(FutureWarning, match="argument 'told' is called 'on_iteration' now"):
-        tn.identify(data_set(records()), SWING, grey("iterations=1"), **old)
-    assert iterations
 
 
 # --- keys of [search] ---

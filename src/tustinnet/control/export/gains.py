@@ -201,14 +201,13 @@ def _read_mat(raw: bytes) -> dict[str, Any]:
 def _array_reader(file: Path, content: Mapping[str, Any], place: str) -> Reader:
     """A function that reads an array of a shape from a part of a file's content."""
 
-    def read(name: str, shape: tuple[int | None, ...], default: Any = None) -> np.ndarray:
+    def read(name: str, shape: tuple[int | None, ...]) -> np.ndarray:
         where = f"{place}{name}"
-        value = content.get(name, default)
-        if name not in content and default is None:
+        if name not in content:
             raise InputError(file, f"no entry '{where}'", "an exported controller")
         expected = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
         with convert_errors(file, f"entry '{where}'", f"numbers, {expected}"):
-            array = np.array(value, np.float64)
+            array = np.array(content[name], np.float64)
         free = sum(n is None for n in shape)
         size = int(np.prod([n for n in shape if n is not None]))
         # a MAT file keeps no axes of length 1, and has vectors as columns
@@ -238,5 +237,5 @@ def _read_feedback(read: Reader, period: float) -> Feedback:
         delay=int(read("delay", ())),
         dt=period,
         speeds=read("speeds", (None,)),
-        safe=read("safe", (len(u0),), np.zeros(len(u0))),  # files of before have none
+        safe=read("safe", (len(u0),)),
     )

@@ -86,7 +86,7 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
     lines = ["", f"# columns of other files of the records are called {quote(label + '/...')}"]
     if file.starts_together:
         lines.append("# check that both files begin at one instant: their clocks say nothing of it")
-    lines.append(f"[join.{_bare(label)}]")
+    lines.append(f"[join.{bare_key(label)}]")
     if file.column is not None:
         key = _key_of(file.has_header)
         lines += [f"column = {key(file.column)}", f"unit = {quote(file.unit)}"]
@@ -108,7 +108,7 @@ def quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _bare(key: str) -> str:
+def bare_key(key: str) -> str:
     """A key of a table, in quotation marks where TOML wants them."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else quote(key)
 
@@ -192,7 +192,7 @@ def _entries(records: Sequence[DraftRecord]) -> list[str]:
         keys = [f"file = {quote(piece.log.file)}"]
         keys += [] if piece.log.cell is None else [f"cell = {piece.log.cell}"]
         keys += [] if piece.log.record is None else [f"record = {quote(piece.log.record)}"]
-        files = (f"{_bare(k)} = {quote(f.file)}" for k, f in piece.log.joined.items())
+        files = (f"{bare_key(k)} = {quote(f.file)}" for k, f in piece.log.joined.items())
         keys += [f"join = {{ {', '.join(files)} }}"] if piece.log.joined else []
         keys += [] if piece.whole else [f"rows = [{piece.rows[0]}, {piece.rows[1]}]"]
         entries.append(quote(piece.log.file) if len(keys) == 1 else f"{{ {', '.join(keys)} }}")

@@ -16,7 +16,7 @@ from tustinnet.models.added import WHERE, parse_forces, with_forces
 from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.parameters import Parameter, current_force
+from tustinnet.models.parameters import Parameter
 from tustinnet.models.rigid import rigid_system
 
 
@@ -90,7 +90,7 @@ def _with_coordinates(
     around = rotating_coordinates(experiments)
     limited = [c.name for c in system.coordinates if c.name not in around]
     placed: list[str] = []
-    for name in map(current_force, names):
+    for name in names:
         if name not in LAWS or not LAWS[name].needs_limited_travel:
             placed.append(name)
             continue

@@ -213,10 +213,10 @@ def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
         for e in identification["estimates"]
     ]
     refined = (identification.get("refined") or {}).get("values")
-    title = estimates_title(identification.get("trust", "residuals"), refined)
+    title = estimates_title(identification["trust"], refined)
     fixed = [
         [name, f"{value:.4g}", units.get(name, ""), "fixed", "", "", ""]
-        for name, value in identification.get("fixed", {}).items()
+        for name, value in identification["fixed"].items()
     ]
     shown, others = split_informed(estimates)
     few_fixed, many_fixed = ([], fixed) if is_many([*estimates, *fixed]) else (fixed, [])

@@ -1,0 +1,56 @@
+"""Names of before the first release, and what to write instead: all that is known of them."""
+
+from collections.abc import Iterable, Mapping
+
+from tustinnet.errors import InputError
+
+# public Python names, `tn.NAME`
+NAMES = {
+    "Asked": "SelectionOptions",
+    "make_question": "make_cross_validation_options",
+    "Drive": "InputSignal",
+    "drive_of": "input_signal",
+}
+# methods of models
+METHODS = {
+    "of": "for_record",
+    "of_groups": "for_groups",
+    "seen": "step_layout",
+    "silent": "with_zero_output",
+    "folded": "simplify",
+    "beginning": "initial_state",
+}
+# methods of families
+FAMILY_METHODS = {
+    "trainable": "trainable_mask",
+    "begun": "with_weights_from",
+    "beginning": "with_initial_values",
+    "corrected": "physics_in",
+    "stepped": "physics_for_training",
+    "shown": "summarise",
+}
+# forces of a recipe (`[model] forces`)
+FORCES = {"rubbing": "coulomb_by_position"}
+# keys of recipes
+KEYS = {
+    "penalty": "train fewer epochs, or a smaller correction",
+    "rates": "train each by itself with stages.*.rate, or use tn.fit_many(rates=...)",
+    "times": "to ignore timestamps, give `dt` and no [time] in the data card",
+}
+
+
+def refuse_old_names(where: str, names: Iterable[str], current: Mapping[str, str]) -> None:
+    """Raises where names are old ones.
+
+    Args:
+        where: what has the names.
+        names: the names.
+        current: what to write instead, by old names.
+
+    Raises:
+        InputError: a name is old.
+    """
+    found = [name for name in current if name in names]
+    if found:
+        instead = ", ".join(dict.fromkeys(current[name] for name in found))
+        raise InputError(where, f"names of an earlier version: {', '.join(found)}", instead)
