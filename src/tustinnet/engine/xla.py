@@ -2,7 +2,8 @@
 
 XLA calls functions that stand in memory beside its own code and hands them the addresses of
 arrays. Here these are loops over time of models whose layers are given: many short rollouts, and
-their adjoints. No Python runs in between, so several devices may call at once.
+their adjoints. No Python runs in between, so several devices may call at once; by
+`jax.pure_callback` an epoch takes a multiple of the time (docs/explanation/performance.md).
 
 References:
     XLA, `xla/ffi/api/c_api.h`: how XLA calls foreign functions, API versions 0.1 to 0.5.
