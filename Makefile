@@ -9,7 +9,7 @@ SEED ?= 0
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce docs test test-browser check torture bench clean
+.PHONY: help install demo reproduce docs test test-browser test-newest-jax check torture bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
 	@echo "make test-browser  the report in Chromium, which has to be installed ('browser' extra)"
+	@echo "make test-newest-jax  what JAX compiles, with the newest JAX for PYTHON (.venv-newest)"
 	@echo "make torture     kills, damaged inputs, faults, load for about MINUTES=$(MINUTES) (SEED=$(SEED))"
 
 install: .venv/installed
@@ -42,6 +43,15 @@ test: .venv/installed-dev
 test-browser: .venv/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'
 	$(BIN)/pytest -q -rs tests/report/test_page_in_browser.py
+
+# what JAX compiles, and what reads its programs; packages that follow JAX are the newest too
+test-newest-jax:
+	test -x .venv-newest/bin/python || $(PYTHON) -m venv .venv-newest
+	grep -vE '^(jax|jaxlib|equinox|optax|diffrax|lineax|optimistix)==' constraints.txt > .venv-newest/constraints.txt
+	.venv-newest/bin/python -m pip install --quiet --disable-pip-version-check --upgrade \
+		-c .venv-newest/constraints.txt jax equinox optax diffrax -e '.[dev]'
+	.venv-newest/bin/python -c 'import jax; print("JAX", jax.__version__)'
+	.venv-newest/bin/pytest -q -n auto --dist worksteal tests/engine tests/program tests/simulate tests/families tests/fitting
 
 check: .venv/installed-dev
 	$(BIN)/ruff check .
@@ -80,4 +90,4 @@ bench: .venv/installed-bench
 	@touch $@
 
 clean:
-	rm -rf .venv results
+	rm -rf .venv .venv-newest results

@@ -1,5 +1,7 @@
 """A function of JAX arrays, read as a program, computes the same without JAX."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
@@ -10,7 +12,9 @@ from every_family import NAMES, example, example_source
 from tustinnet.errors import InputError
 from tustinnet.export.source import make_source
 from tustinnet.program.numbers import run
+from tustinnet.program.primitives import MOVES, RULES
 from tustinnet.program.reading import read
+from tustinnet.program.tape import Tape
 from tustinnet.registry import FAMILIES
 
 EDGES = np.array([-2.5, -1.5, -0.5, -0.0, 0.0, 0.5, 1.0, 1.5, 2.5, 1e-9])
@@ -130,10 +134,80 @@ def same(function, *values: np.ndarray, atol: float = 1e-14) -> None:
         lambda x: jnp.nan_to_num(jnp.sqrt(x)),
         lambda x: jnp.select([x < -1, x > 1], [x**2, 2 * x], 0.5),
         lambda x: jnp.piecewise(x, [x < 0, x >= 1], [lambda y: -y, lambda y: y**2, 0.3]),
+        # some versions of JAX have primitives of their own for these
+        lambda x: jax.hessian(lambda y: jnp.sum(jnp.tanh(y)))(x),
+        lambda x: jnp.log2(x + 4),
+        jax.jacrev(lambda x: jnp.log2(x + 4)),
+        lambda x: jnp.polyval(jnp.array([0.5, -1.0, 2.0]), x),
+        lambda x: jnp.polyval(x[:4], x),
+        lambda x: jnp.polyval(x[:6].reshape(3, 2), x[1:3]),
+        jax.jacfwd(lambda x: jnp.polyval(x[:4], x)),
+        lambda x: math.prod(x),
+        lambda x: sum(x.reshape(5, 2)),
+        jax.jacrev(lambda x: math.prod(x)),
     ],
 )
 def test_what_jax_computes_a_program_computes(function):
     same(function, EDGES)
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "sizes", "expected"),
+    [
+        ("one_minus_square", {}, [3], lambda x: 1 - x**2),
+        ("log2", {"accuracy": None}, [3], np.log2),
+        ("polynomial", {}, [3, 3, 1, 1], lambda x, a, b, c: a + b * x + c * x**2),
+    ],
+)
+def test_rules_for_primitives_that_not_every_version_of_jax_has(name, params, sizes, expected):
+    inputs = {f"in{i}": size for i, size in enumerate(sizes)}
+    tape = Tape(inputs)
+    arrays = [np.array(tape.split(tape.input(n)), int) for n in inputs]
+    arrays = [a[0] if len(a) == 1 else a for a in arrays]
+    program = tape.program({"out": RULES[name](tape, params, *arrays)})
+    values = {n: np.linspace(0.3, 1.2 + i, size) for i, (n, size) in enumerate(inputs.items())}
+    result = run(program, **values)["out"]
+    np.testing.assert_allclose(result, expected(*values.values()), rtol=1e-14)
+
+
+@pytest.mark.parametrize("shape", [(4,), (4, 3), (2, 4, 3)])
+@pytest.mark.parametrize("axis", [0, -1])
+def test_arrays_are_taken_apart_along_an_axis(shape, axis):
+    array = np.arange(math.prod(shape)).reshape(shape)
+    parts = MOVES["unstack"]({"axis": axis % len(shape)}, array)
+    for part, other in zip(parts, jnp.unstack(array, axis=axis), strict=True):
+        np.testing.assert_array_equal(part, other)
+
+
+def make_loop(constants, carried, rows, length, *, collects):
+    """A loop over rows, with constants and carried arrays, of given numbers of axes each."""
+
+    def function(x):
+        fixed = [jnp.full((2,) * n, 0.3) * x[0] for n in constants]
+        starts = [jnp.full((2,) * n, 0.1) * x[1] for n in carried]
+        given = [jnp.sin(jnp.arange(length * 2.0**n)).reshape(length, *(2,) * n) for n in rows]
+
+        def turn(state, row):
+            total = sum(jnp.sum(jnp.cos(a)) for a in [*fixed, *row]) * x[2]
+            state = [jnp.sin(a) + total for a in state]
+            return state, [a * total for a in state[:collects]]
+
+        results = jax.lax.scan(turn, starts, given, length, reverse=bool(collects))
+        return jnp.concatenate([jnp.ravel(a) for a in jax.tree.leaves(results)])
+
+    return function
+
+
+@pytest.mark.parametrize("constants", [[], [2], [0, 1]])
+@pytest.mark.parametrize("carried", [[1], [2, 0], [1, 1, 2]])
+@pytest.mark.parametrize("rows", [[], [1], [0, 1]])
+def test_constants_carried_arrays_and_rows_of_a_loop_are_told_apart(constants, carried, rows):
+    same(make_loop(constants, carried, rows, 3, collects=1), EDGES[5:8])
+    same(make_loop(constants, carried, rows, 1, collects=0), EDGES[5:8])
+    long = make_loop(constants, carried, rows, 160, collects=0)
+    same(long, EDGES[5:8], atol=1e-12)
+    (loop,) = read(lambda x: {"out": long(x)}, {"x": 3}).loops
+    assert loop.length == 160
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,17 +2,20 @@
 
 XLA calls functions that stand in memory beside its own code and hands them the addresses of
 arrays. Here these are loops over time of models whose layers are given: many short rollouts, and
-their adjoints. No Python runs in between, so several devices may call at once.
+their adjoints. No Python runs in between, so several devices may call at once; by
+`jax.pure_callback` an epoch takes a multiple of the time (docs/explanation/performance.md).
 
 References:
-    XLA, `xla/ffi/api/c_api.h`: how XLA calls foreign functions, API version 0.3.
+    XLA, `xla/ffi/api/c_api.h`: how XLA calls foreign functions, API versions 0.1 to 0.5.
 """
 
 import ctypes
 import hashlib
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -38,8 +41,8 @@ from tustinnet.engine.runs import warn_once
 from tustinnet.engine.text import Function, Module
 from tustinnet.errors import describe_error
 
-_VERSION = (0, 3)  # of the interface
-# places in its structures, bytes from their beginning
+_NEWEST = (0, 5)  # version of the interface that is known
+# places in its structures, bytes from their beginning; the tests compare them with JAX's header
 _EXTENSION, _ARGUMENTS, _RESULTS = 8, 72, 112  # of a call
 _KIND, _METADATA = 8, 24  # of an extension
 _MAJOR, _MINOR = 24, 28  # of metadata
@@ -169,8 +172,8 @@ def available() -> bool:
     if jax.default_backend() != "cpu":
         return False
     module = Module(1, "float")
-    _write_called(module, lambda f: None)
     try:
+        _write_called(module, lambda f: None)
         name, _ = _register(module.text())
         with jax.ensure_compile_time_eval():
             result = jax.ShapeDtypeStruct((1,), np.float32)
@@ -260,6 +263,15 @@ def _register(text: str) -> tuple[str, CompiledModule]:
     return name, code
 
 
+@cache
+def _version() -> tuple[int, int]:
+    """The interface of this JAX, or the newest that is known: JAX takes earlier ones too."""
+    header = Path(jax.ffi.include_dir(), "xla/ffi/api/c_api.h").read_text()
+    parts = re.findall(r"#define XLA_FFI_API_(?:MAJOR|MINOR) (\d+)", header)
+    major, minor = map(int, parts)
+    return min((major, minor), _NEWEST)
+
+
 def _write_called(module: Module, write: Callable[[Function], None]) -> None:
     """Writes the function that XLA calls: it says which interface it has, or does its work."""
     with module.procedure("called", "ptr %call", "ptr null", is_internal=False) as f:
@@ -268,7 +280,7 @@ def _write_called(module: Module, write: Callable[[Function], None]) -> None:
             kind = _field(f, extension, _KIND, "i32")
             with f.when(f.value(f"icmp eq i32 {kind}, {_METADATA_REQUEST}")):
                 metadata = _field(f, extension, _METADATA, "ptr")
-                for place, value in zip((_MAJOR, _MINOR), _VERSION, strict=True):
+                for place, value in zip((_MAJOR, _MINOR), _version(), strict=True):
                     f.line(f"store i32 {value}, ptr {f.at(metadata, place, 'i8')}")
                 f.line("ret ptr null")
                 f.place(f.label())

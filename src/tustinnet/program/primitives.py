@@ -90,6 +90,11 @@ def _power(params: dict[str, Any], x: NodeTerm) -> NodeTerm | float:
     return result if params["y"] > 0 else 1.0 / result
 
 
+def _polynomial(params: dict[str, Any], x: NodeTerm, *coefficients: NodeTerm) -> NodeTerm:
+    """A polynomial by Horner's rule; its constant term is the first coefficient."""
+    return reduce(lambda value, c: value * x + c, reversed(coefficients))
+
+
 def _round(params: dict[str, Any], x: NodeTerm) -> NodeTerm:
     """The nearest whole number; halves are rounded away from zero, or to the even one."""
     if params["rounding_method"] == RoundingMethod.AWAY_FROM_ZERO:
@@ -262,8 +267,11 @@ RULES: dict[str, Callable[..., Ids]] = {
     "add_any": _elementwise_rule("add"),
     "integer_pow": _formula_rule(_power),
     "square": _formula_rule(lambda params, x: x * x),
+    "one_minus_square": _formula_rule(lambda params, x: (x + 1.0) * (1.0 - x)),
+    "polynomial": _formula_rule(_polynomial),
     "rsqrt": _formula_rule(lambda params, x: 1.0 / x.apply("sqrt")),
     "cbrt": _formula_rule(lambda params, x: x.apply("sign") * x.apply("abs").apply("pow", 1 / 3)),
+    "log2": _formula_rule(lambda params, x: x.apply("log") * (1.0 / math.log(2.0))),
     "exp2": _formula_rule(lambda params, x: x.constant(2.0).apply("pow", x)),
     "logistic": _formula_rule(lambda params, x: 1.0 / (x.constant(1.0) + (-x).apply("exp"))),
     "round": _formula_rule(_round),
@@ -334,6 +342,7 @@ MOVES: dict[str, Callable[..., Any]] = {
     "concatenate": lambda params, *a: np.concatenate(a, params["dimension"]),
     "stack": lambda params, *a: np.stack(a, params["axis"]),
     "split": _split,
+    "unstack": lambda params, a: [np.asarray(part) for part in np.moveaxis(a, params["axis"], 0)],
     "pad": _pad,
 }
 # primitives that move by indices: places of the moved operands, the others must be constant

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +184,8 @@ class _Reader:
             inner = params[_CALLS[name]]
             closed = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
             return self.run(closed, operands)
+        if name == "call_hi_primitive":
+            return self._by_parts(eqn, operands)
         if any(isinstance(o, Matrix) for o in operands):
             return [self._with_matrix(eqn, operands)]
         is_constant = not any(isinstance(o, Numbers) for o in operands)
@@ -192,9 +195,21 @@ class _Reader:
             return results if is_constant else [Numbers(np.asarray(ids)) for ids in results]
         if is_constant:
             return _constant_results(eqn, operands)
-        if name in ("scan", "cond", "while"):
+        if name == "scan":
+            return self._scan(eqn, operands)
+        if name in ("cond", "while"):
             return getattr(self, f"_{name}")(params, operands)
         return [Numbers(self._by_rule(eqn, operands))]
+
+    def _by_parts(self, eqn: Any, operands: list[Value]) -> list[Value]:
+        """Results of a function that JAX 0.12 keeps as one primitive, by those it is made of."""
+        shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in eqn.invars]
+        parts = jax.make_jaxpr(partial(eqn.primitive.to_lojax, **eqn.params))(*shapes)
+        try:
+            return self.run(parts, operands)
+        except UnsupportedPrimitive as error:
+            error.place = ""  # not here, but where the function is called
+            raise
 
     def _with_matrix(self, eqn: Any, operands: list[Value]) -> Value:
         """The result for an input matrix, which is transposed, or multiplies a vector."""
@@ -251,9 +266,14 @@ class _Reader:
             return RULES["convert_element_type"](self._tape, {"new_dtype": kind}, result)
         return result
 
-    def _scan(self, params: dict[str, Any], operands: list[Value]) -> list[Value]:
+    def _scan(self, eqn: Any, operands: list[Value]) -> list[Value]:
         """Results of a loop; it is written out where it is short, or collects results."""
-        n_constants, n_carried = params["num_consts"], params["num_carry"]
+        params, body = eqn.params, eqn.params["jaxpr"]
+        # a turn sees a row of what the loop goes through and adds a row to what it collects; these
+        # have an axis more outside, in every version of JAX, which all name their numbers otherwise
+        n_rows = _count_longer(eqn.invars, body.in_avals)
+        n_carried = len(eqn.outvars) - _count_longer(eqn.outvars, body.out_avals)
+        n_constants = len(operands) - n_carried - n_rows
         constants = operands[:n_constants]
         carried = operands[n_constants : n_constants + n_carried]
         rows = operands[n_constants + n_carried :]
@@ -373,6 +393,11 @@ class _Reader:
 
 class Unreadable(InputError):
     """A function that cannot be read as a program: some of its primitives have no rule."""
+
+
+def _count_longer(variables: Sequence[Any], inside: Sequence[Any]) -> int:
+    """Number of variables that have an axis more outside of a loop than inside of its body."""
+    return sum(v.aval.ndim > aval.ndim for v, aval in zip(variables, inside, strict=True))
 
 
 def _constant_results(eqn: Any, operands: list[Value]) -> list[Value]:

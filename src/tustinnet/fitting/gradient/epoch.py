@@ -152,6 +152,8 @@ def _run(
     def on_device(
         state: TrainingState, inputs: _EpochInputs, count: Int[Array, ""]
     ) -> tuple[TrainingState, EpochFigures]:
+        state, inputs = _replace_empty((state, inputs))
+
         def step(state: TrainingState, i: Int[Array, ""]) -> tuple[TrainingState, EpochFigures]:
             return jax.lax.cond(
                 i < count,
@@ -170,6 +172,15 @@ def _run(
         check_vma=False,
     )
     return sharded(state, inputs, count)
+
+
+def _replace_empty(arrays: PyTree) -> PyTree:
+    """The same arrays, those without entries made where they are used.
+
+    JAX 0.11 ends with a segmentation fault where it compiles a function of several devices that
+    reads an array without entries from outside.
+    """
+    return jax.tree.map(lambda a: a if a.size else jnp.zeros(a.shape, a.dtype), arrays)
 
 
 def _no_figures(progress: StageProgress) -> EpochFigures:
