@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.engine import runs as engine
+from tustinnet.engine import engines as engine
 from tustinnet.engine.equations import ResidualFormula
 from tustinnet.engine.runs import Directions, Runs, Samples
 from tustinnet.fitting.shooting.equations import system_equations

@@ -43,8 +43,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
+from tustinnet.engine.engines import evaluate, simulate
 from tustinnet.engine.equations import Equations, Formula
-from tustinnet.engine.runs import Runs, evaluate, simulate
+from tustinnet.engine.runs import Runs
 from tustinnet.evaluate.record_design import (
     DesignOptions,
     design_record,

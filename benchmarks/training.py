@@ -27,7 +27,7 @@ import optax
 jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 import tustinnet as tn
-from tustinnet.engine.runs import VARIABLE
+from tustinnet.engine.engines import VARIABLE
 from tustinnet.fitting.gradient.epoch import EPOCHS_A_CALL, compile_epochs
 from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
 from tustinnet.fitting.gradient.windows import StageWindows

@@ -62,5 +62,5 @@ from .store.header import read_header as read_header
 from .store.model_file import load_model as load_model
 from .store.model_file import save as save
 from .store.robot_files import write_robot as write_robot
-from .systems.files import load_system as load_system
+from .systems.loading import load_system as load_system
 from .systems.robots import load_robot as load_robot

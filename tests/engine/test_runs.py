@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import tustinnet as tn
 from tustinnet.engine import by_jax, by_machine_code
-from tustinnet.engine import runs as engine
+from tustinnet.engine import engines as engine
 from tustinnet.engine.equations import Equations, Formula, ResidualFormula, SampledValues
 from tustinnet.engine.runs import Directions, Runs, Samples
 

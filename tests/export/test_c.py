@@ -16,7 +16,7 @@ from every_step import require_same_run
 from swinging import DT, SWING, swing_model
 
 import tustinnet as tn
-from tustinnet.engine.runs import make_linearised_step
+from tustinnet.engine.engines import make_linearised_step
 from tustinnet.export.c import TARGET, compile_c, library_step
 from tustinnet.export.check import check_export
 from tustinnet.export.source import Source, make_source

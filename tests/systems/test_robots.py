@@ -12,8 +12,8 @@ import pytest
 from robot_files import random_urdf
 
 import tustinnet as tn
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.chains import DIAGONAL, inertial_parameters

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.engine import runs as engine
+from tustinnet.engine import engines as engine
 from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.simulation import simulate_runs
 

@@ -98,7 +98,7 @@ def _load_system(which: str | None, default_density: float | None) -> "Lagrangia
     if which is None and default_density is None:
         return None
     terminal.prepare_jax()
-    from tustinnet.systems.files import load_system
+    from tustinnet.systems.loading import load_system
 
     file = find_system_to_fit(which, default_density)
     return None if file is None else load_system(file).plant

@@ -180,7 +180,8 @@ def next_record(
     )
     from tustinnet.store.files import lock_folder, require_outputs
     from tustinnet.store.header import read_header
-    from tustinnet.systems.files import find_system, load_system
+    from tustinnet.systems.files import find_system
+    from tustinnet.systems.loading import load_system
 
     groups = request.parse_pairs("--group", group)
     limit = parse_seconds(budget) if budget is not None else DesignOptions.budget

@@ -50,7 +50,8 @@ def report(
     from tustinnet.report.page.write import ENDINGS, ReportOptions, write_page
     from tustinnet.store.files import require_outputs
     from tustinnet.store.model_file import load_models, read_system_name
-    from tustinnet.systems.files import find_system, load_system
+    from tustinnet.systems.files import find_system
+    from tustinnet.systems.loading import load_system
 
     files = [model_file(path) for path in models]
     inputs = request.list_input_files(data, card, *files, *(system or []))
@@ -95,7 +96,7 @@ def _choose_links(
 ) -> "tuple[Link, ...]":
     """The links of a system that is named only to draw the mechanism of models without links."""
     from tustinnet.families.family import family_of
-    from tustinnet.systems.files import load_system
+    from tustinnet.systems.loading import load_system
 
     equations = [family_of(model).equations(model) for model in models]
     has_links = any(e is not None and e.system.links for e in equations)

@@ -311,7 +311,7 @@ def require_system_of_card(system: "SystemFile | str | None", data: str, card: P
     """
     from tustinnet.data.catalog import CARD_NAME, lacks_card, locate
     from tustinnet.models.lagrangian import LagrangianSystem
-    from tustinnet.systems.files import load_system_or_template
+    from tustinnet.systems.loading import load_system_or_template
 
     loaded = None if system is None else load_system_or_template(system)
     if not isinstance(loaded, LagrangianSystem) or (card is None and lacks_card(data)):

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
+from tustinnet.engine.engines import compile_formula, evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import compile_formula, evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import find_input_layout, make_source, step_by_samples
 from tustinnet.models.contract import Model

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tustinnet.channels import Channels
 from tustinnet.control.input_history import InputHistory
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.runs import make_linearised_step
+from tustinnet.engine.engines import make_linearised_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model

@@ -24,8 +24,9 @@ from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices, ric
 from tustinnet.control.plan import Plan
 from tustinnet.control.riccati import Policy, backward_pass
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
+from tustinnet.engine.engines import simulate
 from tustinnet.engine.equations import Equations
-from tustinnet.engine.runs import Runs, simulate
+from tustinnet.engine.runs import Runs
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range

@@ -16,7 +16,8 @@ from tustinnet.models.contract import Model
 from tustinnet.models.integrate import discretise
 from tustinnet.store.model_file import ENDINGS as MODEL_ENDINGS
 from tustinnet.store.model_file import load_model
-from tustinnet.systems.files import AnySystem, load_system
+from tustinnet.systems.files import AnySystem
+from tustinnet.systems.loading import load_system
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_NAME, TWIN_VALUES
 

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.cost import Expansion
+from tustinnet.engine.engines import simulate
 from tustinnet.engine.equations import Equations
-from tustinnet.engine.runs import Runs, simulate
+from tustinnet.engine.runs import Runs
 
 _MOST_COMPILED = 9  # states and inputs up to which a step is written out as machine code
 _SWEEPS = 12  # over the inputs, which find the minimum under limits of several

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.control.input_history import InputHistory
+from tustinnet.engine.engines import evaluate, make_step
 from tustinnet.engine.equations import Equations, Formula
-from tustinnet.engine.runs import evaluate, make_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model, with_dtype

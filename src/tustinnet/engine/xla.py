@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.engine.emission import Constants, blocked_layout
+from tustinnet.engine.engines import warn_once
 from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.kernels import (
     BACKWARD,
@@ -37,7 +38,6 @@ from tustinnet.engine.kernels import (
     write_run,
 )
 from tustinnet.engine.machine import CompiledModule, compile_module, width
-from tustinnet.engine.runs import warn_once
 from tustinnet.engine.text import Function, Module
 from tustinnet.errors import describe_error
 

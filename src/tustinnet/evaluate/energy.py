@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model
 from tustinnet.simulate.batches import map_in_batches

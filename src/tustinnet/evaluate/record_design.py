@@ -26,8 +26,8 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import from_arrays
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
 from tustinnet.fitting.shooting.equations import system_equations

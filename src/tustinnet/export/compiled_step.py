@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.runs import make_step
+from tustinnet.engine.engines import make_step
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.simulate.simulation import step_equations
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine.runs import make_step
+from tustinnet.engine.engines import make_step
 from tustinnet.errors import require_package
 from tustinnet.export.source import Source, make_source
 from tustinnet.export.tangent import compute_tangent

@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from tustinnet.engine.runs import evaluate
+from tustinnet.engine.engines import evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.families.euler_lagrange import FAMILY as EULER_LAGRANGE

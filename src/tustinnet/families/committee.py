@@ -30,7 +30,7 @@ from tustinnet.families.summaries import MEMBERS, WEIGHT
 from tustinnet.models.contract import InputVector, Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.step_layout import StepInput, StepLayout
-from tustinnet.systems.files import load_system
+from tustinnet.systems.loading import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
 

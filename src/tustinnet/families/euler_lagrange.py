@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
 from tustinnet.families.summaries import VALUES
@@ -28,7 +28,8 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import with_sensor_errors
 from tustinnet.registry import SYSTEMS
-from tustinnet.systems.files import SystemTemplate, load_system
+from tustinnet.systems.files import SystemTemplate
+from tustinnet.systems.loading import load_system
 
 _PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16

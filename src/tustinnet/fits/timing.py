@@ -27,7 +27,8 @@ from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, nev
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
-from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemTemplate
+from tustinnet.systems.loading import load_system_or_template
 
 _RECORDS, _SAMPLES = 6, 10_000  # that are enough to tell a delay
 _LENGTH = 50  # samples of a piece

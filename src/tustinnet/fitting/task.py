@@ -15,7 +15,8 @@ from tustinnet.fitting.roles import Roles, assign_roles
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.registry import FAMILIES
-from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemTemplate
+from tustinnet.systems.loading import load_system_or_template
 
 DEFAULT_RECIPE = "standard"
 _DEFAULT_RECIPES = {"system": "grey", "physics": "best-hybrid"}  # where one of them is given

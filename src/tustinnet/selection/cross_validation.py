@@ -26,7 +26,8 @@ from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run_folder import SCORES
-from tustinnet.systems.files import AnySystem, SystemTemplate, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemTemplate
+from tustinnet.systems.loading import load_system_or_template
 
 DEFAULT_PHYSICS = "best-grey"  # identifies the physics of a hybrid where nothing else is given
 _PHYSICS, _RECIPE = "physics", "recipe"  # names of the candidates, and of their jobs' folders

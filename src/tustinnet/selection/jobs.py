@@ -47,7 +47,8 @@ from tustinnet.store.files import (
 from tustinnet.store.kept_system import CANDIDATES, system_header
 from tustinnet.store.model_file import load_model, read_system_name, save
 from tustinnet.store.run_folder import MODEL, SCORES
-from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, load_system_or_template
+from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate
+from tustinnet.systems.loading import load_system_or_template
 
 SPENT = "its share of the budget was spent"
 NO_STAGE = f"{SPENT} before a stage of its search was finished"

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.engine import runs as engine
+from tustinnet.engine import engines as engine
 from tustinnet.engine import xla
 from tustinnet.engine.equations import Equations, ResidualFormula
 from tustinnet.engine.xla import Rollouts

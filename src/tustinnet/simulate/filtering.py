@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.runs import LinearisedStep, make_linearised_step
+from tustinnet.engine.engines import LinearisedStep, make_linearised_step
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.input_signal import input_signal

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.engine.engines import evaluate, simulate
 from tustinnet.engine.equations import Equations, Formula, SampledValues
-from tustinnet.engine.runs import Runs, evaluate, simulate
+from tustinnet.engine.runs import Runs
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tustinnet.engine.engines import compare
 from tustinnet.engine.equations import Equations, ResidualFormula
-from tustinnet.engine.runs import Directions, Samples, compare
+from tustinnet.engine.runs import Directions, Samples
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.simulate.engine_rollouts import layered_steps

@@ -16,7 +16,8 @@ from tustinnet.store import kept_system
 from tustinnet.store.files import nonfinite_to_none
 from tustinnet.store.header import read_header, read_header_and_arrays, records_in_header
 from tustinnet.store.sealed import SEAL, write_sealed
-from tustinnet.systems.files import AnySystem, SystemFile, load_system
+from tustinnet.systems.files import AnySystem, SystemFile
+from tustinnet.systems.loading import load_system
 
 ENDINGS = (".safetensors",)
 _PACKAGES = ("tustinnet", "jax", "jaxlib", "equinox", "optax", "numpy")

@@ -1,38 +1,27 @@
-"""Systems by name, or from a Python file."""
+"""Files of systems, read but not run, and what else stands for a system."""
 
 import functools
 import hashlib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
-from typing import Any
-from weakref import WeakKeyDictionary
-
-import jax
-import jax.numpy as jnp
-import numpy as np
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.declaration import read_source
 from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError, describe_error, require_text
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter, tracing_remedy
+from tustinnet.errors import InputError
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.registry import SYSTEMS
 from tustinnet.systems.robot_reading import ROBOT_ENDINGS, read_robot_text
 
-ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
-_FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
-_LONGEST_CHAIN = 20  # of errors; they may be causes of one another
 _ROBOT_NAMES = re.compile(
     rf"""["']([^"'\n]+(?:{"|".join(map(re.escape, ROBOT_ENDINGS))}))["']"""
 )  # texts in code that end as files of robots do
-_running_in: ContextVar[Path | None] = ContextVar("running_in", default=None)
-_REMEDY = "docs/reference/systems.md shows a whole file"
+# the folder of the system file that runs now
+running_in: ContextVar[Path | None] = ContextVar("running_in", default=None)
 
 
 @dataclass(frozen=True)
@@ -76,10 +65,6 @@ class SystemFile:
         )
 
 
-# what a command checks first and fits later is run once; forgotten with the file that was read
-_loaded: WeakKeyDictionary[SystemFile, LagrangianSystem] = WeakKeyDictionary()
-
-
 def find_robot_path(name: str | Path, folder: Path | None = None) -> Path:
     """The path of a robot's file that a system file names.
 
@@ -89,7 +74,7 @@ def find_robot_path(name: str | Path, folder: Path | None = None) -> Path:
         name: the path as it was given.
         folder: the folder of the system file; None for that which runs now, if one does.
     """
-    folder = folder or _running_in.get()
+    folder = folder or running_in.get()
     given = Path(name)
     beside = [] if folder is None else [folder / given, folder / given.name]
     return next((path for path in beside if path.is_file()), given)
@@ -140,154 +125,3 @@ def find_system(which: str | Path) -> SystemFile | str:
             f"run xacro {path} > arm.urdf" if path.suffix == ".xacro" else "",
         )
     return SystemFile(path, read_source(path, "a Python file that defines SYSTEM"))
-
-
-def load_system(which: AnySystem) -> LagrangianSystem:
-    """A system by its packaged name, of a robot file, or the `SYSTEM` of a Python file.
-
-    A Python file is run. A robot file (URDF, or MuJoCo's format) is only read; see `load_robot` for
-    joints that are locked and inputs that are currents.
-
-    Args:
-        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
-            `qube-servo2-rubbing`, `qube-servo2-turned`), or a file, as `arm.py`,
-            `arm.urdf` or `robot.xml`; a system is returned as it is.
-
-    Raises:
-        InputError: no such name or file, a file that fails or has no `SYSTEM`, a system that is
-            made for records. The functions of a system from a file raise it, too, whatever
-            happens in them.
-    """
-    system = load_system_or_template(which)
-    if isinstance(system, SystemTemplate):
-        raise InputError(
-            f"system '{system.name}'",
-            "made for the records that it is identified from",
-            "no --system",
-            "a model file of it has all that is needed",
-        )
-    return system
-
-
-def load_system_or_template(which: AnySystem) -> LagrangianSystem | SystemTemplate:
-    """A system as `load_system` loads it, or the template of one that is made for records."""
-    if isinstance(which, LagrangianSystem | SystemTemplate):
-        return which
-    file = which if isinstance(which, SystemFile) else find_system(which)
-    if isinstance(file, str):
-        return SYSTEMS[file]
-    if file not in _loaded:
-        _loaded[file] = _load_file(file)
-    return _loaded[file]
-
-
-def _load_file(file: SystemFile) -> LagrangianSystem:
-    """The system of a file."""
-    path, text = file.path, file.text
-    if not file.is_code:
-        from tustinnet.systems.robots import RobotFile
-
-        return RobotFile(text, path, default_density=file.default_density).load()
-    module = ModuleType(path.stem)
-    module.__file__ = str(path)
-    with _errors_with_place(path), _run_in(path.parent):
-        # not imported: that would write a compiled copy beside the file, and may read an old one
-        exec(compile(text, str(path), "exec", dont_inherit=True), vars(module))
-        system = vars(module).get(ATTRIBUTE)
-    if not isinstance(system, LagrangianSystem):
-        problem = "no SYSTEM" if system is None else f"SYSTEM is a {type(system).__name__}"
-        raise InputError(path, problem, "SYSTEM = LagrangianSystem(...)", _REMEDY)
-    with _errors_with_place(path):
-        system = _with_guards(system, path)
-        # names that can be printed, and equations of motion that can be derived
-        for name in (system.name, *system.nominal(), *system.internal):
-            require_text(name, f"system '{system.name}'")
-        hash(system)  # compiled programs are kept by it; lists in the place of tuples have none
-
-        def derive(values: dict[str, Any]) -> Any:
-            model = system.model(values)
-            return model.derivative(jnp.zeros(model.state_size), jnp.zeros(model.channels.n_u))
-
-        nominal = {name: np.float64(value) for name, value in system.nominal().items()}
-        jax.eval_shape(derive, nominal)  # by their shapes
-    return system
-
-
-@contextmanager
-def _run_in(folder: Path) -> Iterator[None]:
-    """Files of robots are looked for in the folder of a system file, while that runs."""
-    token = _running_in.set(folder)
-    try:
-        yield
-    finally:
-        _running_in.reset(token)
-
-
-def _with_guards(system: LagrangianSystem, path: Path) -> LagrangianSystem:
-    """A system whose functions name the file and themselves when they fail."""
-
-    def guard(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(function)
-        def guarded(*arguments: Any) -> Any:
-            with _errors_with_place(path, f"{name} "):
-                return function(*arguments)
-
-        return guarded
-
-    functions = {n: f for n in _FUNCTIONS if (f := getattr(system, n)) is not None}
-    memory = system.memory and replace(
-        system.memory,
-        rate=guard("memory rate", system.memory.rate),
-        force=guard("memory force", system.memory.force),
-    )
-    unmeasured = system.unmeasured and replace(
-        system.unmeasured,
-        follow=guard("unmeasured follow", system.unmeasured.follow),
-        initial=system.unmeasured.initial
-        and guard("unmeasured initial", system.unmeasured.initial),
-        spread=system.unmeasured.spread and guard("unmeasured spread", system.unmeasured.spread),
-    )
-    guarded = {n: guard(n, f) for n, f in functions.items()}
-    return replace(system, memory=memory, unmeasured=unmeasured, **guarded)
-
-
-@contextmanager
-def _errors_with_place(path: Path, function: str = "") -> Iterator[None]:
-    """Turns all errors in a system file into an `InputError` that names file and line.
-
-    Also a `KeyboardInterrupt` that the file raises; signals of a kind of their own pass.
-    """
-    try:
-        yield
-    except InputError as error:
-        if str(error).startswith(str(path)):
-            raise
-        raise InputError(f"{path}{_line_of(error, path)}", str(error)) from error
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and type(error) is not KeyboardInterrupt:
-            raise
-        remedy = tracing_remedy(error)
-        problem = type(error).__name__ if remedy else describe_error(error)
-        raise InputError(
-            path,
-            f"{function}fails{_line_of(error, path)} with {problem}",
-            "a file that runs",
-            remedy or _REMEDY,
-        ) from error
-
-
-def _line_of(error: BaseException | None, path: Path) -> str:
-    """The line of a system file at which an error, or a cause of it, began, as " at line 3"."""
-    line = 0
-    for _ in range(_LONGEST_CHAIN):
-        if error is None:
-            break
-        trace = error.__traceback__
-        while trace is not None:
-            if trace.tb_frame.f_code.co_filename == str(path):
-                line = trace.tb_lineno
-            trace = trace.tb_next
-        if isinstance(error, SyntaxError):
-            line = error.lineno or line
-        error = error.__cause__ or error.__context__
-    return f" at line {line}" if line else ""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.code import SOURCES
-from tustinnet.engine.runs import make_linearised_step, make_step
+from tustinnet.engine.engines import make_linearised_step, make_step
 from tustinnet.errors import InputError
 from tustinnet.export.c import compile_c
 from tustinnet.export.source import Source

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import rotating_coordinates
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, parse_forces, with_forces
 from tustinnet.models.feedback import with_changed_plant

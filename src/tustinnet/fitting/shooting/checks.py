@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.models.feedback import with_changed_plant

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.report import ForceError, Identification
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
 from tustinnet.fitting.shooting.inverse_dynamics import (

@@ -18,7 +18,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.runs import evaluate
+from tustinnet.engine.engines import evaluate
 from tustinnet.fitting.report import SignAlternatives
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Equations, Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianSystem

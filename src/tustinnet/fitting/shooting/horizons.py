@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.runs import evaluate
+from tustinnet.engine.engines import evaluate
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.feedback import with_changed_plant, without_controller_states

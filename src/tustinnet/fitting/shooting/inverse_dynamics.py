@@ -18,8 +18,8 @@ import scipy.special
 from jaxtyping import Array, Bool, Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
-from tustinnet.engine.runs import evaluate
 from tustinnet.errors import InputError
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.runs import Directions, Runs, Samples, compare
+from tustinnet.engine.engines import compare
+from tustinnet.engine.runs import Directions, Runs, Samples
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.segments import Segments

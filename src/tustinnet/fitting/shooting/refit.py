@@ -13,7 +13,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.runs import Directions, Runs, Samples, compare
+from tustinnet.engine.engines import compare
+from tustinnet.engine.runs import Directions, Runs, Samples
 from tustinnet.fitting.report import Refit
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
