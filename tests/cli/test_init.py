@@ -14,7 +14,7 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.cli import terminal
-from tustinnet.cli.request import load_records_to_fit
+from tustinnet.cli.records import load_records_to_fit
 
 
 @pytest.fixture

@@ -14,8 +14,9 @@ from tustinnet.cli.automatic_report import AutomaticReport
 from tustinnet.data import catalog
 from tustinnet.errors import InputError
 from tustinnet.evaluate import scores
+from tustinnet.fits import run as runs
 from tustinnet.selection import final_models, jobs
-from tustinnet.store import model_file, run
+from tustinnet.store import model_file
 from tustinnet.store.files import lock_folder
 
 
@@ -137,7 +138,7 @@ def refused(place, capsys, monkeypatch, pendulum):
         before = everything(place.root)
         with monkeypatch.context() as patched:
             patched.setattr(scores, "evaluate", computes)
-            patched.setattr(run, "fit_in_folder", computes)
+            patched.setattr(runs, "fit_in_folder", computes)
             patched.setattr(jobs, "fit_in_folder", computes)
             patched.setattr(final_models, "fit_in_folder", computes)
             if arguments[0] == "reproduce":

@@ -13,7 +13,7 @@ import pytest
 import tustinnet as tn
 from tustinnet.check.check import check_record
 from tustinnet.check.finding import merge_findings
-from tustinnet.cli.inspect import warning_lines
+from tustinnet.cli.findings import warning_lines
 from tustinnet.cli.main import run
 
 

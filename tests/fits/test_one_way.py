@@ -79,8 +79,8 @@ def test_the_command_and_python_train_the_same_bits(tmp_path, small_recipe):
         run([str(a) for a in ("fit", folder, *options)])
     assert not ended.value.code
     tn.save(by_python.model, tmp_path / "python.safetensors")
-    runs = [
+    by_file = [
         tn.free_run(tn.load_model(path), tn.load(folder)["fall3"], "derived-6")
         for path in (tmp_path / "python.safetensors", tmp_path / "out" / "model.safetensors")
     ]
-    assert np.array_equal(*runs)
+    assert np.array_equal(by_file[0], by_file[1])

@@ -177,6 +177,33 @@ def test_time_is_run_through_in_two_places():
     assert modules_with_loops == {*LOOPS_OVER_TIME, *OTHER_LOOPS}, "others use simulate.rollout"
 
 
+# --- no module imports itself through others ---
+
+
+def imports_of(module: str) -> set[str]:
+    """The modules of the package that a module imports, anywhere but for types alone."""
+    tree, found = tree_of(module), set()
+    for_types = {
+        id(node)
+        for block in ast.walk(tree)
+        if isinstance(block, ast.If) and "TYPE_CHECKING" in names_in(block.test)
+        for node in ast.walk(block)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and id(node) not in for_types:
+            home = node.module.removeprefix("tustinnet").lstrip(".").replace(".", "/")
+            places = [f"{home}/{alias.name}.py".lstrip("/") for alias in node.names]
+            found |= {place if place in MODULES else f"{home}.py" for place in places}
+    return (found & set(MODULES)) - {module}
+
+
+def test_no_module_imports_itself_through_others():
+    remaining = {module: imports_of(module) for module in MODULES}
+    while free := {module for module, imports in remaining.items() if not imports}:
+        remaining = {m: imports - free for m, imports in remaining.items() if m not in free}
+    assert not remaining, "each of these imports another of them"
+
+
 # --- the checks find what they are for ---
 
 

@@ -18,11 +18,12 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fits import deadline
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import deadline, final_models, halving, jobs, scoring
+from tustinnet.selection import final_models, halving, jobs, scoring
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import combine, score_committee, score_committees

@@ -60,14 +60,13 @@ class Hostile:
     def __init__(self, place: Path, seed: int) -> None:
         self.place, self.box, self.seed = place, place / "hostile", seed
         self.part = Part("hostile")
-        self.jobs = [
-            job for job in others(place) if job.name not in ("learning-curve", "selection")
-        ]
+        self.jobs = [job for job in others(place) if job.name not in _SLOW]
         kinds: tuple[Callable[[Random], str], ...] = (
             self._formula,
             self._names,
             self._robot,
             self._link,
+            self._glitches,
         )
         self.kinds = kinds
 

@@ -14,7 +14,7 @@ from conftest import CARD, SMALL_RECIPE, record, write_folder
 
 import tustinnet as tn
 from tustinnet.data.catalog import QUBE_SERVO2
-from tustinnet.fits.request import FitRequest, prepare
+from tustinnet.fits.request import FitRequest, PreparedFit, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.task import make_task
 from tustinnet.models.contract import Model

@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.free_runs import choose_free_runs
+from tustinnet.cli.models import load_model
+from tustinnet.cli.records import load_records
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -37,15 +41,15 @@ def calibrate(
     from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
     from tustinnet.store.model_file import ENDINGS, copy_with_header
 
-    inputs = request.list_input_files(data, card, model, system)
+    inputs = list_input_files(data, card, model, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     system_copy = find_system_copy(model)
     require_copy_fits(system_copy, out.parent, [out])
-    simulator = request.load_model(model, system)
+    simulator = load_model(model, system)
     header = read_header(model)
     others = find_alternatives(simulator, header, model)
-    runs = request.choose_free_runs(
-        request.load_records(data, card, follow_links=follow_links),
+    runs = choose_free_runs(
+        load_records(data, card, follow_links=follow_links),
         {model: simulator},
         split or ALL,
         start,

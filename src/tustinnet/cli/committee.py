@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.models import kept_system
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ def committee(
         shares = None if weights is None else [float(part) for part in weights.split(",")]
     except ValueError:
         raise InputError("--weights", f"'{weights}'", "numbers, separated by commas") from None
-    inputs = request.list_input_files(None, None, *models, system)
+    inputs = list_input_files(None, None, *models, system)
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     shared_system = _find_shared_system(models) if system is None else find_system(system)
     members = load_models(
@@ -89,7 +91,7 @@ def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
 
 def _find_shared_system(models: list[Path]) -> "SystemFile | None":
     """The system file that is stored with some of the models; different ones are refused."""
-    copies = [copy for path in models if (copy := request.kept_system(path)) is not None]
+    copies = [copy for path in models if (copy := kept_system(path)) is not None]
     if len({copy.sha256 for copy in copies}) > 1:
         names = ", ".join(dict.fromkeys(str(copy.path) for copy in copies))
         raise InputError(

@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files, require_figures
+from tustinnet.cli.free_runs import choose_free_runs, compute_bands, make_band_options
+from tustinnet.cli.models import kept_system
+from tustinnet.cli.records import load_records
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,14 +60,14 @@ def compare(
     from tustinnet.store.model_file import load_models
     from tustinnet.systems.files import find_system
 
-    band_options = request.make_band_options(band, whole=whole_records)
+    band_options = make_band_options(band, whole=whole_records)
     if band_options is not None and figures is None:
         raise InputError("--band", "no figures, which bands are drawn into", "--figures DIR")
     systems = [find_system(name) for name in system or []]
-    loaded_models = load_models(models, systems, request.kept_system)
+    loaded_models = load_models(models, systems, kept_system)
     by_file = dict(zip(models, loaded_models, strict=True))
-    runs = request.choose_free_runs(
-        request.load_records(data, card, follow_links=follow_links),
+    runs = choose_free_runs(
+        load_records(data, card, follow_links=follow_links),
         by_file,
         split,
         start,
@@ -72,8 +76,8 @@ def compare(
     )
     records = runs.records
     paths = None if figures is None else [figures / f"{e.name}.png" for e in records]
-    inputs = request.list_input_files(data, card, *models, *(system or []))
-    request.require_figures("--figures", paths, inputs, overwrite=overwrite)
+    inputs = list_input_files(data, card, *models, *(system or []))
+    require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores: dict[str, list[Score]] = {}
     bands: dict[str, list[Band]] = {}
     for label, path, model in zip(labels(models), models, loaded_models, strict=True):
@@ -83,7 +87,7 @@ def compare(
             raise InputError(path, str(error)) from error
     if band_options is not None:
         for label, path, model in zip(scores, models, loaded_models, strict=True):
-            bands[label] = request.compute_bands(path, model, records, scores[label], band_options)
+            bands[label] = compute_bands(path, model, records, scores[label], band_options)
     runs.print_notes()
     if json:
         content = {

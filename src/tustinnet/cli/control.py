@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.models import load_model
+from tustinnet.cli.records import load_records
+from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
@@ -172,10 +175,10 @@ def control(
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
     require_export_folder(out, overwrite=overwrite)
     printer = terminal.make_printer(quiet=quiet)
-    loaded, header = request.load_model(model, system), read_header(model)
-    groups = request.parse_pairs("--group", group)
+    loaded, header = load_model(model, system), read_header(model)
+    groups = parse_pairs("--group", group)
     simulator = model_for_groups(loaded, groups, "control")
-    values = request.OptionReader(simulator.channels, header)
+    values = OptionReader(simulator.channels, header)
     training_range = Range.from_header(header, simulator)
     known = None if trust_beyond else training_range
     positions = values.read_point("--at", at, known)
@@ -187,7 +190,7 @@ def control(
         start, positions = positions, positions | values.read_point("--to", to, known)
     records: Sequence[Experiment] = ()
     if data is not None:
-        records = [*request.load_records(data, card, follow_links=follow_links)]
+        records = [*load_records(data, card, follow_links=follow_links)]
     task = ControlTask(
         positions,
         start,

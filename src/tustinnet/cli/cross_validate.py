@@ -5,7 +5,10 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, request, terminal
+from tustinnet.cli import completion, options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.fit_options import choose_recipe, open_cluster, parse_seeds, require_cores
+from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
 
 _FILE, _TABLE = "folds.json", "folds.md"
 
@@ -58,7 +61,7 @@ def cross_validate(
     Every record is scored by models that were fitted without it. Records of the split test are
     left out.
     """
-    request.require_cores(cluster, device)
+    require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
@@ -72,24 +75,24 @@ def cross_validate(
     from tustinnet.systems.files import find_system
 
     validation = make_cross_validation_options(
-        request.choose_recipe(recipe, changes, system=system, physics=physics),
+        choose_recipe(recipe, changes, system=system, physics=physics),
         system=system,
         physics=physics,
         folds=folds,
-        seeds=None if seeds is None else request.parse_seeds(seeds),
+        seeds=None if seeds is None else parse_seeds(seeds),
         starts=start or (),
     )
     console = terminal.messages()
-    inputs = request.list_input_files(data, card, system)
+    inputs = list_input_files(data, card, system)
     require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite, read=inputs)
-    records = request.load_records_to_fit(
+    records = load_records_to_fit(
         data, card, out, console, strict=strict, follow_links=follow_links
     )
-    request.print_still_coordinates(records_without_test(records), console)
+    print_still_coordinates(records_without_test(records), console)
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
         terminal.interruptible("" if cluster is None else remedy),
-        request.open_cluster(cluster, terminal.make_printer(quiet=quiet)) as executor,
+        open_cluster(cluster, terminal.make_printer(quiet=quiet)) as executor,
         lock_folder(out),
         FitProgress(console, quiet=quiet) as progress,
     ):

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files, require_figures
+from tustinnet.cli.free_runs import choose_free_runs, compute_bands, make_band_options
+from tustinnet.cli.models import load_model
+from tustinnet.cli.records import load_records
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
@@ -62,25 +66,25 @@ def evaluate(
     from tustinnet.evaluate.scores import evaluate as score_records
     from tustinnet.report.tables import Table, number
 
-    band_options = request.make_band_options(band, whole=whole_records)
-    simulator = request.load_model(model, system)
+    band_options = make_band_options(band, whole=whole_records)
+    simulator = load_model(model, system)
     channels = simulator.channels
-    data_set = request.load_records(data, card, follow_links=follow_links)
-    runs = request.choose_free_runs(
+    data_set = load_records(data, card, follow_links=follow_links)
+    runs = choose_free_runs(
         data_set, {model: simulator}, split, start, horizon, has_bands=band is not None
     )
     records = runs.records
     names = [e.name for e in records] + ([] if ahead is None else [_AHEAD_FIGURE])
     paths = None if figures is None else [figures / f"{name}.png" for name in names]
-    inputs = request.list_input_files(data, card, model, system)
-    request.require_figures("--figures", paths, inputs, overwrite=overwrite)
+    inputs = list_input_files(data, card, model, system)
+    require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
     by_split: dict[str, list[Score]] = {}
     for e, score in zip(records, scores, strict=True):
         by_split.setdefault(e.split or "all", []).append(score)
     bands, coverage = [], []
     if band_options is not None:
-        bands = request.compute_bands(model, simulator, records, scores, band_options)
+        bands = compute_bands(model, simulator, records, scores, band_options)
         coverage = compute_coverage(records, bands)
     errors = None if ahead is None else coordinate_rmse_ahead(simulator, records, ahead)
     runs.print_notes()

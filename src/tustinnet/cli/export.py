@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, request, terminal
+from tustinnet.cli import completion, options, terminal
+from tustinnet.cli.models import load_model
+from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.errors import InputError
 from tustinnet.registry import TARGETS
 
@@ -47,11 +49,11 @@ def export(
     from tustinnet.store.exported import export_model, find_targets
     from tustinnet.store.header import read_header
 
-    groups = request.parse_pairs("--group", group)
+    groups = parse_pairs("--group", group)
     if system is not None and out.resolve() in Path(system).resolve().parents:
         raise InputError(out, f"the folder of {system}, which the command reads", "another folder")
-    loaded = request.load_model(model, system)
-    values = request.OptionReader(loaded.channels, read_header(model))
+    loaded = load_model(model, system)
+    values = OptionReader(loaded.channels, read_header(model))
     point = values.read_point("--at", at)
     exports = export_model(
         loaded, find_targets(to, point), out, file=model, groups=groups, overwrite=overwrite

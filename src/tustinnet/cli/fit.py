@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, request, terminal
+from tustinnet.cli import completion, options, terminal
+from tustinnet.cli.fit_options import FitOptions, choose_recipe, make_members, require_cores
+from tustinnet.cli.models import (
+    find_system_to_fit,
+    kept_system,
+    read_origin,
+    read_recipe_in,
+    require_readable_robot,
+    require_system_of_card,
+)
+from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
@@ -16,7 +26,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tustinnet.cli.request import FitOptions
     from tustinnet.data.dataset import DataSet
     from tustinnet.fits.run import Run
     from tustinnet.fitting.report import FitResult
@@ -75,8 +84,8 @@ def fit(
     For a folder without a data card, one is drafted into --out, as by `tustinnet init --yes`.
     """
     start_time = time.perf_counter()
-    request.require_cores(cluster, device)
-    request.require_readable_robot(system)
+    require_cores(cluster, device)
+    require_readable_robot(system)
     terminal.prepare_jax(device)
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.init import draft_into_run
@@ -87,7 +96,7 @@ def fit(
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
             raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
-    found_system = request.find_system_to_fit(system, default_density)
+    found_system = find_system_to_fit(system, default_density)
     selection = None
     if selects:
         refuse_options(
@@ -113,15 +122,15 @@ def fit(
         )
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
-    request.require_system_of_card(found_system, data, card)
+    require_system_of_card(found_system, data, card)
     if card is None and lacks_card(data):
         card = draft_into_run(
             Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links
         )
     earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
-    fit_options = request.FitOptions(
+    fit_options = FitOptions(
         load=partial(
-            request.load_records_to_fit,
+            load_records_to_fit,
             data,
             card,
             out,
@@ -172,16 +181,12 @@ def _fit_recipe(
     from tustinnet.store.run_folder import MODEL
 
     system, console = fit_options.system, terminal.messages()
-    stored_recipe = (
-        None if origin is None or recipe_name is not None else request.read_recipe_in(origin)
-    )
-    recipe = request.choose_recipe(
-        stored_recipe or recipe_name, changes, system=system, physics=physics
-    )
-    members = request.make_members(seeds, recipe)
-    initial_model = None if origin is None else request.read_origin(origin, system, changes)
+    stored_recipe = None if origin is None or recipe_name is not None else read_recipe_in(origin)
+    recipe = choose_recipe(stored_recipe or recipe_name, changes, system=system, physics=physics)
+    members = make_members(seeds, recipe)
+    initial_model = None if origin is None else read_origin(origin, system, changes)
     if system is None and (file := physics or origin) is not None:
-        system = request.kept_system(file)
+        system = kept_system(file)
     physics_model = None if physics is None else load_model(physics, system)
     records = fit_options.load()
     if "validation" not in records.splits:
@@ -205,7 +210,7 @@ def _fit_recipe(
     prepared = prepare(fit_request, on_message=terminal.make_printer(quiet=fit_options.quiet))
     preparation_seconds = time.perf_counter() - preparation_start
     task = prepared.task
-    request.print_still_coordinates(task.folds[0].roles.train, console)
+    print_still_coordinates(task.folds[0].roles.train, console)
     if not fit_options.quiet:
         _print_windows(task, console)
     remedy = (

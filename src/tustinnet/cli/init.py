@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.cli.files import require_apart
+from tustinnet.cli.models import find_system_to_fit, require_readable_robot
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -92,8 +94,6 @@ def init(
 
 def _load_system(which: str | None, default_density: float | None) -> "LagrangianSystem | None":
     """The system of a card, if one was named."""
-    from tustinnet.cli.request import find_system_to_fit, require_readable_robot
-
     require_readable_robot(which)
     if which is None and default_density is None:
         return None
@@ -210,7 +210,6 @@ def draft_into_run(
     Returns:
         The card.
     """
-    from tustinnet.cli.request import require_apart
     from tustinnet.data.catalog import CARD_NAME
     from tustinnet.data.drafting.files import list_logs
     from tustinnet.data.readers import is_readable

@@ -1,31 +1,24 @@
 """`tustinnet inspect`: the contents of records, before anything is fitted."""
 
-import shlex
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files, require_figures
+from tustinnet.cli.findings import describe_findings, merge_remarks, require_sound, spoiled_lines
+from tustinnet.cli.records import records_of_split
 from tustinnet.cli.verb import refuse_options
-from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from tustinnet.channels import Hold
-    from tustinnet.check.finding import Finding
     from tustinnet.check.report import ExperimentReport, Inspection
     from tustinnet.data.card import Card
     from tustinnet.data.dataset import DataSet
-    from tustinnet.data.experiment import Experiment
     from tustinnet.report.tables import Table
-    from tustinnet.signals.equilibria import HeldEquilibrium
 
-_MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
-_MOST_LINES = 12  # of findings before a fit
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -76,11 +69,11 @@ def inspect(
         )
         _inspect_file(Path(data), json=json)
         return
-    inputs = request.list_input_files(data, card)
-    request.require_figures("--figure", figure, inputs, overwrite=overwrite)
+    inputs = list_input_files(data, card)
+    require_figures("--figure", figure, inputs, overwrite=overwrite)
     folder, located_card = locate(data, card)
     data_set = load_folder(folder, located_card, follow_links=follow_links)
-    records = request.records_of_split(data_set, split)
+    records = records_of_split(data_set, split)
     inspection = inspect_records(records, located_card)
     if json:
         experiments = [
@@ -137,10 +130,10 @@ def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
     # the table has the jitter
     notes = ((r.name, text) for r in reports for text in r.notes if "jitter" not in text)
     for line in (
-        *_findings_page(inspection.findings, len(reports)),
-        *_merge_remarks("held", unstable, len(reports)),
-        *_merge_remarks("hold", holds, len(reports)),
-        *_merge_remarks("note", notes, len(reports)),
+        *describe_findings(inspection.findings, len(reports)),
+        *merge_remarks("held", unstable, len(reports)),
+        *merge_remarks("hold", holds, len(reports)),
+        *merge_remarks("note", notes, len(reports)),
         *spoiled_lines(records, [r.held for r in reports]),
     ):
         typer.echo(line)
@@ -181,120 +174,6 @@ def _inspect_file(path: Path, *, json: bool) -> None:
         "\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
         f"folder: tustinnet init {path.parent}\n{report.draft}"
     )
-
-
-def _findings_page(findings: "Iterable[Finding]", total: int) -> list[str]:
-    """Lines about findings in some records: what, how it shows, where, and the line of the card."""
-    lines = []
-    for finding in findings:
-        lines.append(f"{finding.severity}: {finding.what}")
-        lines.append(f"    {finding.size}")
-        if place := _place(finding, total):
-            lines.append(f"    in {place}")
-        lines.append(f"    mend: {finding.remedy}")
-    return lines
-
-
-def _place(finding: "Finding", total: int) -> str:
-    """The records, of so many in total, the column and the time of a finding."""
-    parts = [_list_records(finding.records, total)] if finding.records else []
-    parts += [f"column {finding.column}"] if finding.column else []
-    parts += [f"from {finding.time:.4g} s on"] if finding.time is not None else []
-    return ", ".join(parts)
-
-
-def warning_lines(
-    findings: "Iterable[Finding]", total: int, data: str, card: Path | None
-) -> list[str]:
-    """Lines about severe findings and warnings, for commands that go on; of many the first ones.
-
-    Args:
-        findings: the findings.
-        total: number of all records.
-        data: the data set as `inspect` takes it.
-        card: its card, if it was named.
-    """
-    serious = [f for f in findings if f.is_serious]
-    lines = []
-    for finding in serious[:_MOST_LINES]:
-        place = _place(finding, total)
-        lines.append(f"{finding.severity}: {finding.text}" + (f"  [{place}]" if place else ""))
-    if serious:
-        more = len(serious) - len(lines)
-        counted = f"{more} more findings, and how" if more else "how"
-        command = f"tustinnet inspect {shlex.quote(data)}"
-        command += f" --card {shlex.quote(str(card))}" if card else ""
-        lines.append(f"note: {counted} to mend them: {command}")
-    return lines
-
-
-def assumed_lines(findings: "Iterable[Finding]") -> list[str]:
-    """A line about what a card assumes, for commands that go on; none where it assumes nothing."""
-    from tustinnet.check.assumed import ASSUMED
-
-    facts = [f.what for f in findings if f.check == ASSUMED]
-    if not facts:
-        return []
-    more = len(facts) - _MOST_NAMED
-    named = "; ".join(facts[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
-    return [f"note: {named}: check the card, then delete `assumed` there"]
-
-
-def spoiled_lines(
-    records: "Iterable[Experiment]", held: "Iterable[HeldEquilibrium | None]"
-) -> list[str]:
-    """Lines about parts of records that spoil a fit and show without a model.
-
-    Args:
-        records: the records.
-        held: the unstable equilibrium that is held to the end of each, if any.
-    """
-    from tustinnet.data.spoiled import find_without_model
-
-    return [
-        f"spoiled: {part.sentence}"
-        for e, equilibrium in zip(records, held, strict=True)
-        for part in find_without_model(e, equilibrium)
-    ]
-
-
-def require_sound(findings: "Iterable[Finding]") -> None:
-    """Raises an error with the first severe finding or warning, if there are any."""
-    for finding in findings:
-        if finding.is_serious:
-            where = f"record '{finding.records[0]}'" if finding.records else "records"
-            raise InputError(
-                where,
-                finding.text,
-                "records without severe findings and warnings",
-                f"{finding.remedy}; or omit --strict",
-            )
-
-
-def _merge_remarks(kind: str, remarks: Iterable[tuple[str, str]], total: int) -> list[str]:
-    """Lines of remarks: one line for each text, with its records.
-
-    Args:
-        kind: what the lines begin with.
-        remarks: pairs of record and text.
-        total: number of all records.
-    """
-    by_text: dict[str, list[str]] = {}
-    for name, text in remarks:
-        by_text.setdefault(text, []).append(name)
-    return [
-        f"{kind}: {text}  [{_list_records(names, total)}]"
-        for text, names in sorted(by_text.items())
-    ]
-
-
-def _list_records(names: "Sequence[str]", total: int) -> str:
-    """Names of records in a line; of many the first ones, and how many others."""
-    if len(names) <= _MOST_NAMED:
-        return ", ".join(names)
-    if len(names) == total:
-        return f"all {counted(total, 'record')}"
-    return f"{', '.join(names[:_FIRST_NAMED])} and {len(names) - _FIRST_NAMED} others"
 
 
 def time_table(reports: list["ExperimentReport"]) -> "Table":

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
@@ -98,12 +100,12 @@ def learning_curve(
     )
     console = terminal.messages()
     names = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
-    inputs = request.list_input_files(data, card, system)
+    inputs = list_input_files(data, card, system)
     require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = request.load_records_to_fit(
+    data_set = load_records_to_fit(
         data, card, out, console, strict=strict, follow_links=follow_links
     )
-    request.print_still_coordinates(records_without_test(data_set), console)
+    print_still_coordinates(records_without_test(data_set), console)
     draw_records(data_set, curve_options)  # raises at once where there are too few records
     with lock_folder(out):
         with FitProgress(console, quiet=quiet) as progress:

@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.models import load_model
+from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
@@ -183,9 +186,9 @@ def next_record(
     from tustinnet.systems.files import find_system
     from tustinnet.systems.loading import load_system
 
-    groups = request.parse_pairs("--group", group)
+    groups = parse_pairs("--group", group)
     limit = parse_seconds(budget) if budget is not None else DesignOptions.budget
-    files = request.list_input_files(None, None, model, system)
+    files = list_input_files(None, None, model, system)
     require_outputs(
         [out / name for name in (MOTION, FIGURE, SUMMARY)], overwrite=overwrite, read=files
     )
@@ -202,7 +205,7 @@ def next_record(
         knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
         header = None
     else:
-        fitted, header = request.load_model(model, system), read_header(model)
+        fitted, header = load_model(model, system), read_header(model)
         mechanics = equations_of_motion(fitted)
         if mechanics is None:
             raise InputError(
@@ -221,7 +224,7 @@ def next_record(
         budget=limit,
         **{key: value for key, value in given.items() if value is not None},
     )
-    values = request.OptionReader(channels, header)
+    values = OptionReader(channels, header)
     box = gather_limits(
         equations,
         values.read_limits("--within", within),
@@ -251,8 +254,8 @@ def _rank(
     from tustinnet.report.tables import Table, number
     from tustinnet.store.header import read_header
 
-    simulator, header = request.load_model(model, system), read_header(model)
-    values = request.OptionReader(simulator.channels, header).values
+    simulator, header = load_model(model, system), read_header(model)
+    values = OptionReader(simulator.channels, header).values
     # raises at once where the errors of the model are unknown
     find_alternatives(simulator, header, model)
     candidates = read_proposals(proposals, simulator.channels, values)

@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, request, terminal
+from tustinnet.cli import completion, options, terminal
+from tustinnet.cli.files import list_input_files
+from tustinnet.cli.free_runs import choose_free_runs
+from tustinnet.cli.models import kept_system
+from tustinnet.cli.records import load_records
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,7 +58,7 @@ def report(
     from tustinnet.systems.loading import load_system
 
     files = [model_file(path) for path in models]
-    inputs = request.list_input_files(data, card, *files, *(system or []))
+    inputs = list_input_files(data, card, *files, *(system or []))
     require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
     systems = [find_system(name) for name in system or []]
     model_systems = {read_system_name(file) for file in files}
@@ -63,11 +67,11 @@ def report(
     drawing: list[SystemFile | str] = []
     for file in systems:
         (restoring if load_system(file).name in model_systems else drawing).append(file)
-    loaded_models = load_models(files, restoring, request.kept_system)
+    loaded_models = load_models(files, restoring, kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
     by_file = dict(zip(files, loaded_models, strict=True))
-    runs = request.choose_free_runs(
-        request.load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
+    runs = choose_free_runs(
+        load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
     )
     command = report_command(
         models,

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import require_apart
 from tustinnet.errors import InputError
 from tustinnet.reproduce.entries import ALL_MODELS, EXTRA_MODELS
 
@@ -100,7 +101,7 @@ def reproduce(
     model_names, remark = table1.choose_models(models or (), folder)
     figure_record = figures.choose_experiment(records, scored_split, experiment)
     runs = out / "runs"
-    request.require_apart(out, folder)
+    require_apart(out, folder)
     if not runs.is_dir() and not table1.is_table(out / _TABLES[0]):
         require_outputs([out / name for name in (*_TABLES, REPORT)], overwrite=overwrite)
     console.print(f"data: {folder}; scoring the {scored_split} split, start '{table1.START}'")

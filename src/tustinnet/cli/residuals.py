@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files, require_figures
+from tustinnet.cli.free_runs import choose_free_runs
+from tustinnet.cli.models import load_model
+from tustinnet.cli.records import load_records
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
@@ -44,12 +48,12 @@ def residuals(
     from tustinnet.simulate.horizon import horizon_words
     from tustinnet.store.model_file import read_downweighted
 
-    inputs = request.list_input_files(data, card, model, system)
-    request.require_figures("--figure", figure, inputs, overwrite=overwrite)
-    simulator = request.load_model(model, system)
+    inputs = list_input_files(data, card, model, system)
+    require_figures("--figure", figure, inputs, overwrite=overwrite)
+    simulator = load_model(model, system)
     channels = simulator.channels
-    runs = request.choose_free_runs(
-        request.load_records(data, card, follow_links=follow_links),
+    runs = choose_free_runs(
+        load_records(data, card, follow_links=follow_links),
         {model: simulator},
         split,
         start,

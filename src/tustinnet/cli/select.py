@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from tustinnet.cli import request, terminal
+from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
+from tustinnet.cli.fit_options import FitOptions, open_cluster
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
-    from tustinnet.cli.request import FitOptions
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.choice import Choice
     from tustinnet.selection.jobs import Job
@@ -88,7 +88,7 @@ def select(
         reporter = make_reporter(progress, quiet=quiet)
         with (
             terminal.interruptible("--resume continues with what is done"),
-            request.open_cluster(cluster_address, reporter.on_message) as executor,
+            open_cluster(cluster_address, reporter.on_message) as executor,
         ):
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor

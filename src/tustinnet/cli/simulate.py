@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, request, terminal
+from tustinnet.cli import options, terminal
+from tustinnet.cli.files import list_input_files, require_no_new_records
+from tustinnet.cli.free_runs import choose_free_runs, compute_bands, make_band_options
+from tustinnet.cli.models import load_model
+from tustinnet.cli.records import load_records
 
 if TYPE_CHECKING:
     from tustinnet.evaluate.bands import Band
@@ -46,10 +50,10 @@ def simulate(
     from tustinnet.store.header import read_header
     from tustinnet.store.simulation_file import simulation_name, write_simulation
 
-    band_options = request.make_band_options(band, whole=whole_records)
-    simulator = request.load_model(model, system)
-    data_set = request.load_records(data, card, experiment or (), follow_links=follow_links)
-    runs = request.choose_free_runs(
+    band_options = make_band_options(band, whole=whole_records)
+    simulator = load_model(model, system)
+    data_set = load_records(data, card, experiment or (), follow_links=follow_links)
+    runs = choose_free_runs(
         data_set,
         {model: simulator},
         split,
@@ -60,15 +64,15 @@ def simulate(
     )
     records = runs.records
     paths = [out / simulation_name(e) for e in records]
-    inputs = request.list_input_files(data, card, model, system)
+    inputs = list_input_files(data, card, model, system)
     require_outputs(paths, overwrite=overwrite, read=inputs)
-    request.require_no_new_records(paths, data, card)
+    require_no_new_records(paths, data, card)
     with lock_folder(out):
         require_outputs(paths, overwrite=overwrite)  # another command may have been faster
         scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
         bands: list[Band | None] = [None] * len(records)
         if band_options is not None:
-            bands = [*request.compute_bands(model, simulator, records, scores, band_options)]
+            bands = [*compute_bands(model, simulator, records, scores, band_options)]
         runs.print_notes()
         training_range = Range.from_header(read_header(model), simulator)
         simulations: list[dict[str, Any]] = []
