@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tustinnet.old_names import NAMES, refuse_old_names
+from tustinnet.old_names import NAMES, attribute_error
 
 
 class LazyPackage(ModuleType):
@@ -21,8 +21,7 @@ class LazyPackage(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         if name not in self.places:
-            refuse_old_names(self.__name__, [name], NAMES)
-            raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
+            raise attribute_error(f"module '{self.__name__}'", name, NAMES)
         module = import_module(f"{self.__name__}.{self.places[name] or name}")
         vars(self)[name] = value = getattr(module, name) if self.places[name] else module
         return value

@@ -39,6 +39,18 @@ KEYS = {
 }
 
 
+def attribute_error(owner: str, name: str, current: Mapping[str, str]) -> AttributeError:
+    """The error of an attribute that is not there; of an old name it says the one of now.
+
+    Args:
+        owner: what was asked for it.
+        name: the attribute.
+        current: what to write instead, by old names.
+    """
+    instead = f"; it is called '{current[name]}' now" if name in current else ""
+    return AttributeError(f"{owner} has no attribute '{name}'{instead}", name=name)
+
+
 def refuse_old_names(where: str, names: Iterable[str], current: Mapping[str, str]) -> None:
     """Raises where names are old ones.
 

@@ -4,6 +4,7 @@ import difflib
 import hashlib
 import os
 import shlex
+import tempfile
 from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -182,9 +183,9 @@ def _download(entry: PublishedDataSet) -> Path:
             if hashlib.sha256(content).hexdigest() != digest:
                 raise ValueError("its checksum is another one")
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_name(f".{path.name}.{os.getpid()}.part")
-            part.write_bytes(content)
-            part.replace(path)
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as part:
+                part.write(content)
+            Path(part.name).replace(path)
         except (OSError, ValueError, HTTPException) as error:
             is_offline = isinstance(error, URLError) and not isinstance(error, HTTPError)
             reason = "no connection" if is_offline else describe_error(error)

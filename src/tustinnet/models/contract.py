@@ -17,7 +17,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.step_layout import StepInput, StepInputs, StepLayout
-from tustinnet.old_names import METHODS, refuse_old_names
+from tustinnet.old_names import METHODS, attribute_error, refuse_old_names
 from tustinnet.signals.excitation import Excitation
 
 State = Float[Array, " n_x"]
@@ -44,8 +44,7 @@ class Stateful(HasChannels, eqx.Module):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            refuse_old_names(f"a {type(self).__name__}", [name], METHODS)
-            raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
+            raise attribute_error(f"'{type(self).__name__}'", name, METHODS)
 
     @property
     def internal(self) -> tuple[str, ...]:
