@@ -62,7 +62,7 @@ def simulate(
         u,
         dt=DT,
         coordinates=[tn.Coordinate("angle", "angular", COUNT)],
-        inputs=[tn.Input("torque", "N m")],
+        inputs=[tn.Input("torque", "N m", "zero-order", is_delay_declared=True)],
         name=name,
         split=split,
     )

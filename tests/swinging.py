@@ -1,6 +1,6 @@
 """A pendulum on a motor, and records of it made with known values."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -119,8 +119,13 @@ def simulated(
         dt=DT,
         name=name,
         coordinates=system.coordinates,
-        inputs=system.inputs,
+        inputs=declared(system.inputs),
     )
+
+
+def declared(inputs: Iterable[tn.Input]) -> tuple[tn.Input, ...]:
+    """Inputs whose holds and delays are known, so that nothing is searched for."""
+    return tuple(replace(i, hold=i.hold or "zero-order", is_delay_declared=True) for i in inputs)
 
 
 def voltage(samples: int, seed: int) -> np.ndarray:

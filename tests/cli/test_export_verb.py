@@ -364,7 +364,11 @@ def loaded(tmp_path) -> tuple[object, ...]:
     file.write_text(SLIDE)
     values = {name: jnp.asarray(mass) for name, mass in MASSES.items()}
     made = tn.discretise(tn.load_system(file).model(values), 0.1)
-    known = {"states": [[-1.0, 1.0], [-2.0, 2.0]], "inputs": [[-3.0, 3.0]]}
+    known = {
+        "states": [[-1.0, 1.0], [-2.0, 2.0]],
+        "inputs": [[-3.0, 3.0]],
+        "recorded_states": [[0.0, 0.0]],
+    }
     tn.save(made, model, range=known)
     return model, "--system", file, "--to"
 

@@ -122,7 +122,6 @@ def test_files_that_disagree_or_cannot_apply_leave_the_usual_start(model, folder
     for name, changes in {
         "no-velocities": {"start": "file"},
         "too-long": {"start": "derived-9999"},
-        "removed": {"start": "encoder-20"},
         "longer-than-records": {"horizon": 1e3},
         "silent": {"start": None},
     }.items():

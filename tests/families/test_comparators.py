@@ -155,7 +155,7 @@ def test_a_linear_model_finds_a_linear_system():
                 v=x[:, 1],
                 dt=dt,
                 coordinates={"s": "linear"},
-                inputs={"f": "N"},
+                inputs=[tn.Input("f", "N", "zero-order", is_delay_declared=True)],
                 name=f"r{i}",
                 split=split,
             )

@@ -57,7 +57,7 @@ def stretched(factor: float) -> tn.DataSet:
                 name=f"spring{seed}",
                 split=split,
                 coordinates=[tn.Coordinate("x", "linear")],
-                inputs=[tn.Input("force", "N")],
+                inputs=[tn.Input("force", "N", "zero-order", is_delay_declared=True)],
             )
         )
     return tn.DataSet("spring", tuple(made))

@@ -292,5 +292,5 @@ def _first_device(kind: str | None, source: str, remedy: str) -> Any:
             source,
             "JAX sees none",
             "a device that JAX sees",
-            f"{remedy}, or install JAX for your GPU: pip install 'jax[cuda13]<0.11'",
+            f"{remedy}, or install JAX for your GPU: pip install 'jax[cuda13]'",
         ) from None

@@ -191,7 +191,7 @@ class _Range(Entries):
     states: list[tuple[Number | None, Number | None]]
     inputs: list[Interval]
     cloud: _Support | None = None
-    recorded_states: list[list[Number]] = Field(min_length=1)
+    recorded_states: list[list[Number]] | None = Field(default=None, min_length=1)
 
     @model_validator(mode="after")
     def _check_order(self) -> "_Range":

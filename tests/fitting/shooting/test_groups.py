@@ -7,7 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import DT, SWING, changed, data_set
+from swinging import DT, SWING, changed, data_set, declared
 
 import tustinnet as tn
 from tustinnet.data.proposals import Proposal
@@ -48,7 +48,7 @@ def carried(i: int, payload: str | None, mass: float | None = None) -> tn.Experi
         dt=DT,
         name=f"r{i}",
         coordinates=CARRYING.coordinates,
-        inputs=CARRYING.inputs,
+        inputs=declared(CARRYING.inputs),
         groups={"payload": payload} if payload else {},
     )
 

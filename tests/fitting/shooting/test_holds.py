@@ -162,5 +162,6 @@ def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
 
 def test_other_kinds_of_models_refuse_what_nobody_knows():
     unknown = without_hold(logged("first-order", 0))
+    task = make_task(tn.DataSet("d", (unknown,)), "standard")
     with pytest.raises(tn.InputError, match=r"record0, input 'force': hold 'unknown'"):
-        tn.fit(tn.DataSet("d", (unknown,)), "standard")
+        fit_task(task)
