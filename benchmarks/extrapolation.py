@@ -28,10 +28,10 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
 from tustinnet.selection.cross_validation import make_cross_validation_options
-from tustinnet.selection.folds import records_without_test
 from tustinnet.selection.learning import Draw, DrawFitter, DrawResult
 
 RECIPES = Path(__file__).parent / "recipes"

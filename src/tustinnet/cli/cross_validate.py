@@ -63,6 +63,7 @@ def cross_validate(
     """
     require_cores(cluster, device)
     terminal.prepare_jax(device)
+    from tustinnet.fitting.roles import records_without_test
     from tustinnet.report.fits import folds_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.cross_validation import (
@@ -70,7 +71,6 @@ def cross_validate(
         make_cross_validation_options,
         remove_results,
     )
-    from tustinnet.selection.folds import records_without_test
     from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 

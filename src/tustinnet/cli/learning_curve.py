@@ -70,9 +70,9 @@ def learning_curve(
     Models are fitted to more and more records and scored on records that were left out.
     """
     terminal.prepare_jax(device)
+    from tustinnet.fitting.roles import records_without_test
     from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.folds import records_without_test
     from tustinnet.selection.learning import (
         draw_records,
         learning_curve,

@@ -183,9 +183,11 @@ def _download(entry: PublishedDataSet) -> Path:
             if hashlib.sha256(content).hexdigest() != digest:
                 raise ValueError("its checksum is another one")
             path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as part:
-                part.write(content)
-            Path(part.name).replace(path)
+            # whole or not at all, and nothing is left where it cannot be written
+            with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+                part = Path(folder, path.name)
+                part.write_bytes(content)
+                part.replace(path)
         except (OSError, ValueError, HTTPException) as error:
             is_offline = isinstance(error, URLError) and not isinstance(error, HTTPError)
             reason = "no connection" if is_offline else describe_error(error)

@@ -99,6 +99,16 @@ def read_source(path: Path, expected: str) -> str:
         return content.decode("utf-8-sig")
 
 
+def quote(text: str) -> str:
+    """A text as TOML and JSON have it; TOML has no character 127."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def bare_key(key: str) -> str:
+    """A key of a table, in quotation marks where TOML wants them."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else quote(key)
+
+
 def parse_toml(text: str) -> dict[str, Any]:
     """The content of a text of TOML.
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.declaration import quote
 from tustinnet.data.experiment import Experiment
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
@@ -104,7 +105,7 @@ def card_entry(e: Experiment, first: int, stop: int, groups: dict[str, str] | No
     is_whole = first == 0 and stop == len(e)
     if not e.source or (e.recording is not None and e.first_row):
         return ""
-    parts = [f"file = {_quote(e.source)}"]
+    parts = [f"file = {quote(e.source)}"]
     cell = re.search(r"\[(\d+)\]$", e.name)
     if cell and e.source.lower().endswith(".mat"):
         parts.append(f"cell = {cell[1]}")
@@ -117,15 +118,9 @@ def card_entry(e: Experiment, first: int, stop: int, groups: dict[str, str] | No
         parts.append("seconds = [{:.7g}, {:.7g}]".format(*edges))
     together = {**dict(e.groups), **(groups or {})}
     if together:
-        pairs = ", ".join(f"{_quote(key)} = {_quote(value)}" for key, value in together.items())
+        pairs = ", ".join(f"{quote(key)} = {quote(value)}" for key, value in together.items())
         parts.append(f"groups = {{ {pairs} }}")
     return f"{{ {', '.join(parts)} }}"
-
-
-def _quote(text: str) -> str:
-    """A text as TOML has it, without quotation marks where a key needs none."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
 
 
 def _remaining(e: Experiment, stretches: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
@@ -43,7 +43,7 @@ def leave_out_unexplained(
     by = "a mechanism" if system is None else "the system"
     on_message(f"parts of records that spoil fits: searched for by {by}")
     recipe = read_recipe("mechanism" if system is None else "best-grey", ("search.refine=none",))
-    roles = Roles(tuple(e for e in data if e.split != "test"), ())
+    roles = Roles(tuple(records_without_test(data)), ())
     task = Task(recipe, (Fold(roles),), (Member(),), resolve_system(recipe, system))
     try:
         fit = identify_task(task, Member(), SILENT, should_stop)

@@ -20,7 +20,7 @@ from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import Estimate, Identification
-from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.fitting.shooting.holds import describe_hold_errors
 from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
@@ -296,7 +296,7 @@ def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]
 
 def _choose_records(data: DataSet) -> list[Experiment]:
     """Some records spread over all, cut so that they do not take long."""
-    records = [e for e in data if e.split != "test"]
+    records = records_without_test(data)
     chosen = [records[i] for i in np.unique(np.linspace(0, len(records) - 1, _RECORDS).astype(int))]
     most = _SAMPLES // len(chosen)
     return [e[:most] for e in chosen]

@@ -47,6 +47,11 @@ class Roles:
         return replace(self, validation=kept) if kept else self
 
 
+def records_without_test(data: DataSet) -> list[Experiment]:
+    """The records that may take part in a fit: all but those of the split `test`."""
+    return [e for e in data if e.split != "test"]
+
+
 def describe_left_out(records: Iterable[Experiment], fewest: int) -> list[str]:
     """Sentences on validation records that are left out for having fewer samples."""
     return [

@@ -5,9 +5,9 @@ import math
 from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.fits.timing import LAG
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.shooting.inverse_dynamics import are_all_driven, find_obstacle
 from tustinnet.fitting.task import resolve_system
-from tustinnet.selection.folds import records_without_test
 from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.systems.files import SystemTemplate

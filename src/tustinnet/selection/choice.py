@@ -13,9 +13,10 @@ from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
 from tustinnet.selection.final_models import FinalModel, SelectionResults
-from tustinnet.selection.folds import kind_of, records_without_test
+from tustinnet.selection.folds import kind_of
 from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
 from tustinnet.selection.ranking import (
     CLEAR,

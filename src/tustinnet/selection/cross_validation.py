@@ -15,10 +15,11 @@ from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import is_published, read_recipe
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import AnyRecipe, require_feedback, resolve_system
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.selection.folds import FOLDS, records_without_test, split_into_folds
+from tustinnet.selection.folds import FOLDS, split_into_folds
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
 from tustinnet.selection.scoring import RecipeScorer

@@ -9,7 +9,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.roles import Roles, records_without_test
 
 FOLDS = 5
 _FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
@@ -35,11 +35,6 @@ class FoldSplit:
         Those that would choose train, too, where the recipe leaves them nothing to choose.
         """
         return self.roles if recipe.needs_validation else Roles(self.roles.all, ())
-
-
-def records_without_test(data: DataSet) -> list[Experiment]:
-    """The records that folds are made of: all but those of the split `test`."""
-    return [e for e in data if e.split != "test"]
 
 
 def kind_of(name: str) -> str:

@@ -22,7 +22,7 @@ from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import is_published, read_recipe
-from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.fitting.task import AnyRecipe
 from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.integrate import Discretised, discretise
@@ -31,7 +31,7 @@ from tustinnet.selection.cross_validation import (
     CrossValidationOptions,
     make_cross_validation_options,
 )
-from tustinnet.selection.folds import FOLDS, FoldSplit, records_without_test, split_into_folds
+from tustinnet.selection.folds import FOLDS, FoldSplit, split_into_folds
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.runner import InProcess, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
@@ -428,6 +428,7 @@ def learning_curve(
             with so few records is a point without a model, and its outcome says why.
     """
     require_float64("learning_curve")
+    draw_records(data, options)  # raises before time is spent on the preparation
     preparation = PreparationOptions(
         system=None if options.hybrid is None else options.hybrid.system,
         searches_timing=not is_published(options.network),

@@ -7,8 +7,9 @@ from typing import Any, Literal
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
-from tustinnet.selection.folds import FoldSplit, names_of, records_without_test
+from tustinnet.selection.folds import FoldSplit, names_of
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import default_and_fitted_starts, default_start
 

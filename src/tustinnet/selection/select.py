@@ -14,6 +14,7 @@ from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.shooting.inverse_dynamics import choose_cutoff
 from tustinnet.models.contract import require_float64
 from tustinnet.selection.applicability import adds_lag, applicable_candidates
@@ -21,7 +22,7 @@ from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
-from tustinnet.selection.folds import prepare_for_folds, records_without_test
+from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import NO_STAGE, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan

@@ -9,7 +9,7 @@ import numpy as np
 from tustinnet.channels import PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.drafting.card_text import bare_key, quote
+from tustinnet.data.declaration import bare_key, quote
 from tustinnet.store.files import require_outputs, require_writable_folder, write_into
 
 

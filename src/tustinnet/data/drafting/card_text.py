@@ -1,10 +1,9 @@
 """The text of a drafted card, with comments that say why."""
 
-import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 
 from tustinnet.data.columns import NUMBERED
+from tustinnet.data.declaration import bare_key, quote
 from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoice
 from tustinnet.data.drafting.logs import Clock, JoinedFile
 from tustinnet.data.drafting.splits import DraftRecord, Splits
@@ -101,16 +100,6 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
 def _key_of(has_header: bool | None) -> Callable[[str], str]:
     """How a card names a column: by its number where no file has names, which is `has_header`."""
     return quote if has_header is None else lambda column: column.removeprefix(NUMBERED)
-
-
-def quote(text: str) -> str:
-    """A text as TOML and JSON have it; TOML has no character 127."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def bare_key(key: str) -> str:
-    """A key of a table, in quotation marks where TOML wants them."""
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else quote(key)
 
 
 def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:
