@@ -13,6 +13,9 @@ from pathlib import Path
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parents[1] / ".pytest_cache/compiled")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+# as the command has it, of workers and of processes that tests start: where more threads than cores
+# multiply small matrices, they wait for one another ten times as long as they work
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # what tests trust is no business of whoever runs them
 os.environ["TUSTINNET_CONFIG"] = str(Path(__file__).parents[1] / ".pytest_cache/config")
 # compiling is most of the time, running what was compiled is not: with these a quarter of the time

@@ -1,18 +1,16 @@
-"""Holds and delays of inputs, found once for all candidates of a selection."""
+"""Holds and delays of inputs, found before anything is fitted."""
 
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import DT, LAGGING, SWING, TRUTH, swing_model, voltage
+from swinging import DT, LAGGING, SWING, TRUTH, swing_model
 
 import tustinnet as tn
 from tustinnet.channels import Hold, Input
-from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.timing import determine_timing
-from tustinnet.fitting.shooting import identify
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.input_signal import input_signal
 
@@ -23,7 +21,8 @@ def records(
     declared: Hold | None = None,
     known: float | None = 0.0,
     lag: float | None = None,
-):
+    samples: int = 300,
+) -> tn.DataSet:
     """Records of the pendulum whose input acts in one way and is declared in another."""
     acting = Input("voltage", "V", hold, delay=delay)
     swing = swing_model()
@@ -33,7 +32,8 @@ def records(
     model = discretise(swing, DT, 4, inputs=(acting,))
     made = []
     for seed in range(4):
-        u = voltage(200, seed)
+        random = np.random.default_rng(seed)
+        u = np.repeat(random.uniform(-4, 4, samples // 5), 5) + random.normal(0, 0.5, samples)
         blank = tn.from_arrays(
             np.zeros(len(u)),
             u,
@@ -50,34 +50,26 @@ def records(
     return tn.DataSet("late", tuple(made))
 
 
-@pytest.mark.parametrize("system", [None, SWING])
-def test_a_delay_that_nobody_declared_is_found_with_its_error(system, monkeypatch):
-    # signs are of no use there, and take most of the time where a robot has many parameters
-    monkeypatch.setattr(identify, "find_reversed_signs", None)
-    monkeypatch.setattr(identify, "_POORLY_EXPLAINED", -1.0)
-    timing = determine_timing(records("zero-order", DT), system)
+def test_a_delay_that_nobody_declared_is_found_with_its_error():
+    timing = determine_timing(records("zero-order", DT))
     (found,) = timing.data.channels.inputs
     assert found.hold == "zero-order"
     assert found.delay == pytest.approx(DT, abs=0.1 * DT)
-    assert (
-        "hold of 'voltage': zero-order; simulation errors [rad]: zero-order" in timing.sentences[0]
-    )
     assert timing.lags == ()
-    assert timing.sentences[1].startswith("delay of 'voltage': 0.0")
-    assert ", with a lag instead 0." in timing.sentences[1]
-    assert "periods); the simulation error is 0." in timing.sentences[1]
+    (sentence,) = timing.sentences
+    assert sentence.startswith("input 'voltage' acts with a delay of 0.0")
+    assert " s (1 periods); hold zero-order" in sentence
+    assert all(e.inputs == timing.data[0].inputs for e in timing.data)
 
 
-@pytest.mark.parametrize("system", [None, SWING])
-def test_an_actuator_that_lags_is_no_delay(system):
-    timing = determine_timing(records("zero-order", 0.0, "zero-order", lag=0.06), system)
+def test_an_actuator_that_lags_is_no_delay():
+    timing = determine_timing(records("zero-order", 0.0, "zero-order", lag=0.06))
     assert timing.lags == ("voltage",)
     (found,) = timing.data.channels.inputs
     assert found.delay == 0.0
     (sentence,) = timing.sentences
-    assert sentence.startswith("lag of 'voltage': first order with a time constant of 0.0")
-    assert "and no delay; the simulation error is 0." in sentence
-    assert "periods) instead 0." in sentence
+    assert sentence.startswith("input 'voltage' acts through a first-order lag of 0.06")
+    assert sentence.endswith("without delay; the force `lag` adds it to equations of motion")
 
 
 def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():
@@ -85,45 +77,52 @@ def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():
     inputs = (replace(data.channels.inputs[0], is_delay_declared=True),)
     channels = replace(data.channels, inputs=inputs)
     data = tn.DataSet("late", tuple(replace(e, channels=channels) for e in data))
-    messages: list[str] = []
-    assert determine_timing(data, SWING, on_message=messages.append).data is data
-    assert messages == []
+    timing = determine_timing(data)
+    assert timing.data is data
+    assert timing.sentences == ()
 
 
-@pytest.mark.parametrize(
-    ("recipe", "known"), [("paper-standard", 0.0), ("grey", None), ("grey", 0.0)]
-)
-def test_only_recipes_that_search_themselves_or_are_published_have_no_search(recipe, known):
-    data, messages = records("zero-order", DT, "zero-order", known), list[str]()
-    system = SWING if recipe == "grey" else None
-    fit = prepare(FitRequest(data, recipe, system=system), on_message=messages.append)
-    searches = (recipe, known) == ("grey", 0.0)
-    assert bool(messages) == searches
-    assert (fit.records.data is data) != searches
-
-
-def test_a_hold_that_the_card_calls_unknown_is_found():
-    timing = determine_timing(records("first-order", 0.0, "unknown"), SWING)
+def test_a_declared_delay_tells_the_hold_and_what_is_declared_stays():
+    timing = determine_timing(records("first-order", DT, "unknown", DT))
     (found,) = timing.data.channels.inputs
-    assert found.hold in ("first-order", "band-limited")  # alike at these samples
-    assert not found.delay
-    assert all(e.inputs == timing.data[0].inputs for e in timing.data)
-
-
-def test_what_is_declared_stays_and_the_card_decides_over_the_system():
+    assert (found.hold, found.delay) == ("first-order", DT)
+    (sentence,) = timing.sentences
+    assert "acts with the declared delay of 0.02 s; hold first-order" in sentence
     data = records("zero-order", 0.5 * DT, "first-order", 0.5 * DT)
     timing = determine_timing(data, SWING)
     assert timing.data.channels.inputs == data.channels.inputs
     assert timing.sentences == ()
 
 
-def test_where_time_is_up_the_usual_timing_is_taken_and_said_where_it_was_asked_for():
-    passed = Deadline.after(-1.0).has_passed
-    quiet = determine_timing(records("zero-order", DT), SWING, passed)
+@pytest.mark.parametrize(
+    ("recipe", "known", "expected"),
+    [("paper-standard", 0.0, 0.0), ("grey", None, None), ("grey", 0.0, DT), ("standard", None, DT)],
+)
+def test_published_recipes_keep_records_and_identifications_unknown_delays(recipe, known, expected):
+    data, messages = records("zero-order", DT, "zero-order", known), list[str]()
+    system = SWING if recipe == "grey" else None
+    fit = prepare(FitRequest(data, recipe, system=system), on_message=messages.append)
+    (found,) = fit.records.data.channels.inputs
+    assert found.delay == (expected and pytest.approx(expected, abs=0.1 * DT))
+    assert bool(messages) == bool(expected)
+
+
+def test_the_card_decides_over_the_system_which_decides_over_the_records():
+    declared = replace(SWING, inputs=(Input("voltage", "V", "zero-order"),))
+    timing = determine_timing(records("zero-order", 0.0), declared)
+    assert timing.data.channels.inputs[0].hold == "zero-order"
+    assert timing.sentences == ("input 'voltage' acts without delay",)
+    timing = determine_timing(records("first-order", 0.0, "first-order"), declared)
+    assert timing.data.channels.inputs[0].hold == "first-order"
+    assert timing.sentences[0].startswith("hold of 'voltage': first-order as in the data card")
+
+
+def test_where_records_say_nothing_the_usual_timing_is_taken_and_said_where_it_was_asked_for():
+    quiet = determine_timing(records("zero-order", DT, samples=40))
     assert quiet.sentences == ()
-    assert quiet.data.channels.inputs[0].delay == 0.0
-    asked = determine_timing(records("zero-order", DT, "unknown", None), SWING, passed)
-    assert asked.data.channels.inputs[0].hold == "zero-order"
+    assert quiet.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
+    asked = determine_timing(records("zero-order", DT, "unknown", None, samples=40))
+    assert asked.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
     (sentence,) = asked.sentences
     assert "zero-order and no delay taken where they are not known" in sentence
 
@@ -132,6 +131,13 @@ def test_records_without_inputs_have_no_timing():
     e = records("zero-order", 0.0)[0]
     free = tn.from_arrays(e.q, np.zeros((len(e), 0)), dt=DT, coordinates=e.coordinates, inputs=())
     data = tn.DataSet("free", (free,))
-    messages: list[str] = []
-    assert determine_timing(data, on_message=messages.append).data is data
-    assert messages == []
+    assert determine_timing(data).data is data
+
+
+def test_what_was_found_stands_among_the_findings_of_an_identification():
+    data = records("zero-order", DT)
+    result = tn.identify(data, SWING)
+    assert result.findings[0].startswith("input 'voltage' acts with a delay of 0.0")
+    assert result.model.inputs[0].delay == pytest.approx(DT, abs=0.1 * DT)
+    values = {e.name: e.value for e in result.estimates}
+    assert values["gravity"] == pytest.approx(TRUTH["gravity"], rel=0.01)

@@ -10,7 +10,6 @@ import tustinnet as tn
 from tustinnet.evaluate.ahead import joint_rmse, rmse_ahead_by_unit
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate
-from tustinnet.fitting.shooting.holds import describe_hold_errors
 from tustinnet.report.comparison import comparison_table
 from tustinnet.report.figures import free_run_figure
 from tustinnet.report.fits import base_parameter_table, parameter_table
@@ -134,10 +133,6 @@ def test_errors_of_different_units_are_not_added_up():
     angle = tn.from_arrays(np.zeros(50), dt=0.01, coordinates={"x": "angular"}, name="c")
     alone = Score("c", "file", 0.2, 0.2, (0.25,), (0.1,), (90.0,), np.zeros((50, 2)))
     assert alone.rmse_by_unit(angle.channels) == {"rad": 0.2}
-    errors = {"zero-order": 0.2, "first-order": 0.1}
-    text = describe_hold_errors(errors, channels)
-    assert text == "by that of zero-order: first-order 0.5, zero-order 1"
-    assert describe_hold_errors(errors, angle.channels).startswith("first-order 0.1 rad, ")
 
 
 def test_a_free_run_over_a_horizon_is_drawn_with_its_errors_beside_it():
@@ -161,6 +156,6 @@ def test_a_free_run_over_a_horizon_is_drawn_with_its_errors_beside_it():
 
 
 def test_the_time_of_a_command_names_its_parts():
-    parts = "the fit 9 s, holds and delays of inputs 60 s, scores, figures and the rest 21 s"
+    parts = "the fit 9 s, preparation of the records 60 s, scores, figures and the rest 21 s"
     assert time_sentence(90.0, 9.0, 60.0) == f"time: 90 s ({parts})"
     assert time_sentence(9.0, 8.5, 0.0) == "time: 9 s (the fit 8 s)"

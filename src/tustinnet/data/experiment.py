@@ -399,7 +399,7 @@ class Experiment(HasChannels):
                     f"{self.name}, input '{i.name}'",
                     f"hold 'unknown', and {purpose} needs one",
                     "zero-order, first-order or band-limited",
-                    "declare it in the data card" + ("; `fit` tries all of them" if delays else ""),
+                    "declare it in the data card" + ("; `fit` finds it" if delays else ""),
                 )
             if i.delay is None and delays:
                 raise InputError(

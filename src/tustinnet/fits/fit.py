@@ -138,5 +138,6 @@ def _fit(
     request: FitRequest, listener: Listener, should_stop: ShouldStopSearch = never_stop_search
 ) -> list[FitResult]:
     """Prepares the records of a request and fits its members."""
-    task = prepare(request, should_stop, listener.on_message).task
-    return fit_task(task, lambda _: listener, should_stop_search=should_stop)
+    prepared = prepare(request, should_stop, listener.on_message)
+    results = fit_task(prepared.task, lambda _: listener, should_stop_search=should_stop)
+    return prepared.with_findings(results)

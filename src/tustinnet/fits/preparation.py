@@ -16,10 +16,10 @@ class PreparedRecords:
     """Records as fits use them, and what was done to them.
 
     Attributes:
-        data: the records; their inputs have holds and delays, unless these are not searched for.
+        data: the records; their inputs have holds and delays, unless these are not to be found.
         timing: sentences on holds and delays, with the evidence.
         left_out: sentences on the parts of records that were left out.
-        lags: names of the inputs whose actuators lag, where a delay is no explanation.
+        lags: names of the inputs whose actuators lag, or may lag.
     """
 
     data: DataSet
@@ -38,9 +38,10 @@ class PreparationOptions:
     """What is done to records before a fit.
 
     Attributes:
-        system: the system that is given; where none is, or one that is made for the records, steps
-            identify a mechanism.
-        searches_timing: whether holds and delays are searched for that no data card declares.
+        system: the system that is given; where none is, or one that is made for the records, a
+            mechanism tells what is not explained.
+        finds_timing: whether holds and delays are found that no data card declares.
+        keeps_unknown_delays: whether delays that the card calls unknown stay so.
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
         budget: how long all that follows may take [s], None for no limit; a step takes its share.
         should_stop: asked often: whether steps end early, with what is known by then.
@@ -49,7 +50,8 @@ class PreparationOptions:
     """
 
     system: AnySystem | None = None
-    searches_timing: bool = True
+    finds_timing: bool = True
+    keeps_unknown_delays: bool = False
     leaves_out_spoiled: bool = False
     budget: float | None = None
     should_stop: ShouldStopSearch = never_stop_search
@@ -112,7 +114,9 @@ def _leave_out_visible(
 def _determine_timing(
     records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
 ) -> PreparedRecords:
-    timing = determine_timing(records.data, options.system, should_stop, options.on_message)
+    timing = determine_timing(
+        records.data, options.system, keeps_unknown_delays=options.keeps_unknown_delays
+    )
     return replace(records, data=timing.data, timing=timing.sentences, lags=timing.lags)
 
 
@@ -131,6 +135,6 @@ def _leave_out_unexplained(
 # what it does not explain only where it knows when inputs act
 STEPS = (
     PreparationStep("parts left out", 0.0, lambda o: o.leaves_out_spoiled, _leave_out_visible),
-    PreparationStep("holds and delays", 0.1, lambda o: o.searches_timing, _determine_timing),
+    PreparationStep("holds and delays", 0.0, lambda o: o.finds_timing, _determine_timing),
     PreparationStep("parts left out", 0.2, lambda o: o.leaves_out_spoiled, _leave_out_unexplained),
 )

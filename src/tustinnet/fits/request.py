@@ -7,6 +7,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import is_published
+from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import assign_roles
 from tustinnet.fitting.shooting.inverse_dynamics import require_possible
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
@@ -52,6 +53,18 @@ class PreparedFit:
     task: Task
     records: PreparedRecords
 
+    def with_findings(self, results: Sequence[FitResult]) -> list[FitResult]:
+        """Results whose identifications also say what was found out about the inputs."""
+        timing = self.records.timing
+        told = []
+        for result in results:
+            own = result.identification
+            if own is not None:
+                own = replace(own, findings=(*timing, *own.findings))
+                result = replace(result, findings=own.findings, identification=own)
+            told.append(result)
+        return told
+
 
 def prepare(
     request: FitRequest,
@@ -80,21 +93,22 @@ def prepare(
         origin=request.origin,
     )
     recipe, (fold,) = task.recipe, task.folds
+    model = fold.physics or (fold.origin and fold.origin.model)
     is_by_forces = isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
     if is_by_forces and isinstance(task.system, LagrangianSystem):
         require_possible(task.system, request.data.experiments)  # before time is spent
-    has_model = fold.physics is not None or fold.origin is not None
-    searches_itself = isinstance(recipe, IdentificationRecipe) and any(
-        i.hold == "unknown" or i.delay is None for i in request.data.channels.inputs
-    )
     options = PreparationOptions(
         system=task.system,
-        searches_timing=not (has_model or searches_itself or is_published(recipe)),
+        finds_timing=model is None and not (is_by_forces or is_published(recipe)),
+        keeps_unknown_delays=isinstance(recipe, IdentificationRecipe),
         leaves_out_spoiled=request.leaves_out_spoiled,
         should_stop=should_stop,
         on_message=on_message,
     )
-    records = prepare_records(request.data, options)
+    data = request.data
+    if model is not None and any(i.hold == "unknown" for i in data.channels.inputs):
+        data = replace(data, experiments=tuple(e.with_timing(model.inputs) for e in data))
+    records = prepare_records(data, options)
     if records.data is not request.data:
         task = replace(task, folds=(replace(fold, roles=assign_roles(records.data)),))
     return PreparedFit(task, records)

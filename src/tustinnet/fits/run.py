@@ -241,7 +241,8 @@ def run_fit(
                 write_specification(folder, specification)
             return make_listener(prepared)
 
-        fits = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        results = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        fits = fit.with_findings(results)
         (fold,) = task.folds
         roles = fold.roles.with_long_validation(fits[0].fewest_samples)
         members = []

@@ -200,8 +200,6 @@ class Identification:
         iterations: of the last stage.
         seconds: time it took.
         downweighted: stretches that weigh less than half, where the search was robust.
-        hold_errors: root mean square position error over all training samples [rad or m] by hold,
-            where the hold of an input is unknown.
         refit: the values of the model and what they are worth, where the recipe has a second fit
             to free runs; `estimates`, their errors and `rmse` are of the search before it.
         force_errors: errors of the forces of each coordinate, where it was identified by inverse
@@ -232,7 +230,6 @@ class Identification:
     iterations: int
     seconds: float = 0.0
     downweighted: tuple[Stretch, ...] = ()
-    hold_errors: Mapping[str, float] = field(default_factory=dict)
     refit: Refit | None = None
     force_errors: tuple[ForceError, ...] = ()
     base_parameters: tuple[BaseParameterEstimate, ...] = ()

@@ -228,7 +228,7 @@ def cross_validate(
     require_feedback(options.physics or recipe, data)
     # for all folds at once, those inputs included whose timing the data card calls `unknown`
     preparation = PreparationOptions(
-        system=options.system, searches_timing=not is_published(recipe), on_message=on_message
+        system=options.system, finds_timing=not is_published(recipe), on_message=on_message
     )
     data = prepare_records(data, preparation).data
     records = records_without_test(data)

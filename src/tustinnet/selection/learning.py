@@ -431,7 +431,7 @@ def learning_curve(
     draw_records(data, options)  # raises before time is spent on the preparation
     preparation = PreparationOptions(
         system=None if options.hybrid is None else options.hybrid.system,
-        searches_timing=not is_published(options.network),
+        finds_timing=not is_published(options.network),
         on_message=on_message,
     )
     data = prepare_records(data, preparation).data

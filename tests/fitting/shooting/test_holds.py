@@ -1,4 +1,4 @@
-"""Holds that nobody declares, found by trying."""
+"""Models whose inputs have holds that nobody declared."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.channels import Hold
+from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Origin, make_task
@@ -61,10 +62,7 @@ def test_the_right_hold_is_found_and_told(hold):
     data = tn.DataSet("d", tuple(without_hold(logged(hold, seed)) for seed in range(2)))
     result = tn.identify(data, SYSTEM)
     assert result.model.inputs[0].hold == hold
-    finding = next(f for f in result.findings if f.startswith("hold of 'force'"))
-    assert finding.startswith(f"hold of 'force': {hold}, by the simulation error")
-    assert all(f"{name} " in finding for name in ("zero-order", "first-order", "band-limited"))
-    assert f'declare hold = "{hold}"' in finding
+    assert result.findings[0].startswith(f"input 'force' acts without delay; hold {hold}")
     for name, value in TRUTH.items():
         assert result.values[name] == pytest.approx(value, rel=0.01)
 
@@ -125,8 +123,11 @@ def test_what_begins_with_such_a_model_keeps_its_hold(tmp_path):
     assert hybrid.inputs[0].hold == hybrid.correction.inputs[0].hold == "band-limited"
     assert tn.mean_rmse(tn.evaluate(hybrid, unknown, "model-20")) < 2e-3
     again = [
-        fit_task(make_task(data, "grey", system=DECLARED, origin=Origin(grey))),
-        fit_task(make_task(data, recipe, origin=Origin(hybrid))),
+        fit_task(prepare(request).task)
+        for request in (
+            FitRequest(data, "grey", system=DECLARED, origin=Origin(grey)),
+            FitRequest(data, recipe, origin=Origin(hybrid)),
+        )
     ]
     together = tn.committee([grey, *(of.model for (of,) in again)])
     for i, model in enumerate([hybrid, *(of.model for (of,) in again), together]):
@@ -148,7 +149,7 @@ def test_holds_that_inputs_say_are_taken_before_those_of_the_model():
         assert discretise(model, DT).inputs == model.inputs
 
 
-def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
+def test_terms_nobody_needs_are_left_out():
     data = tn.DataSet("d", tuple(without_hold(logged("zero-order", seed)) for seed in range(2)))
     result = tn.identify(data, "mechanism", "mechanism")
     assert result.model.inputs[0].hold == "zero-order"
@@ -160,8 +161,9 @@ def test_terms_nobody_needs_are_left_out_before_holds_are_tried():
     assert "x.quadratic" not in values
 
 
-def test_other_kinds_of_models_refuse_what_nobody_knows():
+@pytest.mark.parametrize(("recipe", "system"), [("standard", None), ("grey", SYSTEM)])
+def test_records_that_were_not_prepared_are_refused(recipe, system):
     unknown = without_hold(logged("first-order", 0))
-    task = make_task(tn.DataSet("d", (unknown,)), "standard")
+    task = make_task(tn.DataSet("d", (unknown,)), recipe, system=system)
     with pytest.raises(tn.InputError, match=r"record0, input 'force': hold 'unknown'"):
         fit_task(task)

@@ -6,8 +6,6 @@ from itertools import pairwise
 
 import pytest
 from swinging import FAR, SWING, data_set, read_by_encoder, records
-from test_holds import SYSTEM as OSCILLATOR
-from test_holds import logged, without_hold
 from test_refit import SYSTEM, creeping, recipe
 
 import tustinnet as tn
@@ -128,22 +126,6 @@ def test_every_simulation_is_reported_with_its_stage():
             assert after.cost <= before.cost
     assert result.identification is not None
     assert counted[-1].iteration == result.identification.iterations
-
-
-def test_holds_that_were_not_tried_are_named():
-    experiments = tuple(without_hold(logged("zero-order", seed)) for seed in range(2))
-    task = make_task(tn.DataSet("d", experiments), "grey", system=OSCILLATOR)
-    whole = Search(task)
-    whole.run()
-    count = whole.progress[-1].stages
-    result = Search(task, in_stage(count, 0)).run()
-    assert f"after stage {count - 1} of {count} " in result.outcome
-    [remark] = [f for f in result.findings if f.startswith("hold of 'force'")]
-    assert "zero-order, by the simulation error" in remark
-    assert remark.endswith("the time limit left out band-limited")
-    result = Search(task, in_stage(2, 0)).run()
-    [remark] = [f for f in result.findings if f.startswith("hold of 'force'")]
-    assert remark == "hold of 'force': not searched for before the time limit; first-order taken"
 
 
 def test_a_refit_that_is_stopped_leaves_the_identified_values():

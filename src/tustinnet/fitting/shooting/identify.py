@@ -32,7 +32,6 @@ from tustinnet.fitting.shooting.equation_error import (
     find_reversed_signs,
 )
 from tustinnet.fitting.shooting.groups import expand_values
-from tustinnet.fitting.shooting.holds import search_over_holds, with_assumed_hold
 from tustinnet.fitting.shooting.inverse_dynamics import identify_by_inverse_dynamics
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
@@ -41,6 +40,7 @@ from tustinnet.fitting.shooting.refit import refit_to_free_runs
 from tustinnet.fitting.shooting.results import make_identification
 from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
+from tustinnet.fitting.shooting.stages import search
 from tustinnet.fitting.task import Member, Task
 from tustinnet.models.contract import require_float64
 from tustinnet.models.feedback import with_controller
@@ -94,8 +94,10 @@ def identify_task(
             raise _unfinished_search(problem)
         identification = with_column_mistakes(identification, problem, initial_state)
         return _make_fit_result(task, member, identification, start_time)
-    kept, state = drop_unneeded_terms(with_assumed_hold(problem), initial_state)
-    problem, state = search_over_holds(replace(problem, system=kept.system), state)
+    kept, state = drop_unneeded_terms(problem, initial_state)
+    problem = replace(problem, system=kept.system)
+    if not state.is_stopped:
+        state = search(problem, state)
     if state.result is None:
         raise _unfinished_search(problem)
     reversed_signs = ()
@@ -220,7 +222,7 @@ def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> Searc
     Raises:
         InputError: a value outside its range, or with which the records cannot be simulated.
     """
-    require_refit_possible(with_assumed_hold(problem))
+    require_refit_possible(problem)
     system, parameters = problem.system, problem.parameters
     nominal = {p.name: p.nominal for p in parameters}
     initial_values = expand_values(system, parameters, recipe.model.begin)

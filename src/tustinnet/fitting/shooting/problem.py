@@ -215,8 +215,6 @@ class SearchState:
         longest_stable: steps of the longest segments whose simulations stay finite, where those of
             longer ones diverge; None where whole records can be simulated.
         remarks: findings of the search so far, as sentences.
-        hold_errors: root mean square position error over all training samples [rad or m], by hold
-            of the inputs whose hold is unknown.
         robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
             each weighs the same.
         has_fitted_values: whether the values were fitted to forces, or to short segments, of the
@@ -237,7 +235,6 @@ class SearchState:
     horizons: Mapping[str, int] = field(default_factory=dict)
     longest_stable: int | None = None
     remarks: tuple[str, ...] = ()
-    hold_errors: Mapping[str, float] = field(default_factory=dict)
     robust_weights: np.ndarray | None = None
     has_fitted_values: bool = False
 

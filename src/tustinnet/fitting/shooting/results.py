@@ -129,7 +129,6 @@ def make_identification(
         substeps=model.substeps,
         iterations=result.iterations,
         downweighted=downweighted,
-        hold_errors=state.hold_errors,
         refit=refit_result.refit,
     )
 

@@ -61,13 +61,12 @@ class SearchStage:
     quarter_swings: int | None = None
 
 
-def search(problem: Problem, state: SearchState, later_stages: int = 0) -> SearchState:
+def search(problem: Problem, state: SearchState) -> SearchState:
     """Runs all stages of a search.
 
     Args:
         problem: the problem.
         state: the initial values.
-        later_stages: how many stages follow it, for the count of all.
 
     Returns:
         The state after the final stage, or after the last one before the search was stopped.
@@ -94,7 +93,8 @@ def search(problem: Problem, state: SearchState, later_stages: int = 0) -> Searc
     stages.append(SearchStage(problem.early_initial_treatment, StoppingRule(1e-2, 30)))
     treatment = problem.search.initial
     compares = treatment == "choose" and bool(problem.validation)
-    state = replace(state, stages=len(stages) + compares + 1 + later_stages)
+    has_refit = problem.refit_start is not None
+    state = replace(state, stages=len(stages) + compares + 1 + has_refit)
     state, stable = _run_early_stages(problem, state, stages)
     if state.is_stopped:
         return state
