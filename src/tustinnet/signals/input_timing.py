@@ -689,7 +689,9 @@ def _simplest_kinds(
     tried: _Hypotheses, hold: DeclaredHold, top: _Hypothesis, rows: Array, power: float
 ) -> list[Kind]:
     """The kinds of hypotheses that are not clearly worse than the best, the simplest first."""
-    of_hold = {kind: tried[hold, kind] for kind in _KINDS if (hold, kind) in tried}
+    of_hold: dict[Kind, _Hypothesis] = {
+        kind: tried[hold, kind] for kind in _KINDS if (hold, kind) in tried
+    }
     good: list[Kind] = [k for k, h in of_hold.items() if not _is_better(top.losses, h.losses, rows)]
     if good != ["delay and lag"]:
         return good
