@@ -194,7 +194,7 @@ def test_a_process_that_ends_is_told_and_none_stays(tmp_path):
     assert process.returncode == 0
     (tmp_path / MODULE).write_text("export {")
     broken = TARGET.stepper(tmp_path, source)
-    with pytest.raises(InputError, match=r"--to js: node ended: .*SyntaxError"):
+    with pytest.raises(InputError, match=r"`to=` js: node ended: .*SyntaxError"):
         broken(*(of[0] for of in source.samples(1)))
 
 

@@ -118,7 +118,7 @@ def test_slopes_that_are_not_finite_are_refused(tmp_path):
 
 
 def test_an_operating_point_is_refused_where_no_target_has_one():
-    with pytest.raises(InputError, match=r"--at: an operating point for casadi; .* add mat"):
+    with pytest.raises(InputError, match=r"`at=`: an operating point for casadi; .* add mat"):
         find_targets("casadi", {"theta": 0.1})
     both = find_targets("casadi,mat", {"theta": 0.1})
     assert [target.name for target in both] == ["casadi", "mat"]

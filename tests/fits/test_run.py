@@ -109,7 +109,7 @@ def test_a_seed_that_joins_later_does_not_disturb_those_that_are_done(
 
 def test_an_earlier_run_is_not_overwritten_unasked(run_folder, folder, small_recipe):
     data, recipe = tn.load(folder), small(small_recipe)
-    with pytest.raises(tn.InputError, match="--resume"):
+    with pytest.raises(tn.InputError, match="`resume=`"):
         run(data, recipe, [0], run_folder)
     again = run(data, recipe, [0], run_folder, "discard")
     assert [p.name for p in run_folder.glob("seed-*")] == ["seed-0"]

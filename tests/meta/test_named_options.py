@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from tustinnet.cli.main import app
+from tustinnet.cli.terminal import with_options
 
 SOURCE = Path(__file__).parents[2] / "src" / "tustinnet"
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
@@ -35,6 +36,7 @@ def texts(tree: ast.AST) -> set[str]:
 def named_options(path: Path) -> set[str]:
     """The options in the texts of a module; of texts that name a verb, its options are others."""
     said = [text for text in texts(ast.parse(path.read_text())) if "tustinnet " not in text]
+    said = [with_options(text) for text in said]
     return {option for text in said for option in OPTION.findall(text)} - OF_OTHERS
 
 
@@ -51,6 +53,15 @@ OF_ONE_VERB = [  # modules whose errors people see from one verb
     ("control", SOURCE / "cli" / "control.py"),
     ("export", SOURCE / "cli" / "export.py"),
 ]
+
+
+def test_the_library_speaks_of_its_arguments_and_the_command_of_its_options():
+    library = [path for path in SOURCE.rglob("*.py") if path.parent.name != "cli"]
+    said = {text for path in library for text in texts(ast.parse(path.read_text()))}
+    assert not {t for t in said if set(OPTION.findall(t)) - OF_OTHERS}
+    text = "more time (`budget=`); `trust_beyond=`, `changes=` a=1, `origin=` M: `name`, x=`y`"
+    expected = "more time (--budget); --trust-beyond, --set a=1, --from M: `name`, x=`y`"
+    assert with_options(text) == expected
 
 
 def test_every_option_that_a_message_names_is_one_of_a_verb():

@@ -192,7 +192,7 @@ def test_packaged_plans_begin_with_forces_where_they_tell_all_parameters(plan):
     assert "left out, no inverse dynamics of a system with internal states: inv" in sentences
     names, sentences = applicable(plan, None)
     assert "inverse-dynamics" not in names
-    assert "requires a system (--system): inverse-dynamics" in sentences
+    assert "requires a system (`system=`): inverse-dynamics" in sentences
 
 
 def with_second_coordinate(gains: np.ndarray) -> LagrangianSystem:

@@ -89,7 +89,7 @@ def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
     bands = Calibration.from_header(header, "model")
     assert sorted(bands.records) == sorted(e.name for e in swings())
     assert bands.start == made.choice.context.scoring.start
-    assert any("bands (simulate --band) of up to 83 %" in of for of in made.choice.sentences)
+    assert any("bands (simulate `band=`) of up to 83 %" in of for of in made.choice.sentences)
     assert header["identification"]["estimates"]  # without its errors it had no alternatives
 
 
@@ -364,7 +364,7 @@ def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_
 
 def test_a_selection_is_refused_where_another_is(alone):
     choice, _ = alone
-    with pytest.raises(InputError, match=r"earlier selection.*--resume"):
+    with pytest.raises(InputError, match=r"earlier selection.*`resume=`"):
         selected(choice.context.folder.parent)
 
 
@@ -550,7 +550,7 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
 
     with monkeypatch.context() as patch:
         stop_searches(patch, 0)
-        with pytest.raises(InputError, match=r"before a stage of its search.*more time: --budget"):
+        with pytest.raises(InputError, match=r"before a stage of its search.*more time: `budget=`"):
             select("refuse")
         stop_searches(patch, 4)
         stopped, ended = select("resume")
@@ -626,9 +626,9 @@ def test_test_records_take_part_in_nothing(tmp_path):
 
 
 def test_what_means_nothing_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"--system.*not applicable to the plan 'network only'"):
+    with pytest.raises(InputError, match=r"`system=`.*not applicable to the plan 'network only'"):
         selected(tmp_path, system=SWING)
-    with pytest.raises(InputError, match=r"--budget.*-1"):
+    with pytest.raises(InputError, match=r"`budget=`.*-1"):
         selected(tmp_path, budget=-1.0)
 
 
@@ -638,7 +638,7 @@ def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     plan = plan[: plan.rindex("[[rounds]]")]
     options = SelectionOptions(plan_in(tmp_path, plan))
     choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
-    assert said[0] == "left out, requires a system (--system): grey, hybrid"
+    assert said[0] == "left out, requires a system (`system=`): grey, hybrid"
     assert choice.best == "network"
     assert choice.sentences[-1] == said[0]
 

@@ -120,7 +120,7 @@ def test_an_export_is_what_the_model_simulates(name, tmp_path, monkeypatch):
     assert all(parameter in note for parameter in lacking)
     written = (tmp_path / "out" / f"robot{Path(name).suffix}").read_text()
     assert written == (tmp_path / name).read_text()
-    with pytest.raises(tn.InputError, match=f"--to {other}: the robot was made from {name}"):
+    with pytest.raises(tn.InputError, match=f"`to=` {other}: the robot was made from {name}"):
         tn.export_model(discrete, other, tmp_path / "no")
     # the model of no robot, and one with a gear that the format has no word for
     pendulum = tn.load_system("2-link-chain")

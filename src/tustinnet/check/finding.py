@@ -38,7 +38,7 @@ class Finding:
 
     @property
     def is_serious(self) -> bool:
-        """Whether `--strict` refuses records with it."""
+        """Whether a strict check refuses records with it."""
         return self.severity != "note"
 
     @property

@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator
 from importlib import metadata
+from pathlib import Path
 
 NAME = "tustinnet"
 STEPS = """\
@@ -21,6 +22,19 @@ Without logs of your own: tustinnet demo --out demo
 All commands: tustinnet --help; of one: tustinnet fit --help; Tab completes: --install-completion
 """
 _VARIABLES = ("JAX_", "XLA_", "TUSTINNET_", "CUDA_VISIBLE")  # beginnings of the names that matter
+
+
+def next_steps(model: Path, data: str) -> str:
+    """Commands to go on with after a fit: test the residuals, export the model.
+
+    Args:
+        model: the model's file.
+        data: the records as the user named them.
+    """
+    return (
+        f"tustinnet residuals {model} {data} (test its errors), "
+        f"tustinnet export {model} --to c --out model-c (use it elsewhere)"
+    )
 
 
 def version() -> str:

@@ -233,13 +233,13 @@ def control(
         if json:
             terminal.print_json(content)
         else:
-            typer.echo("\n".join(sentences(design)))
+            terminal.echo("\n".join(sentences(design)))
             terminal.print_tables(
                 point_table(design),
                 margins_table(design),
                 robustness_table(trial.robustness, simulator.channels),
             )
-            typer.echo(trial.robustness.sentence)
+            terminal.echo(trial.robustness.sentence)
         write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
         write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
         write_control_page(

@@ -127,7 +127,7 @@ def demo(
         print_step(f"6/6 a controller that swings the twin up: {out / _CONTROLLER}")
         swing_up = _swing_up(models, list(data.split("train")), out, overwrite=overwrite)
         if not json:
-            typer.echo(swing_up)
+            terminal.echo(swing_up)
     file_names = [table_file.name, *[f"{name}.png" for name in _DRAWN], _SWING_UP]
     print_step(f"written to {out}: {', '.join(file_names)}{report or ''}")
     print_step(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+from tustinnet.cli import about, completion, options, terminal
 from tustinnet.cli.fit_options import FitOptions, choose_recipe, make_members, require_cores
 from tustinnet.cli.models import (
     find_system_to_fit,
@@ -242,10 +242,10 @@ def _fit_recipe(
         report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
-        typer.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
+        terminal.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
         if not fit_options.quiet:
             seconds = time.perf_counter() - start_time
-            typer.echo(time_sentence(seconds, run.seconds, preparation_seconds))
+            terminal.echo(time_sentence(seconds, run.seconds, preparation_seconds))
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
         member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
@@ -299,25 +299,25 @@ def _print_run(run: "Run", data: str) -> None:
         validation_table,
     )
     from tustinnet.report.summary import fit_summary
-    from tustinnet.store.run_folder import BASE_PARAMETERS
+    from tustinnet.store.run_folder import BASE_PARAMETERS, MODEL
 
     identification = run.best.result.identification
     if identification is None:
         terminal.print_tables(members_table(run), training_table(run))
         for result in (member.result for member in run.members):
             for finding in result.findings:
-                typer.echo(f"* {result.member.name}: {finding}")
+                terminal.echo(f"* {result.member.name}: {finding}")
     else:
         terminal.print_tables(
             parameter_table(identification), training_table(run), validation_table(run)
         )
         for finding in identification.findings:
-            typer.echo(f"* {finding}")
+            terminal.echo(f"* {finding}")
         if identification.base_parameters:
-            typer.echo(
+            terminal.echo(
                 f"* base parameters, with values and intervals: {run.folder / BASE_PARAMETERS}"
             )
-        typer.echo(
+        terminal.echo(
             f"initial states: {identification.initial}; "
             f"condition {identification.condition:.3g}; "
             f"{identification.substeps} Runge-Kutta steps a period"
@@ -325,13 +325,14 @@ def _print_run(run: "Run", data: str) -> None:
         # of a search that ended early, a warning at the end gives the outcome
         is_warned = _is_usable(run.best.result) and not run.best.result.finished
         outcome = "" if is_warned else f"{identification.outcome}; "
-        typer.echo(f"{outcome}{identification.seconds:.1f} s")
+        terminal.echo(f"{outcome}{identification.seconds:.1f} s")
     for part in run.spoiled:
-        typer.echo(f"* spoiled: {part.sentence}")
+        terminal.echo(f"* spoiled: {part.sentence}")
     for sentence in run.left_out:
-        typer.echo(f"* {sentence}")
-    for sentence in fit_summary(run, data):
-        typer.echo(sentence)
+        terminal.echo(f"* {sentence}")
+    for sentence in fit_summary(run):
+        terminal.echo(sentence)
+    terminal.echo(f"next: {about.next_steps(run.folder / MODEL, data)}")
 
 
 def _draw_run(run: "Run", data: "DataSet") -> None:

@@ -255,16 +255,16 @@ def print_assumptions(draft: "Draft") -> None:
 def _print_draft(draft: "Draft", folder: Path) -> None:
     """Prints the columns with what they were taken for and why, a line each, and the splits."""
     records = len(draft.splits.records)
-    typer.echo(f"{folder}: {counted(records, 'record')}, every {1e3 * draft.dt:.6g} ms")
+    terminal.echo(f"{folder}: {counted(records, 'record')}, every {1e3 * draft.dt:.6g} ms")
     lines = [
         (c.name, (f"{c.use} [{c.unit}]" if c.unit else c.use) or "not used", c.because)
         for c in draft.columns
     ]
     widths = [max(len(line[k]) for line in lines) for k in range(2)]
     for name, use, because in lines:
-        typer.echo(f"  {name:<{widths[0]}}  {use:<{widths[1]}}  {because}")
+        terminal.echo(f"  {name:<{widths[0]}}  {use:<{widths[1]}}  {because}")
     for sentence in draft.splits.sentences:
-        typer.echo(f"splits: {sentence}")
+        terminal.echo(f"splits: {sentence}")
 
 
 def _as_plain(draft: "Draft", folder: Path) -> dict[str, object]:

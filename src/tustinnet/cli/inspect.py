@@ -136,7 +136,7 @@ def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
         *merge_remarks("note", notes, len(reports)),
         *spoiled_lines(records, [r.held for r in reports]),
     ):
-        typer.echo(line)
+        terminal.echo(line)
 
 
 def _hold_advice(hold: "Hold | None") -> str:
@@ -169,8 +169,8 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     title = f"{report.name}: {counted(report.rows, 'row')}; {sampling}; roles are guesses"
     terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
     for note in report.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(
+        terminal.echo(f"note: {note}")
+    terminal.echo(
         "\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
         f"folder: tustinnet init {path.parent}\n{report.draft}"
     )

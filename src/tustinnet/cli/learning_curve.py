@@ -120,7 +120,7 @@ def learning_curve(
         else:
             terminal.print_tables(table)
             for sentence in sentences:
-                typer.echo(f"* {sentence}")
+                terminal.echo(f"* {sentence}")
 
         from tustinnet.report.figures import write_figure
 

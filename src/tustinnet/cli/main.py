@@ -90,7 +90,7 @@ def run(arguments: list[str] | None = None) -> None:
         finally:
             sys.stdout.flush()  # an error of which is said
     except InputError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {terminal.with_options(str(error))}\n")
         sys.exit(terminal.exit_code(1))
     except SystemExit as ended:
         sys.exit(terminal.exit_code(ended.code))

@@ -266,7 +266,7 @@ def _rank(
     rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.gains]
     columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
     terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
-    typer.echo(f"record next: {ranking.gains[0].name}")
+    terminal.echo(f"record next: {ranking.gains[0].name}")
 
 
 def _make_listener(printer: "Callable[[str], None]") -> "Callable[[DesignProgress], None]":
@@ -304,7 +304,7 @@ def _write(result: "RecordDesign", out: Path, *, json: bool) -> None:
     else:
         terminal.print_tables(motion_table(result), error_table(result))
         for sentence in sentences(result):
-            typer.echo(f"* {sentence}")
+            terminal.echo(f"* {sentence}")
 
     from tustinnet.report.figures import write_figure
 

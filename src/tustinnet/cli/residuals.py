@@ -85,7 +85,7 @@ def residuals(
         if downweighted:
             terminal.print_tables(downweighted_table(downweighted))
         for r in reports:
-            typer.echo(f"{r.coordinate}: {r.sentence}")
+            terminal.echo(f"{r.coordinate}: {r.sentence}")
     if figure is not None:
         from tustinnet.report.figures import write_figure
 

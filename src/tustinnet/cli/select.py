@@ -5,9 +5,7 @@ import re
 import time
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tustinnet.cli import terminal
+from tustinnet.cli import about, terminal
 from tustinnet.cli.completion import ALL
 from tustinnet.cli.fit_options import FitOptions, open_cluster
 from tustinnet.errors import InputError
@@ -73,7 +71,6 @@ def select(
     from tustinnet.cli.automatic_report import after_model, require_report
     from tustinnet.report.page.fit_reports import write_choice_report
     from tustinnet.report.progress import FitProgress
-    from tustinnet.report.summary import next_steps
     from tustinnet.selection.select import select_model
     from tustinnet.store.files import lock_folder
     from tustinnet.store.run_folder import MODEL, REPORT
@@ -111,7 +108,7 @@ def select(
         )
     if not fit_options.json:
         print_files(choice, page or "")
-        typer.echo(f"next: {next_steps(folder / MODEL, report.data_words)}")
+        terminal.echo(f"next: {about.next_steps(folder / MODEL, report.data_words)}")
     require_report(page)
 
 
@@ -154,7 +151,7 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
     terminal.print_tables(candidates_table(choice))
     for sentence in choice.sentences:
         if quiet or sentence not in choice.notes:
-            typer.echo(f"* {sentence}")
+            terminal.echo(f"* {sentence}")
 
 
 def print_files(choice: "Choice", report: str = "") -> None:
@@ -162,7 +159,7 @@ def print_files(choice: "Choice", report: str = "") -> None:
     from tustinnet.store.run_folder import FIGURES, MODEL, TABLE
 
     out = choice.context.folder
-    typer.echo(
+    terminal.echo(
         f"model: {out / MODEL}   table: {out / TABLE}   figures: {out / FIGURES}{report}   "
         f"{choice.seconds:.0f} s"
     )

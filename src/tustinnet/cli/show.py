@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import typer
-
 from tustinnet.cli import options, terminal
 from tustinnet.wording import counted
 
@@ -30,7 +28,7 @@ def show(model: options.Model, json: options.Json = False) -> None:
         *([("versions", ", ".join(f"{k} {v}" for k, v in versions.items()))] if versions else []),
     ]
     for key, value in lines:
-        typer.echo(f"{key:<14}{to_printable(str(value), _LONGEST_LINE)}")
+        terminal.echo(f"{key:<14}{to_printable(str(value), _LONGEST_LINE)}")
 
 
 def _channel_lines(header: dict[str, Any]) -> Lines:

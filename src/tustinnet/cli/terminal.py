@@ -1,6 +1,7 @@
 """Output of messages and results, signals, warnings, and the set-up of JAX for every verb."""
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -10,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from tustinnet.errors import InputError
 from tustinnet.user_folders import cache_folder
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
     from tustinnet.systems.files import SystemFile
 
 _DELAY = 0.05  # seconds until a signal is sent again
+_ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
+_SHORTER = {"changes": "set", "origin": "from"}
 _LONGEST_QUESTION = 400  # characters
 # by default JAX caches only what takes a second to compile: few of the many programs of a fit
 _SMALL_PROGRAMS = {
@@ -30,11 +35,34 @@ _SMALL_PROGRAMS = {
 _PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
+def with_options(text: str) -> str:
+    """A text of the library with the command's options: `budget=`, an argument, is --budget here.
+
+    Options are called like the arguments, but for those that say it shorter.
+    """
+
+    def to_option(match: re.Match[str]) -> str:
+        name = _SHORTER.get(match[1], match[1])
+        return f"--{name.replace('_', '-')}"
+
+    return _ARGUMENT.sub(to_option, text)
+
+
+def echo(text: str) -> None:
+    """Prints a line of results on standard output."""
+    typer.echo(with_options(text))
+
+
 def messages() -> "Console":
     """Console for progress and remarks: standard error, so that results can be piped."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    class Messages(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            told = [with_options(o) if isinstance(o, str) else o for o in objects]
+            super().print(*told, **options)
+
+    return Messages(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 def make_printer(*, quiet: bool) -> Callable[[str], None]:

@@ -171,7 +171,7 @@ def design_controller(
     for mode in point.modes:
         if not mode.observable and not mode.is_stable:
             raise InputError(
-                "--at",
+                "`at=`",
                 f"{mode} cannot be observed from the encoders and does not decay",
                 "encoders that show it",
                 "measure another coordinate, or choose another point",
@@ -210,7 +210,7 @@ def design_controller(
                 f"after {beyond.sample * model.dt:.3g} s it leaves the range of the "
                 f"training records: {beyond.signal} reaches {beyond.value:.4g}",
                 f"recorded {low:.4g} to {high:.4g}",
-                "record such motions, limit it (--within, --limits), or add --trust-beyond",
+                "record such motions, limit it (`within=`, `limits=`), or add `trust_beyond=`",
             )
 
         def proportional_feedback(at: OperatingPoint) -> Feedback:
@@ -255,7 +255,7 @@ def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None
             "without equations of motion does not know what inputs do there",
             "records about the equilibrium",
             "record some (a fall from there with inputs will do), "
-            "use a grey box or a hybrid, or add --trust-beyond",
+            "use a grey box or a hybrid, or add `trust_beyond=`",
         )
 
 
@@ -302,7 +302,7 @@ def _plan_motion(
                     f"{i.name} never changes in the training records: there is "
                     "nothing to plan with",
                     f"records with {i.name}",
-                    "record some, or add --trust-beyond",
+                    "record some, or add `trust_beyond=`",
                 )
         speeds = range.states[channels.velocity]
         for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
@@ -343,7 +343,7 @@ def _plan_motion(
         "the motion",
         f"its plan {end}: after {len(best.u) * model.dt:.3g} s it reached {reached}",
         goal,
-        "give it more time (--seconds), wider limits, or other weights (--weight)",
+        "give it more time (`seconds=`), wider limits, or other weights (`weight=`)",
     )
 
 
@@ -402,8 +402,8 @@ def find_rest(
         if not point.is_unstable:
             return positions
     raise InputError(
-        "--swing-up",
+        "`swing_up=`",
         f"no stable equilibrium half a turn from {', '.join(at)}",
         "an angle that hangs at rest there",
-        "name the start and the goal: --at and --to",
+        "name the start and the goal: `at=` and `to=`",
     )

@@ -235,7 +235,7 @@ def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
                 f"input '{i.name}'",
                 "it has no limits",
                 "the least and the largest value it takes",
-                f"declare them in the data card, or give them (--limits {i.name}=LOW:HIGH)",
+                f"declare them in the data card, or give them (`limits=` {i.name}=LOW:HIGH)",
             )
         if not -np.inf < pair[0] < pair[1] < np.inf:
             raise InputError(

@@ -149,5 +149,5 @@ def require_inside(folder: Path, path: Path) -> None:
             path,
             "a link that leaves the folder",
             f"a file below {folder}",
-            "copy the file there, or add --follow-links if you would read it",
+            "copy the file there, or add `follow_links=` if you would read it",
         )

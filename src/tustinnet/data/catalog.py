@@ -121,7 +121,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
         "a data card that says what the columns mean",
-        f"{remedy}, or give --card FILE",
+        f"{remedy}, or give `card=` FILE",
     )
 
 
@@ -196,7 +196,7 @@ def _download(entry: PublishedDataSet) -> Path:
                 f"{entry.address}{file} could not be fetched ({reason})",
                 f"{len(entry.checksums())} files ({_describe_files(entry)})",
                 f"put them into {cache} in these subfolders, or give their folder with "
-                f"--data PATH or {DATA_VARIABLE}=PATH",
+                f"`data=` PATH or {DATA_VARIABLE}=PATH",
             ) from error
     return cache
 

@@ -171,7 +171,7 @@ def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[Spoi
         first = held.sample
         reason = (
             f"a controller holds an unstable position; errors of a simulation grow e-fold in "
-            f"{held.e_fold:.2g} s: judge it over a horizon (--horizon "
+            f"{held.e_fold:.2g} s: judge it over a horizon (`horizon=` "
             f"{4 * held.e_fold:.2g}), or leave it out"
         )
         parts.append(

@@ -178,7 +178,7 @@ class Calibration:
         require_level(level, len(self.records))
         if (self.start, self.horizon) != (start, horizon):
             raise InputError(
-                "--band",
+                "`band=`",
                 f"start '{start}'{_over(horizon)}",
                 f"'{self.start}'{_over(self.horizon)}, as the model was calibrated",
                 "name these, or calibrate anew",
@@ -226,7 +226,7 @@ def highest_level(records: int) -> float:
 def require_share(level: float) -> None:
     """Raises unless a level is a share."""
     if not 0 < level < 1:
-        raise InputError("--band", f"{level:g}", "a share between 0 and 1")
+        raise InputError("`band=`", f"{level:g}", "a share between 0 and 1")
 
 
 def require_level(level: float, records: int) -> None:

@@ -94,7 +94,7 @@ def rank_proposals(
     records = [e for e in predicted.values() if e is not None]
     identification = header.get("identification")
     if identification and horizon is not None:
-        raise InputError("--horizon", "not applicable to an identified system", "a committee")
+        raise InputError("`horizon=`", "not applicable to an identified system", "a committee")
     if identification:
         criterion, unit = COVARIANCE, "nats"
         expected = "those of an identified system"

@@ -60,7 +60,7 @@ _SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the prio
 _USUAL_NOISE = 0.02  # of the force of a motion
 _LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
 _MOST = 10**6  # samples
-_PLACE = "next-record --design"  # of messages
+_PLACE = "a design of records"  # of messages
 _RANK = "propose records: tustinnet next-record MODEL PROPOSALS"
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
@@ -98,25 +98,25 @@ class DesignOptions:
 
     def __post_init__(self) -> None:
         for option, value, is_valid, expected in (
-            ("--seconds", self.seconds, 0 < self.seconds <= 1e4, "above 0, and at most 10000"),
-            ("--harmonics", self.harmonics, 2 <= self.harmonics <= 50, "from 2 to 50"),
+            ("`seconds=`", self.seconds, 0 < self.seconds <= 1e4, "above 0, and at most 10000"),
+            ("`harmonics=`", self.harmonics, 2 <= self.harmonics <= 50, "from 2 to 50"),
             (
-                "--rate",
+                "`rate=`",
                 1 / self.dt,
                 0 < self.dt <= self.seconds / 10,
                 "samples a second, at least 10 in the record",
             ),
-            ("--margin", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
-            ("--starts", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
-            ("--seed", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
+            ("`margin=`", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
+            ("`starts=`", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
+            ("`seed=`", self.seed, 0 <= self.seed < 2**32, "from 0 to 2^32 - 1"),
             (
-                "--frequency",
+                "`frequency=`",
                 self.frequency or 0.0,
                 self.frequency is None or 0 < self.frequency <= 1e4,
                 "above 0, and at most 10000 Hz",
             ),
             (
-                "--noise",
+                "`noise=`",
                 self.noise or 0.0,
                 self.noise is None or 0 < self.noise <= 10,
                 "a share of the force, above 0",
@@ -127,24 +127,24 @@ class DesignOptions:
         periods = 1.0 if self.frequency is None else self.seconds * self.frequency
         if periods < 1 - 1e-6 or abs(periods - round(periods)) > 1e-6 * periods:
             raise InputError(
-                "--frequency",
+                "`frequency=`",
                 f"{periods:.4g} periods in {self.seconds:g} s",
                 "a whole number",
-                f"for instance --frequency {max(1, round(periods)) / self.seconds:.6g}",
+                f"for instance `frequency=` {max(1, round(periods)) / self.seconds:.6g}",
             )
         if self.seconds / self.dt > _MOST:
             raise InputError(
-                "--rate",
+                "`rate=`",
                 f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
                 f"at most {_MOST:.0e}",
                 "fewer seconds, or a lower rate",
             )
         if self.highest > 0.1 / self.dt:
             raise InputError(
-                "--harmonics",
+                "`harmonics=`",
                 f"a highest frequency of {self.highest:.4g} Hz",
                 f"at most a tenth of the sampling rate, {0.1 / self.dt:.4g} Hz",
-                "fewer harmonics, a lower --frequency or a higher --rate",
+                "fewer harmonics, a lower `frequency=` or a higher `rate=`",
             )
 
     @property
@@ -357,13 +357,13 @@ def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None
                 _PLACE,
                 f"no group '{per}', which '{name}' is per",
                 "the group of the record to be made",
-                f"--group {per}=NAME",
+                f"`group=` {per}=NAME",
             )
     if unknown := [name for name in groups if name not in needed]:
         raise InputError(
-            "--group",
+            "`group=`",
             f"'{unknown[0]}', which nothing in the system is per",
-            f"one of {', '.join(needed)}" if needed else "no --group",
+            f"one of {', '.join(needed)}" if needed else "no `group=`",
         )
 
 
@@ -408,17 +408,17 @@ def gather_limits(
     coordinates = system.coordinates
     names = [c.name + end for end in ("", "_dot", "_ddot") for c in coordinates]
     if unknown := [name for name in within if name not in names]:
-        raise InputError("--within", f"no '{unknown[0]}'", f"one of {', '.join(names)}")
+        raise InputError("`within=`", f"no '{unknown[0]}'", f"one of {', '.join(names)}")
     if unknown := [name for name in inputs if name not in [i.name for i in system.inputs]]:
         raise InputError(
-            "--limits",
+            "`limits=`",
             f"no input '{unknown[0]}'",
             f"one of {', '.join(i.name for i in system.inputs)}",
         )
     for name, (low, high) in within.items():
         if name not in names[: len(coordinates)] and not low < 0 < high:
             raise InputError(
-                f"--within {name}={low:g}:{high:g}",
+                f"`within=` {name}={low:g}:{high:g}",
                 "one direction alone",
                 "limits on both sides of 0",
             )
@@ -440,7 +440,7 @@ def gather_limits(
                     f"system '{system.name}'",
                     f"no limits of the {what} of '{c.name}'",
                     "limits of every position and velocity",
-                    f"for instance --within {name}={size}",
+                    f"for instance `within=` {name}={size}",
                 )
         limits.append(own)
     return DesignLimits(tuple(limits), tuple(bounds))
@@ -838,7 +838,7 @@ def _require_actuated(
                 f"system '{system.name}'",
                 f"no limits of the input '{channel.name}' at '{system.coordinates[k].name}'",
                 "limits of every input",
-                f"for instance --limits {channel.name}=-10:10",
+                f"for instance `limits=` {channel.name}=-10:10",
             )
 
 
@@ -885,7 +885,7 @@ def _random_motion(
         f"no pose within the limits: it needs {nearest[k]:.3g} times "
         f"the {what} limit of '{name}' at rest",
         "poses that actuators can hold",
-        "check the limits, or give others by --within and --limits",
+        "check the limits, or give others by `within=` and `limits=`",
     )
 
 

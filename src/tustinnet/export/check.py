@@ -46,7 +46,7 @@ def check_export(source: Source, target: Target, stepper: Stepper) -> CheckResul
         first = int(np.argmin(finite))
         state = ", ".join(f"{x:.3g}" for x in states[first])
         raise InputError(
-            f"--to {target.name}",
+            f"`to=` {target.name}",
             f"the model steps from ({state}) to numbers that are not finite",
             "finite states within the range of its records",
         )
@@ -57,7 +57,7 @@ def check_export(source: Source, target: Target, stepper: Stepper) -> CheckResul
     difference = float(np.max(np.abs(exported - expected) / (1 + np.abs(expected)), initial=0.0))
     if not difference <= target.bound:
         raise InputError(
-            f"--to {target.name}",
+            f"`to=` {target.name}",
             f"a step differs from the model's by {difference:.1e}",
             f"at most {target.bound:.0e}",
             "nothing was written",

@@ -94,7 +94,7 @@ class _Node:
             pass  # node has ended; its message is read below
         answer = answers.readline()
         if not answer:
-            raise InputError("--to js", f"node ended: {_end(self._process)}", "a step")
+            raise InputError("`to=` js", f"node ended: {_end(self._process)}", "a step")
         return np.array(json.loads(answer), np.float64)
 
 

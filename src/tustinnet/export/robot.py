@@ -21,7 +21,7 @@ class RobotTarget(Target):
     """The file from which a robot was made, with the values of a model in it.
 
     Attributes:
-        name: the name of its format, for `--to`.
+        name: the name of its format, in `to=`.
         endings: the endings of files of that format.
         description: the format in words.
     """
@@ -80,17 +80,17 @@ class RobotTarget(Target):
         robot = robot_in(source.model)
         if robot is None:
             raise InputError(
-                f"--to {self.name}",
+                f"`to=` {self.name}",
                 "not applicable to a model that was not made from the file of a robot",
                 "one that was",
-                "fit with --system arm.urdf or robot.xml",
+                "fit with `system=` arm.urdf or robot.xml",
             )
         path = robot[1].path
         if path.suffix not in self.endings:
             raise InputError(
-                f"--to {self.name}",
+                f"`to=` {self.name}",
                 f"the robot was made from {path.name}",
-                f"--to {'mjcf' if self.name == 'urdf' else 'urdf'}",
+                f"`to=` {'mjcf' if self.name == 'urdf' else 'urdf'}",
             )
         return robot
 

@@ -24,7 +24,7 @@ class Target(ABC):
     """A form of exported models.
 
     Attributes:
-        name: its name for `--to`.
+        name: its name in `to=`.
         bound: the largest accepted difference from the model's own step, relative to
             1 + the state.
         extra: the extra of this package that it needs, and the packages of it.
@@ -74,4 +74,4 @@ class Target(ABC):
         """Raises unless the packages are installed that the target needs."""
         extra, packages = self.extra or ("", ())
         for package in packages:
-            require_package(package, extra, f"--to {self.name}")
+            require_package(package, extra, f"`to=` {self.name}")

@@ -95,7 +95,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
                 where,
                 f"a model of the system '{name}', which the package does not have",
                 f"its file ({file})",
-                f"add --system {file} (in Python: load_model(path, system=...))",
+                f"add `system=` {file} (in Python: load_model(path, system=...))",
             )
         channels = Channels.from_header(header)
         if system is not None:
@@ -280,7 +280,7 @@ def _require_same(model: LagrangianModel, stored: np.ndarray, where: Path) -> No
             f"the system '{model.system.name}' has changed since the model was identified: "
             "its coordinates or internal states are others, or begin otherwise",
             "the system as it was",
-            "identify it again, or give the file as it was then with --system FILE.py",
+            "identify it again, or give the file as it was then with `system=` FILE.py",
         )
     both = np.isfinite(stored) & np.isfinite(now)
     unit = np.max(np.abs(stored), axis=0, where=np.isfinite(stored), initial=1e-12)
@@ -295,5 +295,5 @@ def _require_same(model: LagrangianModel, stored: np.ndarray, where: Path) -> No
             f"the system '{model.system.name}' has changed since the model was identified: "
             f"'{names[worst]}' moves otherwise by {100 * off.max():.2g} %",
             "the equations of motion as they were",
-            "identify it again, or give the file as it was then with --system FILE.py",
+            "identify it again, or give the file as it was then with `system=` FILE.py",
         )

@@ -76,7 +76,7 @@ class IdentifiedHyper(Hyper):
     def _check_system(cls, system: str | None) -> str | None:
         if system is not None and system not in SYSTEMS:
             names = ", ".join(SYSTEMS.names())
-            raise ValueError(f"no system of that name; one of {names}, a file goes with --system")
+            raise ValueError(f"no system of that name; one of {names}, a file goes with `system=`")
         return system
 
 
@@ -151,10 +151,10 @@ class Family(ABC):
         """Raises unless a model to begin with is of this family."""
         if not self.owns(model):
             raise InputError(
-                "--from",
+                "`origin=`",
                 f"a model of kind '{family_of(model).kind}'",
                 f"one of kind '{self.kind}', which the recipe makes",
-                "leave --recipe out to go on with the model's own recipe",
+                "leave `recipe=` out to go on with the model's own recipe",
             )
 
     @abstractmethod
@@ -269,10 +269,10 @@ class TrainedFamily(Family):
         shapes = {name: a.shape for name, a in arrays.items()}
         if header != trained_header or shapes != {n: a.shape for n, a in trained_arrays.items()}:
             raise InputError(
-                "--from",
+                "`origin=`",
                 f"a model with {_differences(trained_header, header)}",
                 f"{_differences(header, trained_header)}, as the recipe has it",
-                "leave --recipe and --set of [model] out: the model's own recipe is the usual one",
+                "leave `recipe=` and `changes=` of [model] out for the model's own recipe",
             )
         leaves, structure = jax.tree.flatten(fresh)
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)

@@ -255,10 +255,10 @@ class HybridFamily(TrainedFamily):
         trained = cast(HybridModel, origin)
         if model.fades_at_rest != trained.fades_at_rest:
             raise InputError(
-                "--from",
+                "`origin=`",
                 f"a correction with fades_at_rest = {trained.fades_at_rest}",
                 f"{model.fades_at_rest}, as the recipe has it",
-                "leave --recipe and --set out",
+                "leave `recipe=` and `changes=` out",
             )
         family = cast(TrainedFamily, family_of(model.correction))
         correction = family.with_weights_from(model.correction, trained.correction)

@@ -38,7 +38,7 @@ def read_recipe(
     keys = [change.partition("=")[0].strip() for change in changes]
     for i, key in enumerate(keys):
         if key in keys[:i]:
-            raise InputError("--set", f"'{key}' twice", "once")
+            raise InputError("`changes=`", f"'{key}' twice", "once")
     if isinstance(which, Recipe):
         if not changes:
             return which
@@ -57,7 +57,9 @@ def _apply_change(content: dict[str, Any], change: str) -> None:
     """Puts the value of `KEY=VALUE` into the content of a recipe."""
     key, equals, text = change.partition("=")
     if not equals or not key.strip():
-        raise InputError("--set", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20")
+        raise InputError(
+            "`changes=`", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20"
+        )
     *path, last = key.strip().split(".")
     places: list[Any] = [content]
     for part in path:
@@ -68,7 +70,9 @@ def _apply_change(content: dict[str, Any], change: str) -> None:
             elif isinstance(place.setdefault(part, {}), dict | list):
                 inner.append(place[part])
             else:
-                raise InputError("--set", f"'{change}': '{part}' is no table", "a key of a table")
+                raise InputError(
+                    "`changes=`", f"'{change}': '{part}' is no table", "a key of a table"
+                )
         places = inner
     for place in places:
         if isinstance(place, list):
@@ -84,7 +88,7 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
         return range(len(place))
     if not part.isdigit() or int(part) >= len(place):
         raise InputError(
-            "--set",
+            "`changes=`",
             f"'{change}': no place '{part}' in a list of {len(place)}",
             f"a number from 0 to {len(place) - 1}, or * for all",
         )
@@ -93,7 +97,7 @@ def _indices(place: Sequence[Any], part: str, change: str) -> Sequence[int]:
 
 def _parse_value(text: str) -> Any:
     """A value as TOML has it; a text also without quotes."""
-    with convert_errors("--set", f"'{text.strip()[:30]}'", "a value as TOML has it"):
+    with convert_errors("`changes=`", f"'{text.strip()[:30]}'", "a value as TOML has it"):
         try:
             content = parse_toml(f"value = {text}")
         except tomllib.TOMLDecodeError:

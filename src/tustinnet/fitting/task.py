@@ -174,14 +174,14 @@ def make_task(
                 f"--{name}",
                 f"not applicable to {kind}",
                 f"a recipe that takes a {name}",
-                f"leave it out, or add --recipe {_DEFAULT_RECIPES[name]}",
+                f"leave it out, or add `recipe=` {_DEFAULT_RECIPES[name]}",
             )
     if physics is not None and not family_of(physics).correctable:
         raise InputError(
-            "--physics",
+            "`physics=`",
             f"a model of kind '{family_of(physics).kind}', which is trained already",
             "a model that a network can correct",
-            "identify one with --system first",
+            "identify one with `system=` first",
         )
     require_feedback(recipe, data)
     _require_members(members, recipe)
@@ -201,7 +201,7 @@ def require_feedback(recipe: Recipe, data: DataSet) -> None:
             f"data set '{data.name}', [controller]",
             f"not applicable to models of kind '{recipe.family.kind}' (recipe '{recipe.name}')",
             f"a recipe of kind {' or '.join(kinds)}",
-            "add --recipe grey and --system FILE, or take [controller] out of the card",
+            "add `recipe=` grey and `system=` FILE, or take [controller] out of the card",
         )
 
 

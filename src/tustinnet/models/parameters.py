@@ -117,7 +117,7 @@ def require_group_value(
             f"no group '{p.per}', which '{p.name}' is per",
             choices,
             f'in the card (or the proposal), give the record `groups = {{ {p.per} = "..." }}`; '
-            f"of an export add --group {p.per}=...",
+            f"of an export add `group=` {p.per}=...",
         )
     if value not in valued:
         raise InputError(

@@ -205,7 +205,7 @@ def sentences(design: ControlDesign) -> list[str]:
     if design.plan is not None and design.point.is_unstable:
         lines.append(f"after a fall: {_recovery(design)}")
     if design.consistency is None:
-        lines.append("estimator: no records were given (--data): its noise is a rough guess")
+        lines.append("estimator: no records were given (`data=`): its noise is a rough guess")
     else:
         lines += [f"estimator: {line}" for line in design.consistency.sentences]
     return lines

@@ -89,7 +89,7 @@ def sentences(design: RecordDesign) -> list[str]:
         )
     lines.append(f"forces that are taken to stay unexplained: {noise}")
     if design.stopped:
-        lines.append("the time ended before the search: --budget gives it more")
+        lines.append("the time ended before the search: `budget=` gives it more")
     lines.append(
         "collisions are not looked at: play the motion in a simulation of the cell, then slowly, "
         "before it is recorded"

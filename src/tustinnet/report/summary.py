@@ -1,7 +1,6 @@
-"""The sentences at the end of a fit: what was fitted, how good it is, what to do next."""
+"""The sentences at the end of a fit: what was fitted, and how good it is."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -11,27 +10,20 @@ from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.run_folder import MODEL
 from tustinnet.wording import counted
 
 _SHORTEST = 1.0  # s, of a part of a command that is named
 _MOST_NAMED = 3  # coordinates whose errors are all in a sentence
 
 
-def fit_summary(run: Run, data: str) -> tuple[str, ...]:
-    """Sentences on a run: what was fitted, how good it is, what to do next.
-
-    Args:
-        run: the run.
-        data: the records as the user named them, for the commands that are proposed.
-    """
+def fit_summary(run: Run) -> tuple[str, ...]:
+    """Sentences on a run: what was fitted, and how good it is."""
     records = run.roles.train
     motion = sum(e.seconds for e in records)
     return (
         f"fitted: {run.best.result.recipe.name}, to {counted(len(records), 'record')} with "
         f"{duration(motion)} of motion, in {duration(run.seconds)}",
         f"how good: {_describe_accuracy(run)}",
-        f"next: {next_steps(run.folder / MODEL, data)}",
     )
 
 
@@ -50,14 +42,6 @@ def time_sentence(total: float, fitting: float, preparation: float) -> str:
     }
     listed = ", ".join(f"{what} {duration(x)}" for what, x in parts.items() if x >= _SHORTEST)
     return f"time: {duration(total)}" + (f" ({listed})" if listed else "")
-
-
-def next_steps(model: Path, data: str) -> str:
-    """Commands to go on with after a fit: test the residuals, export the model."""
-    return (
-        f"tustinnet residuals {model} {data} (test its errors), "
-        f"tustinnet export {model} --to c --out model-c (use it elsewhere)"
-    )
 
 
 def _describe_accuracy(run: Run) -> str:

@@ -48,7 +48,7 @@ def choose_experiment(data: DataSet, split: str, name: str | None) -> str:
     names = [e.name for e in data.split(split)]
     if name is not None:
         if name not in names:
-            raise InputError("--experiment", f"no record '{name}'", f"one of {', '.join(names)}")
+            raise InputError("`experiment=`", f"no record '{name}'", f"one of {', '.join(names)}")
         return name
     return next((default for default in _DEFAULT_RECORDS if default in names), names[0])
 

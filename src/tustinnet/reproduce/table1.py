@@ -99,14 +99,14 @@ def choose_models(names: Sequence[str], folder: Path) -> tuple[list[str], str]:
     for name in model_names:
         if name not in ALL_MODELS:
             raise InputError(
-                "--models", f"unknown model '{name}'", f"one of {', '.join(ALL_MODELS)}"
+                "`models=`", f"unknown model '{name}'", f"one of {', '.join(ALL_MODELS)}"
             )
     if AUTHORS in model_names and not weights.is_dir():
         raise InputError(
             weights,
             "no such folder",
             "the authors' stored weights",
-            "put them there or leave 'authors' out of --models",
+            "put them there or leave 'authors' out of `models=`",
         )
     return list(dict.fromkeys(model_names)), ""
 

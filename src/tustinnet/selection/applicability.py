@@ -28,10 +28,10 @@ def applicable_candidates(
             that can take part.
     """
     if budget is not None and not 0 < budget < math.inf:
-        raise InputError("--budget", f"{budget:g} s", "a time above 0")
+        raise InputError("`budget=`", f"{budget:g} s", "a time above 0")
     if context.system is not None and not any(_identifies(c) for c in plan.candidates):
         raise InputError(
-            "--system",
+            "`system=`",
             f"not applicable to the plan '{plan.name}'",
             "a plan with a candidate that identifies a system",
         )
@@ -72,7 +72,7 @@ def _reason_against(candidate: Candidate, context: RunContext, speed: str) -> st
     elif candidate.when == "no-system" and context.system is not None:
         reason = "only without a system"
     elif _identifies(candidate) and context.system_for(candidate.content) is None:
-        reason = "requires a system (--system)"
+        reason = "requires a system (`system=`)"
     elif candidate.when == "fully-actuated" and (problem := _inverse_dynamics_problem(context)):
         reason = f"no inverse dynamics {problem}"
     return reason

@@ -127,8 +127,8 @@ class Choice:
         sentences += self._expectation
         if share > _POOR:
             remedies = ["look at them (inspect)"]
-            remedies += [] if self.budget is None else ["give more time (--budget)"]
-            remedies += [] if self.context.system else ["give equations of motion (--system)"]
+            remedies += [] if self.budget is None else ["give more time (`budget=`)"]
+            remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
             sentences.append(f"no candidate follows these records closely: {' or '.join(remedies)}")
         sentences.append(self._comparison_with_next(best))
         scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
@@ -148,14 +148,14 @@ class Choice:
         if stopped := sum(fit.is_out_of_time for fit in trainings):
             sentences.append(
                 f"{_count_stopped(stopped, len(trainings), 'training')} stopped by the budget: "
-                f"{'its' if stopped == 1 else 'their'} best weights so far were taken; --resume "
-                "goes on, more time (--budget) avoids it"
+                f"{'its' if stopped == 1 else 'their'} best weights so far were taken; `resume=` "
+                "goes on, more time (`budget=`) avoids it"
             )
         if stopped := sum(fit.is_out_of_time for fit in searches):
             sentences.append(
                 f"{_count_stopped(stopped, len(searches), 'identification')} stopped by the "
                 f"budget: {'its' if stopped == 1 else 'their'} last finished stage was taken; "
-                "--resume repeats it, more time (--budget) avoids it"
+                "`resume=` repeats it, more time (`budget=`) avoids it"
             )
         if self.simplest != self.best:
             difference = paired_difference(self.result(self.simplest), best)
@@ -167,8 +167,8 @@ class Choice:
         if self.bands is not None:
             level = math.floor(100 * self.bands.highest_level)
             sentences.append(
-                f"its free runs have bands (simulate --band) of up to {level} %, calibrated on the "
-                f"{len(self.bands.records)} records that folds left out"
+                f"its free runs have bands (simulate `band=`) of up to {level} %, calibrated on "
+                f"the {len(self.bands.records)} records that folds left out"
             )
         spoiled = [f"spoiled: {part.sentence}" for part in self.spoiled]
         return (*sentences, *spoiled, *self._unscored, *self.notes)

@@ -247,7 +247,7 @@ def perform_here(sent: bytes, order: bytes, setup: dict[str, Any]) -> JobResult 
         return (
             f"does not see {mark.parent} as it is where the run was begun",
             "a folder that all machines share, under one path",
-            "choose another --out",
+            "choose another folder",
         )
     job, remaining = pickle.loads(order)
     deadline = Deadline.after(remaining)

@@ -157,18 +157,18 @@ def make_cross_validation_options(
     corrects = "physics" in family.needs
     if physics is not None and not corrects:
         raise InputError(
-            "--physics",
+            "`physics=`",
             f"not applicable to a recipe of kind '{family.kind}'",
             "a recipe that corrects physics",
         )
     if seeds is not None and not family.has_seeds:
-        raise InputError("--seeds", "an identification has no seeds", "a recipe with weights")
+        raise InputError("`seeds=`", "an identification has no seeds", "a recipe with weights")
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
-        raise InputError("--seeds", f"{list(seeds)}", "at least one, all different")
+        raise InputError("`seeds=`", f"{list(seeds)}", "at least one, all different")
     identification = read_recipe(physics or DEFAULT_PHYSICS) if corrects else recipe
     if corrects and not identification.family.correctable:
         raise InputError(
-            "--physics",
+            "`physics=`",
             f"a recipe of kind '{identification.family.kind}', whose models are trained",
             "a recipe whose models a network can correct",
         )
@@ -177,7 +177,7 @@ def make_cross_validation_options(
         system = resolve_system(identification, None)
     if (system is None) == needs_system:
         given = "no system" if needs_system else "a system, not applicable to this recipe"
-        raise InputError("--system", given, "a system for recipes that identify one")
+        raise InputError("`system=`", given, "a system for recipes that identify one")
     return CrossValidationOptions(
         recipe=recipe,
         physics=identification if corrects else None,

@@ -60,7 +60,7 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
     records = records_without_test(data)
     if not 3 <= folds <= len(records):
         raise InputError(
-            "--folds",
+            "`folds=`",
             f"{folds} folds of {len(records)} records",
             f"3 to {len(records)}" if len(records) >= 3 else "at least 3 records",
             "one fold is scored, one chooses, the others train",
@@ -101,7 +101,7 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
                 e.name,
                 f"{len(e)} samples: cut into {count} to be judged, {edges[1]} each",
                 f"at least {_SHORTEST} in a piece",
-                "record longer, or name a recipe (--recipe)",
+                "record longer, or name a recipe (`recipe=`)",
             )
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)

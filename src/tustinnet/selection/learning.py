@@ -100,21 +100,21 @@ def make_learning_curve_options(
             f"recipe '{network.name}'",
             f"kind '{network.family.kind}'",
             "the recipe of a network by itself",
-            "physics are drawn with --system",
+            "physics are drawn with `system=`",
         )
     make_cross_validation_options(network)  # checks its rates
     if sizes and (len(sizes) < 2 or sorted(set(sizes)) != list(sizes) or sizes[0] < FEWEST):
         raise InputError(
-            "--records",
+            "`records=`",
             ",".join(map(str, sizes)),
             f"two or more rising numbers from {FEWEST} on",
-            "for instance --records 2,4,8",
+            "for instance `records=` 2,4,8",
         )
     if start is not None:
         start_named(start)
     if twin == "nominal" and hybrid and isinstance(hybrid.system, SystemTemplate):
         raise InputError(
-            "--twin", f"'nominal', of which '{hybrid.system.name}' has none", "'identified'"
+            "`twin=`", f"'nominal', of which '{hybrid.system.name}' has none", "'identified'"
         )
     return LearningCurveOptions(network, hybrid, tuple(sizes), draws, twin, start)
 
@@ -266,7 +266,7 @@ def draw_records(data: DataSet, options: LearningCurveOptions) -> list[Draw]:
             data.name,
             f"{count} records, of which {most} remain in each draw",
             f"{needed} that remain",
-            "record more, or request fewer: --records 2,4",
+            "record more, or request fewer: `records=` 2,4",
         )
     draws = []
     for number in range(options.draws):

@@ -382,7 +382,7 @@ def _require_no_earlier(folder: Path) -> None:
             folder,
             f"holds an earlier selection ({scores[0].parent.parent.name}, ...)",
             "a new folder",
-            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
+            "add `resume=` to go on with it, `overwrite=` to discard it, or choose another folder",
         )
 
 
@@ -398,5 +398,5 @@ def _nothing_fitted(halving: Halving) -> InputError:
         "selection",
         f"no candidate could be fitted ({why})",
         "one that can",
-        "give more time: --budget" if short_of_time else "",
+        "give more time: `budget=`" if short_of_time else "",
     )

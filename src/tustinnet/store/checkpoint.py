@@ -132,7 +132,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
         path,
         "not a whole checkpoint",
         "a checkpoint written by tustinnet",
-        "start anew with --overwrite",
+        "start anew with `overwrite=`",
     ):
         stored_members = list(header["members"].items())
         by_name = {member.name: member for member in task.members}
@@ -144,7 +144,7 @@ def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumeP
                     path,
                     "the checkpoint belongs to another recipe, seed, rate, data set or version",
                     "the same as when it was written",
-                    "start anew with --overwrite, or in another folder",
+                    "start anew with `overwrite=`, or in another folder",
                 )
         if not members:
             return (), None

@@ -118,7 +118,7 @@ def require_export_folder(folder: Path, *, overwrite: bool) -> None:
     entries = folder.iterdir() if folder.is_dir() else ()
     if any(not e.name.endswith(PART) for e in entries) and not _holds_export(folder):
         raise InputError(
-            folder, "a folder that holds something else", "an empty folder", "choose another --out"
+            folder, "a folder that holds something else", "an empty folder", "choose another folder"
         )
     require_outputs([folder / CARD], overwrite=overwrite)
 
@@ -151,7 +151,7 @@ def _require_extras(targets: Sequence[Target]) -> None:
         names = ", ".join(target.name for target, _ in lacking)
         extras = ",".join(target.extra[0] for target, _ in lacking if target.extra)
         raise InputError(
-            "--to",
+            "`to=`",
             f"packages for {names} are not installed",
             "them",
             f"pip install 'tustinnet[{extras}]'",
@@ -172,23 +172,23 @@ def find_targets(to: To, at: Mapping[str, float] | None = None) -> list[Target]:
     listed = [name.strip() for name in to.split(",")] if isinstance(to, str) else to
     requested = [listed] if isinstance(listed, Target) else list(listed)
     if ALL in requested and len(requested) > 1:
-        raise InputError("--to", "'all' beside others", "all by itself, or targets by name")
+        raise InputError("`to=`", "'all' beside others", "all by itself, or targets by name")
     wants_all = requested == [ALL]
     requested = list(TARGETS.names()) if wants_all else requested
     targets: list[Target] = [r if isinstance(r, Target) else TARGETS[r] for r in requested]
     targets = [t for t in targets if t.fits_any_model or not wants_all]
     names = [target.name for target in targets]
     if not targets or len(set(names)) < len(names):
-        raise InputError("--to", f"'{','.join(names)}'", "targets, none of them twice")
+        raise InputError("`to=`", f"'{','.join(names)}'", "targets, none of them twice")
     if not at:
         return targets
     moved = [target.at_operating_point(at) for target in targets]
     if moved == targets:
         raise InputError(
-            "--at",
+            "`at=`",
             f"an operating point for {', '.join(names)}",
             "a target that has one",
-            "leave it out, or add mat to --to",
+            "leave it out, or add mat to `to=`",
         )
     return moved
 

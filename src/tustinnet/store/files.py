@@ -132,7 +132,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
             folder,
             "another run is writing there",
             "a folder of its own for every run",
-            "wait until it ends, or choose another --out",
+            "wait until it ends, or choose another folder",
         ) from None
     except OSError:
         pass  # a file system without locks
@@ -187,7 +187,7 @@ def require_outputs(
             existing[0],
             f"there already{more}",
             "a new file",
-            "choose another place, or add --overwrite",
+            "choose another place, or add `overwrite=`",
         )
 
 

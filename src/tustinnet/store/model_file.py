@@ -86,7 +86,7 @@ def load_model(path: str | Path, system: AnySystem | None = None) -> Model:
             f"system for {path}",
             f"not applicable to a model of kind '{header['kind']}'",
             "a model of a system",
-            "leave --system out",
+            "leave `system=` out",
         )
     if system is None and kept_system.HEADER in header and _systems_in(header, path):
         system = kept_system.find_trusted_copy(Path(path))
@@ -142,7 +142,7 @@ def load_models(
         models.append(model)
     for i, (which, system) in enumerate(loaded):
         if i not in used:
-            where = f"--system {which if isinstance(which, str) else which.path}"
+            where = f"`system=` {which if isinstance(which, str) else which.path}"
             raise InputError(where, f"'{system.name}', which no model is of", "a model's system")
     return models
 

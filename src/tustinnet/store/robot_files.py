@@ -35,7 +35,7 @@ def write_robot(
             "write_robot",
             "a model that was not made from a robot's file",
             "one that was",
-            "fit with --system arm.urdf",
+            "fit with `system=` arm.urdf",
         )
     equations, source = robot
     if path.suffix != source.path.suffix:

@@ -47,7 +47,7 @@ def prepare_run_folder(
     """Refuses, discards or keeps the files of an earlier run in a folder."""
     if earlier == "resume" and not resumable:
         raise InputError(
-            "--resume", "an identification is not resumed", "a training", "leave the option out"
+            "`resume=`", "an identification is not resumed", "a training", "leave it out"
         )
     if earlier == "resume":
         require_same_specification(folder, specification, MODEL)
@@ -61,7 +61,7 @@ def prepare_run_folder(
             folder,
             f"holds an earlier run ({places[0].name}, ...)",
             "a new folder",
-            "add --resume to go on with it, --overwrite to discard it, or choose another --out",
+            "add `resume=` to go on with it, `overwrite=` to discard it, or choose another folder",
         )
     files = [folder / name for name in (MODEL, SUMMARY, BASE_PARAMETERS, LOG, REPORT, FIGURES)]
     require_outputs(files, overwrite=earlier == "discard")

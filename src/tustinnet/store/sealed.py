@@ -47,7 +47,7 @@ def read_sealed(path: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], dict[
     """
     kind, remedy = "model", "copy or train it again"
     if len(kinds) == 1:
-        (kind,), remedy = kinds, "start anew with --overwrite"
+        (kind,), remedy = kinds, "start anew with `overwrite=`"
     if path.is_dir():
         raise InputError(
             path, "a folder", "a model file", f"did you mean {path / 'model.safetensors'}?"

@@ -87,8 +87,8 @@ def require_same_specification(folder: Path, specification: Specification, model
     raise InputError(
         folder,
         difference,
-        "for --resume the same recipe or plan, data and system",
-        "use the same, choose another --out, or discard what is there by --overwrite",
+        "for `resume=` the same recipe or plan, data and system",
+        "use the same, choose another folder, or discard what is there by `overwrite=`",
     )
 
 

@@ -55,7 +55,7 @@ def load_system(which: AnySystem) -> LagrangianSystem:
         raise InputError(
             f"system '{system.name}'",
             "made for the records that it is identified from",
-            "no --system",
+            "no `system=`",
             "a model file of it has all that is needed",
         )
     return system

@@ -665,7 +665,7 @@ class _Assembly:
                         f"moves by the joint '{joint.name}' and has no inertia",
                         "mass, centre and inertia",
                         "give it an <inertial>, or all such links that of their shapes by "
-                        "--default-density",
+                        "`default_density=`",
                     )
             elif joint.name in self.locked:
                 frame = frame @ _motion(joint, self.locked[joint.name])

@@ -188,7 +188,7 @@ def _shared_physics(fold: Fold) -> Model | None:
             for name, value in sorted(set(e.groups) - set(than.groups))
         )
         raise InputError(
-            "--physics",
+            "`physics=`",
             f"has other values for {differ}",
             "records that share their values",
             "train on the records of one group",

@@ -88,12 +88,12 @@ def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[str, ..
     kept = f"epoch {best_epoch} of {done} of stage '{recipe.name}' was kept ({criterion})"
     if best_epoch > recipe.epochs - few:
         return (
-            f"{kept}, one of the last: it was still improving; train longer: --set "
+            f"{kept}, one of the last: it was still improving; train longer: `changes=` "
             f"stages.{index}.epochs={2 * recipe.epochs}",
         )
     if best_epoch <= few:
         return (
-            f"{kept}, one of the first: what followed was worse; train more carefully: --set "
+            f"{kept}, one of the first: what followed was worse; train more carefully: `changes=` "
             f"stages.*.rate={recipe.rate / 3:.1g}",
         )
     return ()

@@ -213,7 +213,7 @@ def describe_bounds(
         advice = (
             ""
             if system.added_parameters
-            else '; try --set \'model.forces=["constant"]\' or "curve"'
+            else '; try `changes=` \'model.forces=["constant"]\' or "curve"'
         )
         sentences.append(
             f"{', '.join(vanished)}: that says nothing of the machine as long as the model does "
@@ -268,7 +268,7 @@ def describe_curves(curves: Sequence[PlacedForce], added: Sequence[str]) -> list
     forces = json.dumps([*added, *map(str, curves)])
     return [
         f"most of the force that is missing at {names} depends on the speed there: friction of "
-        f"another form; it is found with --set 'model.forces={forces}'"
+        f"another form; it is found with `changes=` 'model.forces={forces}'"
     ]
 
 

@@ -163,7 +163,7 @@ def _make_problem(
             raise InputError(
                 f"system '{system.name}'",
                 "made for records without [controller] in their card",
-                "a system of your own: --system FILE",
+                "a system of your own: `system=` FILE",
                 "or take [controller] out of the card",
             )
         system = system.for_records(records)

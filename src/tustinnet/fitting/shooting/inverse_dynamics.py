@@ -286,13 +286,13 @@ def find_obstacle(system: LagrangianSystem, records: Sequence[Experiment]) -> Ob
     """
     if system.internal or delay_names(system.sensors):
         what = "internal states" if system.internal else "delays"
-        remedy = "identify it by simulation: --recipe grey"
+        remedy = "identify it by simulation: `recipe=` grey"
         return Obstacle(f"of a system with {what}", "one without", remedy)
     if any(e.channels.controller is not None and e.outputs is None for e in records):
         return Obstacle(
             "without the inputs that the controller computed",
             "their columns in the data card",
-            "add them, or identify by simulation: --recipe grey",
+            "add them, or identify by simulation: `recipe=` grey",
         )
     return None
 
