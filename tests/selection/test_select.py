@@ -22,6 +22,7 @@ from tustinnet.fits import deadline
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
+from tustinnet.report.selection import candidates_table
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import final_models, halving, jobs, scoring
 from tustinnet.selection.applicability import applicable_candidates
@@ -216,7 +217,10 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     told = made.choice.sentences
     assert told[0].startswith(f"chosen: {made.choice.best}, ")
     assert "free runs of 5 records that its models were not fitted to: " in told[1]
-    assert "% of the motion; worst " in told[1]
+    assert "% of the error of standing still (" in told[1]
+    table = candidates_table(made.choice)
+    assert table.rows[-1][0] == "(standing still)"
+    assert made.choice.as_plain()["reference"]["mean"] == made.choice.reference.mean
     assert told[2].startswith("a new record of these kinds: typically ")
     assert " than the next, " in told[3]
     assert any(line.startswith("round 1 of 3, one fold: ") for line in made.said)
@@ -234,6 +238,11 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
     assert len(close[1]) == len(close[0]) + 1
     assert "no candidate follows these records closely" in close[1][2]
+    small = replace(choice.reference.scores[0], rmse=1e-6)
+    lost = replace(choice, reference=replace(choice.reference, scores=(small,)))
+    assert "nothing follows these records better than standing still: look" in "\n".join(
+        lost.sentences
+    )
 
 
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
@@ -254,7 +263,7 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     assert "typically 0.13 rad, " in even.sentences[2]
     assert not any("pessimistic" in line for line in even.sentences)
     assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[3]
-    assert "more than the motion; worst r3" in uneven.sentences[1]
+    assert "192 % of the error of standing still (1.18 rad); worst r3" in uneven.sentences[1]
     two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").sentences[3]
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9

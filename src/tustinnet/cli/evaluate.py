@@ -16,6 +16,7 @@ from tustinnet.cli.records import load_records
 
 if TYPE_CHECKING:
     from tustinnet.channels import Channels
+    from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.bands import BandOptions
     from tustinnet.evaluate.coverage import Coverage
     from tustinnet.evaluate.scores import Score
@@ -62,8 +63,9 @@ def evaluate(
         rmse_ahead_by_unit,
     )
     from tustinnet.evaluate.coverage import compute_coverage
-    from tustinnet.evaluate.scores import Score, mean_rmse, mean_rmse_by_unit
+    from tustinnet.evaluate.reference import find_reference
     from tustinnet.evaluate.scores import evaluate as score_records
+    from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
     from tustinnet.report.tables import Table, number
 
     band_options = make_band_options(band, whole=whole_records)
@@ -79,9 +81,8 @@ def evaluate(
     inputs = list_input_files(data, card, model, system)
     require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
-    by_split: dict[str, list[Score]] = {}
-    for e, score in zip(records, scores, strict=True):
-        by_split.setdefault(e.split or "all", []).append(score)
+    reference = find_reference(records, runs.horizon)
+    by_split, trivial = (_group_by_split(records, s) for s in (scores, reference.scores))
     bands, coverage = [], []
     if band_options is not None:
         bands = compute_bands(model, simulator, records, scores, band_options)
@@ -101,6 +102,11 @@ def evaluate(
             "mean": mean_rmse(scores),
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
             "mean_by_unit": mean_rmse_by_unit(scores, channels),
+            "reference": {
+                "predictor": reference.label,
+                "mean": reference.mean,
+                "mean_by_unit": reference.mean_by_unit,
+            },
             "means_by_unit": {
                 name: mean_rmse_by_unit(group, channels) for name, group in by_split.items()
             },
@@ -120,7 +126,11 @@ def evaluate(
             }
         terminal.print_json(content)
     else:
-        terminal.print_tables(*_score_tables(by_split, channels, runs.start))
+        terminal.print_tables(
+            *_score_tables(by_split, channels, runs.start, reference.label, trivial)
+        )
+        if not mean_rmse(scores) < reference.mean:
+            terminal.echo(f"the model follows these records no better than {reference.label}")
         if band_options is not None:
             terminal.print_tables(_band_table(coverage, band_options, channels))
         if errors is not None:
@@ -143,6 +153,16 @@ def evaluate(
             figure = ahead_figure({label: rmse_ahead_by_unit(errors, channels)}, channels)
             write_figure(figure, figures, f"{_AHEAD_FIGURE}.png")
         terminal.messages().print(f"figures: {figures}")
+
+
+def _group_by_split(
+    records: "Sequence[Experiment]", scores: "Sequence[Score]"
+) -> "dict[str, list[Score]]":
+    """Scores by the split of their records; "all" where there is none."""
+    groups: dict[str, list[Score]] = {}
+    for e, score in zip(records, scores, strict=True):
+        groups.setdefault(e.split or "all", []).append(score)
+    return groups
 
 
 def _band_table(
@@ -182,11 +202,22 @@ def _band_table(
 
 
 def _score_tables(
-    by_split: "Mapping[str, Sequence[Score]]", channels: "Channels", start: str
+    by_split: "Mapping[str, Sequence[Score]]",
+    channels: "Channels",
+    start: str,
+    label: str,
+    reference: "Mapping[str, Sequence[Score]]",
 ) -> "list[Table]":
     """Tables of the scores of every record and of the means of the splits.
 
     Where there are many coordinates, their scores are a table of their own, of the means alone.
+
+    Args:
+        by_split: scores of the model.
+        channels: coordinates of the records.
+        start: where the free runs start.
+        label: what the reference does.
+        reference: its scores.
     """
     from tustinnet.report.tables import Table, number
     from tustinnet.simulate.horizon import horizon_words
@@ -222,10 +253,11 @@ def _score_tables(
                 row.append(number(percent, 1))
             rows.append(row)
     # scores of training records are optimistic, so each split has a mean of its own
-    for split, scores in by_split.items():
-        means = [fmean(column) for column in zip(*map(errors_of, scores), strict=True)]
-        row = ["mean", split, *map(number, means)]
-        rows.append([*row, *[""] * (len(columns) - len(row))])
+    for name, groups in (("mean", by_split), (f"({label})", reference)):
+        for split, scores in groups.items():
+            means = [fmean(column) for column in zip(*map(errors_of, scores), strict=True)]
+            row = [name, split, *map(number, means)]
+            rows.append([*row, *[""] * (len(columns) - len(row))])
     horizon = horizon_words(next(iter(by_split.values()))[0].horizon)
     tables = [Table(columns, rows, title=f"Free runs, start '{start}'{horizon}")]
     if is_wide:

@@ -58,6 +58,10 @@ def candidates_table(choice: Choice) -> Table:
                 f"{s.seconds:.0f}",
             ]
         )
+    if choice.reference.mean < math.inf:
+        mean = cell(*mean_and_error(choice.reference.rmse.values()))
+        empty = [""] * (len(rows[0]) - 2 - len(starts))
+        rows.append([f"({choice.reference.label})", mean, *[""] * (len(starts) - 1), *empty, ""])
     unit = choice.unit
     columns = [
         "candidate",

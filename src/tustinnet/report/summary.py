@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import mean_rmse_by_unit
 from tustinnet.fits.run import Run
 from tustinnet.fitting.recipe import TrainingRecipe
@@ -50,6 +51,7 @@ def _describe_accuracy(run: Run) -> str:
     finite = [s for s in scores if math.isfinite(s.rmse)]
     if not finite:
         return f"all free runs of {counted(len(scores), 'record')} diverge"
+    reference = find_reference(run.roles.ranking, scores[0].horizon)
     percent = 100 * np.mean([s.nrmse for s in finite], axis=0)
     shares = ", ".join(
         f"{share:.2g} % of {c.name}'s"
@@ -72,5 +74,6 @@ def _describe_accuracy(run: Run) -> str:
         f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judging_split} "
         f"record{'s' if len(finite) > 1 else ''} are off by "
         f"{amounts(mean_rmse_by_unit(finite, channels))} (mean RMSE): {shares} "
-        f"standard deviation{diverged}{remark}"
+        f"standard deviation; {reference.label} is off by {amounts(reference.mean_by_unit)}"
+        f"{diverged}{remark}"
     )

@@ -11,6 +11,7 @@ from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
+from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.scores import scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
@@ -32,7 +33,7 @@ from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run_folder import MODEL
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
-_POOR = 0.2  # of the motion, an error with which a model is of little use
+_POOR = 0.2  # of that of the reference, an error with which a model is of little use
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Choice:
         simplest: the simplest that is as good as it.
         origins: how the models of those that could be chosen were made, in words.
         model: the chosen model.
+        reference: the trivial predictor that it is compared with.
         bands: around free runs of the chosen one, None where nothing says how wide they are.
         notes: what else was done or left out, in sentences.
         seconds: time it took.
@@ -62,6 +64,7 @@ class Choice:
     simplest: str
     origins: Mapping[str, str]
     model: Model
+    reference: Reference
     bands: Calibration | None = None
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -113,13 +116,13 @@ class Choice:
         plural, total = "s" if len(rmse) > 1 else "", len(self._records)
         count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
         few = ", few of them: other records may be much further off" if len(rmse) < FEW else ""
-        share, horizon = mean / self.context.motion_within_turns, self.context.scoring.horizon
+        reference, horizon = self.reference, self.context.scoring.horizon
+        share = mean / reference.mean if reference.mean else math.inf
         length = "" if horizon is None else f"over {horizon:.3g} s "
-        of_motion = f"{_percent(share)} % of the motion"
         sentences.append(
             f"free runs {length}of {count} record{plural} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {unit}, {of_motion if share < 1 else 'more than the motion'}; "
-            f"worst {worst}, {rmse[worst]:.3g} {unit}{few}"
+            f"{mean:.3g}{spread} {unit}, {_percent(share)} % of the error of {reference.label} "
+            f"({reference.mean:.3g} {unit}); worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
         if best.unexplained:
             shares = ", ".join(f"{name} {_percent(x)} %" for name, x in best.unexplained.items())
@@ -129,7 +132,10 @@ class Choice:
             remedies = ["look at them (inspect)"]
             remedies += [] if self.budget is None else ["give more time (`budget=`)"]
             remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
-            sentences.append(f"no candidate follows these records closely: {' or '.join(remedies)}")
+            follows = "no candidate follows these records closely"
+            if share >= 1:
+                follows = f"nothing follows these records {length}better than {reference.label}"
+            sentences.append(f"{follows}: {' or '.join(remedies)}")
         sentences.append(self._comparison_with_next(best))
         scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
         decisive = find_decisive_record(best, scored)
@@ -281,6 +287,7 @@ class Choice:
             "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,
+            "reference": {"predictor": self.reference.label, "mean": self.reference.mean},
             "claim": None if self.claim is None else asdict(self.claim),
             "seconds": self.seconds,
             "seconds_by_part": dict(self.seconds_by_part),
@@ -322,8 +329,8 @@ class Choice:
 
 
 def _percent(share: float) -> str:
-    """Hundredths of a share below 1, two digits of it."""
-    return f"{100 * share:.2g}" if share < 0.1 else f"{min(100 * share, 99):.0f}"
+    """Hundredths of a share, two digits of a small one."""
+    return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.0f}"
 
 
 def _count_stopped(stopped: int, total: int, noun: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
+from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
@@ -296,6 +297,7 @@ def _choose(
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
+    scored = [e for e in records_without_test(context.data) if e.name in best.rmse()]
     choice = Choice(
         context,
         candidates,
@@ -303,6 +305,7 @@ def _choose(
         simplest.name,
         origins,
         final.model,
+        find_reference(scored, context.scoring.horizon),
         bands,
         spoiled=spoiled,
         left_out=left_out,
