@@ -1,12 +1,13 @@
 """Coordinates, inputs and sampling period as one object, and the layout of a state."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import BeforeValidator
 
 from tustinnet.errors import InputError, require_name, require_text
 
@@ -16,6 +17,32 @@ Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
 SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
 _DEFAULT_HOLD = "zero-order"
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
+
+
+def _refuse(value: object) -> None:
+    raise ValueError("a key of records, not of models")
+
+
+OfRecords = BeforeValidator(_refuse)  # of fields that no model has: files of models lack them
+
+
+class Described:
+    """Base class of what model files, exports and data cards describe by the same keys.
+
+    The keys are the fields, those `OfRecords` excepted. A model file with any other is refused.
+    """
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    def as_plain(self) -> dict[str, Any]:
+        """The keys with their values, without `later` ones at their defaults."""
+        values = [(f, getattr(self, f.name)) for f in fields(self) if f.compare]  # pyright: ignore[reportArgumentType]
+        return {f.name: value for f, value in values if not (f.metadata and value == f.default)}
+
+
+def later(default: Any) -> Any:
+    """A field that older files lack: no file has it at its default."""
+    return field(default=default, metadata={"later": True})
 
 
 class ColumnUnit(NamedTuple):
@@ -31,7 +58,7 @@ class ColumnUnit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class Coordinate(Described):
     """A generalised coordinate of the system.
 
     Attributes:
@@ -47,7 +74,7 @@ class Coordinate:
     kind: Kind
     resolution: float | None = None
     unit: str = ""
-    column: ColumnUnit | None = field(default=None, compare=False)
+    column: Annotated[ColumnUnit | None, OfRecords] = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "coordinate")
@@ -67,13 +94,20 @@ class Coordinate:
             raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", default)
         object.__setattr__(self, "unit", self.unit or default)
 
+    def as_plain(self) -> dict[str, Any]:
+        """The keys with their values; `unit` where the kind does not say it."""
+        plain = super().as_plain()
+        if self.unit == _default_unit(self.kind):
+            del plain["unit"]
+        return plain
+
 
 def _default_unit(kind: str) -> str:
     return "rad" if kind == "angular" else "m"
 
 
 @dataclass(frozen=True)
-class Input:
+class Input(Described):
     """An input of the system.
 
     Attributes:
@@ -94,7 +128,7 @@ class Input:
     hold: Hold | None = None
     limits: tuple[float, float] | None = None
     delay: float | None = 0.0
-    is_delay_declared: bool = field(default=False, compare=False)
+    is_delay_declared: Annotated[bool, OfRecords] = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
@@ -113,12 +147,11 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
-_LOOP_DEFAULTS = {"ki": 0.0, "velocity_filter": 0.0, "delay": 0}  # headers leave them out
 MOST_DELAY = 100  # samples between what a controller computes and what acts
 
 
 @dataclass(frozen=True)
-class PDLoop:
+class PDLoop(Described):
     """The loop by which a controller computes an input from a coordinate and its set points.
 
     `input = kp (position - q) + kd (velocity - v) + ki integral(position - q) + feedforward`,
@@ -146,9 +179,9 @@ class PDLoop:
     feedforward: str = ""
     kp: float | None = None
     kd: float | None = None
-    ki: float | None = 0.0
-    velocity_filter: float = 0.0
-    delay: int = 0
+    ki: float | None = later(0.0)
+    velocity_filter: float = later(0.0)
+    delay: int = later(0)
 
     @property
     def gains(self) -> tuple[str, ...]:
@@ -162,7 +195,7 @@ class PDLoop:
 
 
 @dataclass(frozen=True)
-class PDController:
+class PDController(Described):
     """A controller in the loop: proportional and derivative feedback to set points.
 
     Attributes:
@@ -391,51 +424,39 @@ class Channels:
 
     def as_header(self) -> dict[str, Any]:
         """The channels as plain values, as model files contain them."""
-        coordinates = [asdict(c) for c in self.coordinates]
-        for c in coordinates:
-            del c["column"]  # of the records, not of a model
-            if c["unit"] == _default_unit(c["kind"]):
-                del c["unit"]  # the kind says it
-        inputs = [asdict(i) for i in self.inputs]
-        for i in inputs:
-            del i["is_delay_declared"]  # of the records, not of a model
-        return {
-            "coordinates": coordinates,
-            "inputs": inputs,
+        plain: dict[str, Any] = {
+            "coordinates": [c.as_plain() for c in self.coordinates],
+            "inputs": [i.as_plain() for i in self.inputs],
             "dt": self.dt,
-            **({} if self.controller is None else {"controller": self._controller_header()}),
         }
-
-    def _controller_header(self) -> dict[str, Any]:
-        """The controller as plain values."""
-        controller = asdict(self.controller) if self.controller else {}
-        for i in controller["inputs"]:
-            del i["is_delay_declared"]
-        controller["loops"] = [
-            {key: x for key, x in loop.items() if x != _LOOP_DEFAULTS.get(key, ...)}
-            for loop in controller["loops"]
-        ]
-        return controller
+        if self.controller is not None:
+            inputs, loops = self.controller.inputs, self.controller.loops
+            plain["controller"] = {
+                "inputs": [i.as_plain() for i in inputs],
+                "loops": [loop.as_plain() for loop in loops],
+            }
+        return plain
 
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":
-        """The channels that `as_header` wrote."""
+        """The channels that `as_header` wrote, among other keys."""
         controller = header.get("controller")
         return cls(
             tuple(Coordinate(**c) for c in header["coordinates"]),
-            _inputs_from_header(header["inputs"]),
+            _restore_inputs(header["inputs"]),
             header["dt"],
             controller
             and PDController(
-                _inputs_from_header(controller["inputs"]),
+                _restore_inputs(controller["inputs"]),
                 tuple(PDLoop(**loop) for loop in controller["loops"]),
             ),
         )
 
 
-def _inputs_from_header(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
-    limits = [tuple(i["limits"]) if i["limits"] else None for i in entries]
-    return tuple(Input(**{**i, "limits": limit}) for i, limit in zip(entries, limits, strict=True))
+def _restore_inputs(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
+    """The inputs of a header; JSON has no tuples."""
+    limits = [i.get("limits") and tuple(i["limits"]) for i in entries]
+    return tuple(Input(**{**i, "limits": pair}) for i, pair in zip(entries, limits, strict=True))
 
 
 class HasChannels:

@@ -268,7 +268,9 @@ class InputCard(Declaration):
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
         is_declared = delay is not None and "delay" in self.model_fields_set
-        return Input(self.name, self.unit, hold, self.limits, delay, is_declared)
+        own = self.model_dump(exclude={"column", "scale", "sign", "offset", "assumed"})
+        own |= {"hold": hold, "delay": delay, "is_delay_declared": is_declared}
+        return Input(**own)
 
 
 class SetPointCard(Declaration):
@@ -324,18 +326,14 @@ class PDLoopCard(Declaration):
         Args:
             has_integral: whether the controller has integrals, whose gains may be missing.
         """
-        return PDLoop(
-            self.input,
-            self.coordinate,
-            f"{self.coordinate}_setpoint",
-            f"{self.coordinate}_velocity_setpoint" if self.velocity else "",
-            f"{self.input}_feedforward" if self.feedforward is not None else "",
-            self.kp,
-            self.kd,
-            self.ki if has_integral else 0.0,
-            self.velocity_filter,
-            self.delay,
-        )
+        has_feedforward = self.feedforward is not None
+        own = self.model_dump() | {
+            "position": f"{self.coordinate}_setpoint",
+            "velocity": f"{self.coordinate}_velocity_setpoint" if self.velocity else "",
+            "feedforward": f"{self.input}_feedforward" if has_feedforward else "",
+            "ki": self.ki if has_integral else 0.0,
+        }
+        return PDLoop(**own)
 
 
 class ControllerCard(Declaration):

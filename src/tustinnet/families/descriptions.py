@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Hold, Input, Kind
-from tustinnet.data.declaration import Declaration, Name, Text, declare
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Input, PDController
+from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError
 from tustinnet.families.summaries import CORRECTION, MEMBERS, PHYSICS
 from tustinnet.models.sizes import (
@@ -50,83 +50,24 @@ class Entries(Declaration):
     model_config = ConfigDict(extra="allow", strict=True)
 
 
-class CoordinateEntry(Entries):
-    """A coordinate, see `channels.Coordinate`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    name: Name
-    kind: Kind
-    resolution: float | None
-    unit: Text = ""
-
-    @model_validator(mode="after")
-    def _check(self) -> "CoordinateEntry":
-        Coordinate(self.name, self.kind, self.resolution, self.unit)
-        return self
-
-
-class InputEntry(Entries):
-    """An input, see `channels.Input`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    name: Name
-    unit: Text
-    hold: Hold | None
-    limits: tuple[float, float] | None
-    delay: float | None
-
-    @model_validator(mode="after")
-    def _check(self) -> "InputEntry":
-        Input(self.name, self.unit, self.hold, self.limits, self.delay)
-        return self
-
-
-class LoopEntry(Entries):
-    """A loop of a controller, see `channels.PDLoop`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    input: Name
-    coordinate: Name
-    position: Name
-    velocity: Text = ""
-    feedforward: Text = ""
-    kp: float | None = None
-    kd: float | None = None
-    ki: float | None = 0.0
-    velocity_filter: float = 0.0
-    delay: int = 0
-
-
-class ControllerEntry(Entries):
-    """A controller in the loop, see `channels.PDController`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    inputs: list[InputEntry]
-    loops: list[LoopEntry]
-
-
 class Description(Entries):
     """Kind and channels of a model, or of a part of one; the rest belongs to its family."""
 
     kind: str
-    coordinates: list[CoordinateEntry] = Field(min_length=1)
-    inputs: list[InputEntry]
+    coordinates: tuple[Coordinate, ...] = Field(min_length=1)
+    inputs: tuple[Input, ...]
     dt: float = Field(ge=SHORTEST_DT, le=LONGEST_DT)
-    controller: ControllerEntry | None = None
+    controller: PDController | None = None
 
     @model_validator(mode="after")
     def _check_channels(self) -> "Description":
-        channels = Channels.from_header(self.model_dump())
-        if channels.controller is not None:
-            channels.controller.require_loops(channels.coordinates, "controller")
-            names = [i.name for i in channels.inputs]
-            computed = {loop.input for loop in channels.controller.loops}
-            others = [i.name for i in channels.controller.inputs if i.name not in computed]
-            points = [name for loop in channels.controller.loops for name in loop.set_points]
+        Channels(self.coordinates, self.inputs, self.dt)
+        if self.controller is not None:
+            self.controller.require_loops(self.coordinates, "controller")
+            names = [i.name for i in self.inputs]
+            computed = {loop.input for loop in self.controller.loops}
+            others = [i.name for i in self.controller.inputs if i.name not in computed]
+            points = [name for loop in self.controller.loops for name in loop.set_points]
             for name in (*points, *others):
                 if name not in names:
                     raise ValueError(f"no input '{name}', which the controller requires")
