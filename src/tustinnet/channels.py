@@ -23,7 +23,8 @@ def _refuse(value: object) -> None:
     raise ValueError("a key of records, not of models")
 
 
-OfRecords = BeforeValidator(_refuse)  # of fields that no model has: files of models lack them
+OfRecords = BeforeValidator(_refuse)  # fields that no model has
+LATER = {"later": True}  # fields that older model files lack: none has them at their defaults
 
 
 class Described:
@@ -34,15 +35,17 @@ class Described:
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 
-    def as_plain(self) -> dict[str, Any]:
-        """The keys with their values, without `later` ones at their defaults."""
+    def as_header(self) -> dict[str, Any]:
+        """The keys with plain values, as in model files: without `LATER` ones at their defaults."""
         values = [(f, getattr(self, f.name)) for f in fields(self) if f.compare]  # pyright: ignore[reportArgumentType]
-        return {f.name: value for f, value in values if not (f.metadata and value == f.default)}
+        kept = [(f.name, x) for f, x in values if not (f.metadata and x == f.default)]
+        return {name: _plain(value) for name, value in kept}
 
 
-def later(default: Any) -> Any:
-    """A field that older files lack: no file has it at its default."""
-    return field(default=default, metadata={"later": True})
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    return value.as_header() if isinstance(value, Described) else value
 
 
 class ColumnUnit(NamedTuple):
@@ -94,9 +97,9 @@ class Coordinate(Described):
             raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", default)
         object.__setattr__(self, "unit", self.unit or default)
 
-    def as_plain(self) -> dict[str, Any]:
-        """The keys with their values; `unit` where the kind does not say it."""
-        plain = super().as_plain()
+    def as_header(self) -> dict[str, Any]:
+        """The keys with plain values; `unit` where the kind does not say it."""
+        plain = super().as_header()
         if self.unit == _default_unit(self.kind):
             del plain["unit"]
         return plain
@@ -179,9 +182,9 @@ class PDLoop(Described):
     feedforward: str = ""
     kp: float | None = None
     kd: float | None = None
-    ki: float | None = later(0.0)
-    velocity_filter: float = later(0.0)
-    delay: int = later(0)
+    ki: float | None = field(default=0.0, metadata=LATER)
+    velocity_filter: float = field(default=0.0, metadata=LATER)
+    delay: int = field(default=0, metadata=LATER)
 
     @property
     def gains(self) -> tuple[str, ...]:
@@ -258,7 +261,7 @@ def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Inpu
 
 
 @dataclass(frozen=True)
-class Channels:
+class Channels(Described):
     """Coordinates, inputs and sampling period of a record, a data set, a model or a system.
 
     A state is `x = [q, v, z]`: positions [rad or m], velocities [rad/s or m/s] and, of models
@@ -276,7 +279,7 @@ class Channels:
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...] = ()
     dt: float = 0.0
-    controller: PDController | None = field(default=None, repr=False)
+    controller: PDController | None = field(default=None, repr=False, metadata=LATER)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coordinates", tuple(self.coordinates))
@@ -421,21 +424,6 @@ class Channels:
                 inputs[j] = replace(i, limits=declared.limits)
                 added.append(f"limits of {i.name}")
         return replace(self, coordinates=tuple(coordinates), inputs=tuple(inputs)), tuple(added)
-
-    def as_header(self) -> dict[str, Any]:
-        """The channels as plain values, as model files contain them."""
-        plain: dict[str, Any] = {
-            "coordinates": [c.as_plain() for c in self.coordinates],
-            "inputs": [i.as_plain() for i in self.inputs],
-            "dt": self.dt,
-        }
-        if self.controller is not None:
-            inputs, loops = self.controller.inputs, self.controller.loops
-            plain["controller"] = {
-                "inputs": [i.as_plain() for i in inputs],
-                "loops": [loop.as_plain() for loop in loops],
-            }
-        return plain
 
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":

@@ -81,7 +81,7 @@ def write_data_set(
 
 def _without_none(channel: Described) -> dict[str, Any]:
     """The keys that a channel has in a card as in a model."""
-    return {key: value for key, value in channel.as_plain().items() if value is not None}
+    return {key: value for key, value in channel.as_header().items() if value is not None}
 
 
 def _input_entry(i: Input, column: int | None) -> dict[str, Any]:
@@ -128,6 +128,6 @@ def _value(value: Any) -> str:
         return quote(value)
     if isinstance(value, dict):
         return f"{{ {', '.join(_lines(value))} }}"
-    if isinstance(value, list | tuple):
+    if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
     return str(value).lower() if isinstance(value, bool) else str(value)
