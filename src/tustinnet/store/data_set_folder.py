@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tustinnet.channels import Described, Input, PDLoop
+from tustinnet.channels import Input, PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import bare_key, quote
@@ -48,7 +48,7 @@ def write_data_set(
         width += len(loops)
     coordinates = []
     for k, c in enumerate(channels.coordinates, channels.n_u + 1):
-        entry = _without_none(c) | {"column": k, "unit": c.unit}
+        entry = c.as_header() | {"column": k, "unit": c.unit}
         if first.v is not None:
             speed = {"column": k + channels.n_q + 1, "unit": f"{c.unit}/s"}
             entry["velocity"] = speed | {"measured": first.v_measured}
@@ -79,16 +79,9 @@ def write_data_set(
     return card
 
 
-def _without_none(channel: Described) -> dict[str, Any]:
-    """The keys that a channel has in a card as in a model."""
-    return {key: value for key, value in channel.as_header().items() if value is not None}
-
-
 def _input_entry(i: Input, column: int | None) -> dict[str, Any]:
     """The entry of an input in a card."""
-    entry = _without_none(i) | {"hold": i.hold or "zero-order"}
-    if column is not None:
-        entry["column"] = column
+    entry = i.as_header() | {"hold": i.hold or "zero-order", "column": column}
     if i.delay is None:
         entry["delay"] = "unknown"
     elif i.delay == 0 and not (i.is_delay_declared and column):
@@ -98,7 +91,7 @@ def _input_entry(i: Input, column: int | None) -> dict[str, Any]:
 
 def _loop_entry(loop: PDLoop, kind: str, places: Mapping[str, int]) -> dict[str, Any]:
     """The entry of a loop in a card, with its columns by the names of inputs."""
-    entry = _without_none(loop)
+    entry = loop.as_header()
     if kind == "pid" and loop.ki == 0:
         entry["ki"] = 0.0  # without this key the gain would be searched for
     set_points = ("position", "velocity", "feedforward")
@@ -119,7 +112,9 @@ def _to_toml(content: Mapping[str, Any]) -> str:
 
 
 def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{bare_key(key)} = {_value(value)}" for key, value in table.items()]
+    """The lines of a table, without values that are None."""
+    values = ((key, value) for key, value in table.items() if value is not None)
+    return [f"{bare_key(key)} = {_value(value)}" for key, value in values]
 
 
 def _value(value: Any) -> str:
