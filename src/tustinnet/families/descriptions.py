@@ -54,7 +54,7 @@ def check_description(header: Mapping[str, Any], where: object) -> None:
         InputError: an unknown kind, an entry that is missing or of another type or size, a part
             with other channels than the whole.
     """
-    kind = header.get("kind", "")
+    kind: Any = header.get("kind")
     if kind not in FAMILIES:
         raise InputError(f"{where}, kind", f"{kind!r}", f"one of {', '.join(FAMILIES.names())}")
     family = FAMILIES[kind]
