@@ -1,12 +1,13 @@
 """Coordinates, inputs and sampling period as one object, and the layout of a state."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
+from pydantic import BeforeValidator
 
 from tustinnet.errors import InputError, require_name, require_text
 
@@ -16,6 +17,35 @@ Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
 SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
 _DEFAULT_HOLD = "zero-order"
 _SAME_PERIOD = 1e-6  # relative; two periods this near are one
+
+
+def _refuse(value: object) -> None:
+    raise ValueError("a key of records, not of models")
+
+
+OfRecords = BeforeValidator(_refuse)  # fields that no model has
+LATER = {"later": True}  # fields that older model files lack: none has them at their defaults
+
+
+class Described:
+    """Base class of what model files, exports and data cards describe by the same keys.
+
+    The keys are the fields, those `OfRecords` excepted. A model file with any other is refused.
+    """
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+    def as_header(self) -> dict[str, Any]:
+        """The keys with plain values, as in model files: without `LATER` ones at their defaults."""
+        values = [(f, getattr(self, f.name)) for f in fields(self) if f.compare]  # pyright: ignore[reportArgumentType]
+        kept = [(f.name, x) for f, x in values if not (f.metadata and x == f.default)]
+        return {name: _plain(value) for name, value in kept}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    return value.as_header() if isinstance(value, Described) else value
 
 
 class ColumnUnit(NamedTuple):
@@ -31,7 +61,7 @@ class ColumnUnit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class Coordinate(Described):
     """A generalised coordinate of the system.
 
     Attributes:
@@ -47,7 +77,7 @@ class Coordinate:
     kind: Kind
     resolution: float | None = None
     unit: str = ""
-    column: ColumnUnit | None = field(default=None, compare=False)
+    column: Annotated[ColumnUnit | None, OfRecords] = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "coordinate")
@@ -67,13 +97,20 @@ class Coordinate:
             raise InputError(f"coordinate '{self.name}'", f"unit '{self.unit}'", default)
         object.__setattr__(self, "unit", self.unit or default)
 
+    def as_header(self) -> dict[str, Any]:
+        """The keys with plain values; `unit` where the kind does not say it."""
+        plain = super().as_header()
+        if self.unit == _default_unit(self.kind):
+            del plain["unit"]
+        return plain
+
 
 def _default_unit(kind: str) -> str:
     return "rad" if kind == "angular" else "m"
 
 
 @dataclass(frozen=True)
-class Input:
+class Input(Described):
     """An input of the system.
 
     Attributes:
@@ -94,7 +131,7 @@ class Input:
     hold: Hold | None = None
     limits: tuple[float, float] | None = None
     delay: float | None = 0.0
-    is_delay_declared: bool = field(default=False, compare=False)
+    is_delay_declared: Annotated[bool, OfRecords] = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         require_name(self.name, "input")
@@ -113,12 +150,11 @@ class Input:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
 
-_LOOP_DEFAULTS = {"ki": 0.0, "velocity_filter": 0.0, "delay": 0}  # headers leave them out
 MOST_DELAY = 100  # samples between what a controller computes and what acts
 
 
 @dataclass(frozen=True)
-class PDLoop:
+class PDLoop(Described):
     """The loop by which a controller computes an input from a coordinate and its set points.
 
     `input = kp (position - q) + kd (velocity - v) + ki integral(position - q) + feedforward`,
@@ -146,9 +182,9 @@ class PDLoop:
     feedforward: str = ""
     kp: float | None = None
     kd: float | None = None
-    ki: float | None = 0.0
-    velocity_filter: float = 0.0
-    delay: int = 0
+    ki: float | None = field(default=0.0, metadata=LATER)
+    velocity_filter: float = field(default=0.0, metadata=LATER)
+    delay: int = field(default=0, metadata=LATER)
 
     @property
     def gains(self) -> tuple[str, ...]:
@@ -162,7 +198,7 @@ class PDLoop:
 
 
 @dataclass(frozen=True)
-class PDController:
+class PDController(Described):
     """A controller in the loop: proportional and derivative feedback to set points.
 
     Attributes:
@@ -225,7 +261,7 @@ def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Inpu
 
 
 @dataclass(frozen=True)
-class Channels:
+class Channels(Described):
     """Coordinates, inputs and sampling period of a record, a data set, a model or a system.
 
     A state is `x = [q, v, z]`: positions [rad or m], velocities [rad/s or m/s] and, of models
@@ -243,7 +279,7 @@ class Channels:
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...] = ()
     dt: float = 0.0
-    controller: PDController | None = field(default=None, repr=False)
+    controller: PDController | None = field(default=None, repr=False, metadata=LATER)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coordinates", tuple(self.coordinates))
@@ -389,53 +425,26 @@ class Channels:
                 added.append(f"limits of {i.name}")
         return replace(self, coordinates=tuple(coordinates), inputs=tuple(inputs)), tuple(added)
 
-    def as_header(self) -> dict[str, Any]:
-        """The channels as plain values, as model files contain them."""
-        coordinates = [asdict(c) for c in self.coordinates]
-        for c in coordinates:
-            del c["column"]  # of the records, not of a model
-            if c["unit"] == _default_unit(c["kind"]):
-                del c["unit"]  # the kind says it
-        inputs = [asdict(i) for i in self.inputs]
-        for i in inputs:
-            del i["is_delay_declared"]  # of the records, not of a model
-        return {
-            "coordinates": coordinates,
-            "inputs": inputs,
-            "dt": self.dt,
-            **({} if self.controller is None else {"controller": self._controller_header()}),
-        }
-
-    def _controller_header(self) -> dict[str, Any]:
-        """The controller as plain values."""
-        controller = asdict(self.controller) if self.controller else {}
-        for i in controller["inputs"]:
-            del i["is_delay_declared"]
-        controller["loops"] = [
-            {key: x for key, x in loop.items() if x != _LOOP_DEFAULTS.get(key, ...)}
-            for loop in controller["loops"]
-        ]
-        return controller
-
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":
-        """The channels that `as_header` wrote."""
+        """The channels that `as_header` wrote, among other keys."""
         controller = header.get("controller")
         return cls(
             tuple(Coordinate(**c) for c in header["coordinates"]),
-            _inputs_from_header(header["inputs"]),
+            _restore_inputs(header["inputs"]),
             header["dt"],
             controller
             and PDController(
-                _inputs_from_header(controller["inputs"]),
+                _restore_inputs(controller["inputs"]),
                 tuple(PDLoop(**loop) for loop in controller["loops"]),
             ),
         )
 
 
-def _inputs_from_header(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
-    limits = [tuple(i["limits"]) if i["limits"] else None for i in entries]
-    return tuple(Input(**{**i, "limits": limit}) for i, limit in zip(entries, limits, strict=True))
+def _restore_inputs(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
+    """The inputs of a header; JSON has no tuples."""
+    limits = [i.get("limits") and tuple(i["limits"]) for i in entries]
+    return tuple(Input(**{**i, "limits": pair}) for i, pair in zip(entries, limits, strict=True))
 
 
 class HasChannels:

@@ -1,8 +1,8 @@
 """Registries of what has a name: families of models, scalings, systems, targets, readers of files.
 
 A new one is a line here. Other packages add theirs by entry points of the groups
-`tustinnet.families`, `tustinnet.shown`, `tustinnet.scalings`, `tustinnet.systems`,
-`tustinnet.targets` and `tustinnet.readers`; a program adds one by `register`.
+`tustinnet.families`, `tustinnet.scalings`, `tustinnet.systems`, `tustinnet.targets` and
+`tustinnet.readers`; a program adds one by `register`.
 """
 
 import sys
@@ -95,34 +95,6 @@ FAMILIES: Registry[Any] = Registry(
         "neural-ode": "tustinnet.families.neural_ode:FAMILY",
         "linear": "tustinnet.families.linear:FAMILY",
         "committee": "tustinnet.families.committee:FAMILY",
-    },
-)
-# summaries that `show` prints, without loading its models and JAX; others have `Family.summarise`
-SUMMARIES: Registry[Any] = Registry(
-    "kind of model that `show` prints",
-    "tustinnet.shown",
-    {
-        "tustin-net": "tustinnet.families.summaries:tustin_net",
-        "euler-lagrange": "tustinnet.families.summaries:euler_lagrange",
-        "hybrid": "tustinnet.families.summaries:hybrid",
-        "gru": "tustinnet.families.summaries:gru",
-        "neural-ode": "tustinnet.families.summaries:neural_ode",
-        "linear": "tustinnet.families.summaries:linear",
-        "committee": "tustinnet.families.summaries:committee",
-    },
-)
-# what the headers of model files have to have; those of other kinds are checked by `Family.restore`
-DESCRIPTIONS: Registry[Any] = Registry(
-    "kind of model whose files are checked",
-    "tustinnet.descriptions",
-    {
-        "tustin-net": "tustinnet.families.descriptions:TustinNetDescription",
-        "euler-lagrange": "tustinnet.families.descriptions:EulerLagrangeDescription",
-        "hybrid": "tustinnet.families.descriptions:HybridDescription",
-        "gru": "tustinnet.families.descriptions:GRUDescription",
-        "neural-ode": "tustinnet.families.descriptions:NeuralODEDescription",
-        "linear": "tustinnet.families.descriptions:LinearDescription",
-        "committee": "tustinnet.families.descriptions:CommitteeDescription",
     },
 )
 DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none

@@ -16,6 +16,7 @@ from conftest import write_folder
 import tustinnet as tn
 from tustinnet.channels import Channels
 from tustinnet.cli.main import run
+from tustinnet.families.descriptions import Description
 from tustinnet.families.family import Hyper, TrainedFamily, named_arrays, restore_arrays
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
@@ -24,6 +25,7 @@ from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scalin
 from tustinnet.models.contract import AccelerationModel
 from tustinnet.registry import FAMILIES
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
+from tustinnet.store.header import check_header, read_header
 from tustinnet.store.run_folder import MODEL
 
 
@@ -46,9 +48,14 @@ class ToyHyper(Hyper):
     bias: bool = True
 
 
+class ToyDescription(Description):
+    bias: bool
+
+
 class ToyFamily(TrainedFamily):
     kind = "toy"
     hyper = ToyHyper
+    description = ToyDescription
     correctable = True
     model = Toy
 
@@ -195,6 +202,12 @@ def test_it_is_saved_loaded_shown_compared_and_simulated(place, pendulum, tmp_pa
     assert len(json.loads(capsys.readouterr().out)["ahead"]["rmse"]) == 5
     step = tn.compiled_step(model)(np.array([0.3, 0.1]), np.array([0.5]))
     np.testing.assert_allclose(step, model.step(jnp.array([0.3, 0.1]), jnp.array([0.5])), rtol=1e-5)
+
+
+def test_its_header_is_checked_by_its_description(place):
+    header = read_header(place / "run" / MODEL)
+    with pytest.raises(tn.InputError, match=r"file, bias: .* \(got 'no'\)$"):
+        check_header({**header, "bias": "no"}, "file")
 
 
 def test_it_is_cross_validated(pendulum):

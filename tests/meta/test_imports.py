@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from tustinnet.registry import FAMILIES, SUMMARIES
-
 HEAVY = {"jax", "equinox", "scipy", "matplotlib", "polars", "rich", "h5py", "jinja2"}
 READING = {"polars", "rich"}  # records of text, and tables of them
 # prints whether matplotlib is loaded when a table is printed, instead of the table
@@ -77,12 +75,8 @@ def test_records_are_inspected_without_jax_and_scipy(folder):
     assert heavy_after(command("inspect", folder)) <= READING
 
 
-def test_a_header_is_shown_without_jax_and_polars(model):
-    assert not heavy_after(command("show", model))
-
-
-def test_every_packaged_kind_is_shown_without_its_models():
-    assert set(SUMMARIES.places) == set(FAMILIES.places)
+def test_a_header_is_shown_by_its_family_and_without_what_reads_records_and_draws(model):
+    assert heavy_after(command("show", model)) == {"jax", "equinox"}
 
 
 @pytest.mark.parametrize("verb", ["evaluate", "compare", "fit"])

@@ -98,9 +98,9 @@ class VelocityCard(Declaration):
 class CoordinateCard(Declaration):
     """A coordinate: `SI value = sign * scale * factor(unit) * (column - offset)`.
 
+    `name`, `kind` and `resolution` are those of `Coordinate`, the latter in its SI unit.
+
     Attributes:
-        name: name of the coordinate.
-        kind: `angular` or `linear`.
         column: name or number of the position column.
         unit: rad, deg, rev, ... of an angle; m, mm, in, ... of a linear coordinate, or a unit that
             is no length (V, mA, K, 1), of which the records have the SI unit; or `counts` of the
@@ -110,7 +110,6 @@ class CoordinateCard(Declaration):
         sine: column of the sine of an angle whose cosine `column` has; the unit is then rad.
         sign: 1 or -1; also applies to the velocity column.
         offset: reading of the column where the coordinate is 0, in the column's unit.
-        resolution: encoder count in rad or m, or in the SI unit of `unit`.
         counts_per_revolution: encoder counts in a turn of an angle, instead of `resolution`.
         unwrap: whether jumps of more than half a turn are taken for wraps and removed.
         wraps: whether the encoder starts again after each turn, so that every record is moved by
@@ -223,19 +222,15 @@ class InputColumn(NamedTuple):
 
 
 class InputCard(Declaration):
-    """An input: `value = sign * scale * (column - offset)`.
+    """An input: `value = sign * scale * (column - offset)`; the other keys are those of `Input`.
 
     Attributes:
-        name: name of the input.
         column: name or number; it may be left out of inputs that a controller computes.
-        unit: the unit of `value`.
         scale: units of `value` in one unit of the column.
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
-        hold: course between samples: `zero-order`, `first-order`, `band-limited`, or
-            `unknown`: `fit` tries all of them, also where neither this key nor the system says one;
-            elsewhere it is then that of the model, or `zero-order`.
-        limits: smallest and largest `value` of the actuator.
+        hold: if it is `unknown`, `fit` tries all of them, also where neither this key nor the
+            system says one; elsewhere it is then that of the model, or `zero-order`.
         delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
             also where there is no such key.
         assumed: keys of this table that nothing in the logs says; the check reminds of them.
@@ -268,7 +263,9 @@ class InputCard(Declaration):
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
         is_declared = delay is not None and "delay" in self.model_fields_set
-        return Input(self.name, self.unit, hold, self.limits, delay, is_declared)
+        own = self.model_dump(exclude={"column", "scale", "sign", "offset", "assumed"})
+        own |= {"hold": hold, "delay": delay, "is_delay_declared": is_declared}
+        return Input(**own)
 
 
 class SetPointCard(Declaration):
@@ -284,21 +281,15 @@ class SetPointCard(Declaration):
 
 
 class PDLoopCard(Declaration):
-    """The loop by which a controller computes an input, see `channels.PDLoop`.
+    """The loop by which a controller computes an input; the other keys are those of `PDLoop`.
+
+    Gains that are left out are found, `ki` of the kind `pid` only.
 
     Attributes:
-        input: name of the input.
-        coordinate: name of the coordinate that is controlled.
-        position: the column of its set point, which has the sign and the zero of the coordinate's
+        position: the column of the set point, which has the sign and the zero of the coordinate's
             own column.
-        velocity: the column of the set point of its velocity; without it that is 0.
+        velocity: the column of the set point of the velocity; without it that is 0.
         feedforward: the column of what is added, read as the input's own: its sign, scale, offset.
-        kp: gain [unit of the input by rad or m]; without it, it is found.
-        kd: gain [unit of the input by rad/s or m/s]; without it, it is found.
-        ki: gain of the integral [unit of the input by rad s or m s], of kind `pid`; without it, it
-            is found.
-        velocity_filter: time constant of a low-pass filter of the measured velocity [s].
-        delay: samples after which what is computed acts.
     """
 
     input: Name
@@ -324,18 +315,14 @@ class PDLoopCard(Declaration):
         Args:
             has_integral: whether the controller has integrals, whose gains may be missing.
         """
-        return PDLoop(
-            self.input,
-            self.coordinate,
-            f"{self.coordinate}_setpoint",
-            f"{self.coordinate}_velocity_setpoint" if self.velocity else "",
-            f"{self.input}_feedforward" if self.feedforward is not None else "",
-            self.kp,
-            self.kd,
-            self.ki if has_integral else 0.0,
-            self.velocity_filter,
-            self.delay,
-        )
+        has_feedforward = self.feedforward is not None
+        own = self.model_dump() | {
+            "position": f"{self.coordinate}_setpoint",
+            "velocity": f"{self.coordinate}_velocity_setpoint" if self.velocity else "",
+            "feedforward": f"{self.input}_feedforward" if has_feedforward else "",
+            "ki": self.ki if has_integral else 0.0,
+        }
+        return PDLoop(**own)
 
 
 class ControllerCard(Declaration):

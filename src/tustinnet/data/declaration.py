@@ -5,6 +5,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -24,6 +25,7 @@ _LONG_KEY = re.compile(
 _LONG_NUMBER = re.compile(r"\d{1001}")
 _NESTED = f"nested deeper than {_DEEPEST}"
 _OF_A_KEY = "[key]"  # pydantic's mark of a wrong key, not a wrong value
+_UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}  # keys, of a model, of a dataclass
 
 
 def _checked(require: Callable[[str, object], None]) -> AfterValidator:
@@ -191,7 +193,7 @@ def declare(
     except ValidationError as error:
         # a misspelt key also makes the right one missing: the misspelling is the news
         errors = error.errors()
-        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+        first = next((e for e in errors if e["type"] in _UNKNOWN), errors[0])
         location = [str(part) for part in first["loc"]]
         key = ".".join(location) or "the file"
         keys: list[str] | None = None
@@ -199,7 +201,7 @@ def declare(
             location = location[:-1]
             key = ".".join(location)
             keys = re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected", "")))
-        elif first["type"] == "extra_forbidden":
+        elif first["type"] in _UNKNOWN:
             keys = _table_keys(kind, first["loc"][:-1])
         if keys is not None:
             near = difflib.get_close_matches(location[-1], keys, n=1)
@@ -239,18 +241,25 @@ def require_plain(content: Mapping[str, Any], where: object) -> None:
     raise InputError(where, _NESTED, "a few tables")
 
 
-def _table_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+def _table_keys(kind: type, location: tuple[int | str, ...]) -> list[str]:
     """The keys of the table at a location; field types are followed through lists and unions."""
-    models = [kind]
+    tables = [_keys(kind)]
     for part in location:
         if isinstance(part, str):
-            fields = [m.model_fields[part].annotation for m in models if part in m.model_fields]
-            # a part that is no field is a union's tag or a mapping's key: the models stay
-            models = [m for field in fields for m in _models_in(field)] if fields else models
-    return sorted({name for model in models for name in model.model_fields})
+            found = [keys[part] for keys in tables if part in keys]
+            # a part that is no key is a union's tag or a mapping's key: the tables stay
+            tables = [keys for field in found for keys in _tables_in(field)] if found else tables
+    return sorted({name for keys in tables for name in keys})
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+def _keys(kind: type) -> dict[str, Any]:
+    """The keys of a table with their types; none of what is no table."""
+    if issubclass(kind, BaseModel):
+        return {name: field.annotation for name, field in kind.model_fields.items()}
+    return {f.name: f.type for f in fields(kind) if f.compare} if is_dataclass(kind) else {}
+
+
+def _tables_in(annotation: Any) -> list[dict[str, Any]]:
+    inside = [keys for part in get_args(annotation) for keys in _tables_in(part)]
+    own = _keys(annotation) if isinstance(annotation, type) else {}
+    return [own] if own else inside

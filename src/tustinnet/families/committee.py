@@ -1,6 +1,6 @@
 """Committees: several models of the same channels, averaged in the acceleration at every step."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from operator import or_
@@ -12,28 +12,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.families.descriptions import Description, Entries
 from tustinnet.families.family import (
     Arrays,
     Family,
     Header,
     Hyper,
+    Lines,
     describe_part,
     family_of,
     restore_part,
+    summarise_part,
     systems_in,
 )
-from tustinnet.families.summaries import MEMBERS, WEIGHT
 from tustinnet.models.contract import InputVector, Internal, Model, State
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.models.sizes import MOST_MEMBERS
 from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.systems.loading import load_system
 
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
 
+_MEMBERS, _WEIGHT = "members", "weight"  # keys of headers
 _ROUNDING = 1e-5  # of the sum of weights, which may be in single precision
 
 
@@ -263,17 +268,30 @@ def _group_members(members: Sequence[Model], weights: Any) -> Committee:
     return Committee(tuple(groups), members[0].channels)
 
 
+class MemberEntries(Entries):
+    """The weight of a member; its description is checked by its family."""
+
+    weight: float = Field(ge=0, le=1)
+
+
+class CommitteeDescription(Description):
+    """The header of a committee."""
+
+    members: list[MemberEntries] = Field(min_length=1, max_length=MOST_MEMBERS)
+
+
 class CommitteeFamily(Family):
     """The family of committees. No recipe makes one."""
 
     kind = "committee"
     hyper = Hyper
+    description = CommitteeDescription
     remedy = "fit models of other kinds, then put them together with `tustinnet committee`"
     model = Committee
 
-    def parts(self, header: Header) -> Sequence[Header]:
+    def parts(self, header: Header) -> Mapping[str, Header]:
         """The descriptions of the members."""
-        return header[MEMBERS]
+        return {f"{_MEMBERS}.{i}": member for i, member in enumerate(header[_MEMBERS])}
 
     def describe(self, model: Committee) -> tuple[Header, Arrays]:
         """The description of each member by its family, with its weight; all of one system."""
@@ -283,7 +301,7 @@ class CommitteeFamily(Family):
             zip(model.members, np.asarray(model.weights).tolist(), strict=True), 1
         ):
             part, part_arrays = describe_part(member, f"{i}.")
-            members.append({"kind": part["kind"], WEIGHT: weight, **part})
+            members.append({"kind": part["kind"], _WEIGHT: weight, **part})
             arrays |= part_arrays
         systems = dict.fromkeys(name for part in members for name in systems_in(part))
         if len(systems) > 1:
@@ -293,21 +311,41 @@ class CommitteeFamily(Family):
                 "members of one system",
                 "a model file is of one system at most",
             )
-        return {MEMBERS: members}, arrays
+        return {_MEMBERS: members}, arrays
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Committee:
         """The committee of a file, with one system for all members that have any."""
         loaded = None if system is None else load_system(system)
         members = [
             restore_part(part, arrays, f"{i}.", loaded if systems_in(part) else None, where)
-            for i, part in enumerate(header[MEMBERS], 1)
+            for i, part in enumerate(header[_MEMBERS], 1)
         ]
         for i, member in enumerate(members):
             _require_member(member, members[0], f"{where}, members.{i}")
-        weights = np.array([part[WEIGHT] for part in header[MEMBERS]])
+        weights = np.array([part[_WEIGHT] for part in header[_MEMBERS]])
         if not (weights >= 0).all() or abs(weights.sum() - 1) > _ROUNDING:
             raise ValueError(f"weights {weights.tolist()}")
         return _group_members(members, weights)
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """The weights, and the lines that members of one structure have in common."""
+        kinds: dict[str, list[int]] = {}
+        for i, part in enumerate(header[_MEMBERS]):
+            structure = {key: x for key, x in part.items() if key != _WEIGHT}
+            kinds.setdefault(repr(structure), []).append(i)
+        lines = []
+        for indices in kinds.values():
+            parts = [header[_MEMBERS][i] for i in indices]
+            numbers = ", ".join(str(i + 1) for i in indices)
+            weights = [f"{part[_WEIGHT]:.4g}" for part in parts]
+            weight = ", ".join(weights if len(set(weights)) > 1 else weights[:1])
+            lines.append(("members", f"{parts[0]['kind']}: {numbers}; weight {weight}"))
+            summaries = [
+                summarise_part(part, arrays, f"{i + 1}.")
+                for i, part in zip(indices, parts, strict=True)
+            ]
+            lines += [line for line in summaries[0] if all(line in other for other in summaries)]
+        return lines
 
     def equations(self, model: Committee) -> LagrangianModel | None:
         """The equations of motion of the first member that has some."""

@@ -1,47 +1,16 @@
-"""Descriptions of models in the headers of model files: their keys, checked before they are used.
+"""Descriptions of models in the headers of model files, checked before they are used."""
 
-A class for each kind, named in the registry (`DESCRIPTIONS`). No JAX is loaded for them.
-"""
+from collections.abc import Mapping
+from typing import Any
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from pydantic import ConfigDict, Field, model_validator
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
-
-from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Hold, Input, Kind
-from tustinnet.data.declaration import Declaration, Name, Text, declare
+from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Input, PDController
+from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError
-from tustinnet.families.summaries import CORRECTION, MEMBERS, PHYSICS
-from tustinnet.models.sizes import (
-    FARTHEST_TAP,
-    LONGEST_TIME,
-    LONGEST_WARM_UP,
-    MOST_LAYERS,
-    MOST_MEMBERS,
-    MOST_STATES,
-    MOST_SUBSTEPS,
-    MOST_TAPS,
-    MOST_TIMES,
-    MOST_UNITS,
-    MOST_UNROLLED,
-)
-from tustinnet.registry import DESCRIPTIONS, FAMILIES
+from tustinnet.registry import FAMILIES
 
 _SAME_PERIOD = 1e-6  # relative; periods of parts this near are one
-
-Units = Annotated[int, Field(gt=0, le=MOST_UNITS)]
-Seconds = Annotated[float, Field(gt=0, le=LONGEST_TIME)]
-
-
-def check_taps(taps: Sequence[int]) -> Sequence[int]:
-    """The taps, all different."""
-    if len(set(taps)) < len(taps):
-        raise ValueError(f"a tap twice: {list(taps)}")
-    return taps
-
-
-Tap = Annotated[int, Field(ge=-FARTHEST_TAP, le=FARTHEST_TAP)]
-Taps = Annotated[list[Tap], Field(max_length=MOST_TAPS), AfterValidator(check_taps)]
 
 
 class Entries(Declaration):
@@ -50,207 +19,28 @@ class Entries(Declaration):
     model_config = ConfigDict(extra="allow", strict=True)
 
 
-class CoordinateEntry(Entries):
-    """A coordinate, see `channels.Coordinate`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    name: Name
-    kind: Kind
-    resolution: float | None
-    unit: Text = ""
-
-    @model_validator(mode="after")
-    def _check(self) -> "CoordinateEntry":
-        Coordinate(self.name, self.kind, self.resolution, self.unit)
-        return self
-
-
-class InputEntry(Entries):
-    """An input, see `channels.Input`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    name: Name
-    unit: Text
-    hold: Hold | None
-    limits: tuple[float, float] | None
-    delay: float | None
-
-    @model_validator(mode="after")
-    def _check(self) -> "InputEntry":
-        Input(self.name, self.unit, self.hold, self.limits, self.delay)
-        return self
-
-
-class LoopEntry(Entries):
-    """A loop of a controller, see `channels.PDLoop`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    input: Name
-    coordinate: Name
-    position: Name
-    velocity: Text = ""
-    feedforward: Text = ""
-    kp: float | None = None
-    kd: float | None = None
-    ki: float | None = 0.0
-    velocity_filter: float = 0.0
-    delay: int = 0
-
-
-class ControllerEntry(Entries):
-    """A controller in the loop, see `channels.PDController`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    inputs: list[InputEntry]
-    loops: list[LoopEntry]
-
-
 class Description(Entries):
-    """Kind and channels of a model, or of a part of one; the rest belongs to its family."""
+    """Kind and channels of a model, or of a part of one; families add keys of their own."""
 
     kind: str
-    coordinates: list[CoordinateEntry] = Field(min_length=1)
-    inputs: list[InputEntry]
+    coordinates: list[Coordinate] = Field(min_length=1)
+    inputs: list[Input]
     dt: float = Field(ge=SHORTEST_DT, le=LONGEST_DT)
-    controller: ControllerEntry | None = None
+    controller: PDController | None = None
 
     @model_validator(mode="after")
     def _check_channels(self) -> "Description":
-        channels = Channels.from_header(self.model_dump())
-        if channels.controller is not None:
-            channels.controller.require_loops(channels.coordinates, "controller")
-            names = [i.name for i in channels.inputs]
-            computed = {loop.input for loop in channels.controller.loops}
-            others = [i.name for i in channels.controller.inputs if i.name not in computed]
-            points = [name for loop in channels.controller.loops for name in loop.set_points]
+        Channels(tuple(self.coordinates), tuple(self.inputs), self.dt)
+        if self.controller is not None:
+            self.controller.require_loops(self.coordinates, "controller")
+            names = [i.name for i in self.inputs]
+            computed = {loop.input for loop in self.controller.loops}
+            others = [i.name for i in self.controller.inputs if i.name not in computed]
+            points = [name for loop in self.controller.loops for name in loop.set_points]
             for name in (*points, *others):
                 if name not in names:
                     raise ValueError(f"no input '{name}', which the controller requires")
         return self
-
-    def parts(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
-        """The descriptions of other models in this one, by their places."""
-        yield from ()
-
-
-class NetworkEntries(Entries):
-    """The layers of a network."""
-
-    hidden: list[Units] = Field(min_length=1, max_length=MOST_LAYERS)
-    stem: Units | None
-    activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"]
-    output_bias: bool
-    linear: bool
-    odd: bool
-    centred_angles: bool
-    pairs: list[tuple[int, int]]
-
-
-class TustinNetEntries(NetworkEntries):
-    """The layers and the memory of a Tustin-Net."""
-
-    relaxation_times: list[Seconds] = Field(max_length=MOST_TIMES)
-    input_taps: Taps
-    remembered: float = Field(ge=0, le=1)
-
-
-class TustinNetDescription(Description):
-    """A Tustin-Net."""
-
-    structure: TustinNetEntries
-
-
-class NeuralODEDescription(Description):
-    """A neural ODE."""
-
-    structure: NetworkEntries
-    substeps: int = Field(gt=0, le=MOST_UNROLLED)
-
-
-class GRUEntries(Entries):
-    """The sizes of a GRU."""
-
-    hidden: Units
-    warm_up: int = Field(ge=0, le=LONGEST_WARM_UP)
-    input_taps: Taps
-
-
-class GRUDescription(Description):
-    """A gated recurrent unit."""
-
-    structure: GRUEntries
-
-
-class LinearEntries(Entries):
-    """The size of a linear model."""
-
-    internal: int = Field(ge=0, le=MOST_STATES)
-
-
-class LinearDescription(Description):
-    """A linear state-space model."""
-
-    structure: LinearEntries
-
-
-class SystemEntries(Entries):
-    """The system of a grey box: its name, and the name of the file that defines it."""
-
-    name: str
-    file: str
-
-
-# the first fields of `Parameter`
-ParameterRow = tuple[str, str, float, float, float, bool]
-RowWithPrior = tuple[str, str, float, float, float, bool, float]
-
-
-class EulerLagrangeDescription(Description):
-    """A grey box: the names of its parameters, and what was added to its system."""
-
-    system: SystemEntries
-    parameters: list[str]
-    substeps: int = Field(gt=0, le=MOST_SUBSTEPS)
-    terms: list[ParameterRow] = Field(default_factory=list)
-    forces: list[str] = Field(default_factory=list)
-    of_forces: list[ParameterRow | RowWithPrior] = Field(default_factory=list)
-    sensors: list[ParameterRow] = Field(default_factory=list)
-    gains: list[ParameterRow] = Field(default_factory=list)
-    per: dict[str, str] = Field(default_factory=dict)
-    groups: dict[str, list[str]] = Field(default_factory=dict)
-
-
-class HybridDescription(Description):
-    """A hybrid."""
-
-    fades_at_rest: bool
-    physics: dict[str, Any]
-    correction: dict[str, Any]
-
-    def parts(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
-        """Physics and correction."""
-        yield from ((PHYSICS, self.physics), (CORRECTION, self.correction))
-
-
-class MemberEntries(Entries):
-    """The weight of a member of a committee; its description is checked as a part."""
-
-    weight: float = Field(ge=0, le=1)
-
-
-class CommitteeDescription(Description):
-    """A committee."""
-
-    members: list[MemberEntries] = Field(min_length=1, max_length=MOST_MEMBERS)
-
-    def parts(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
-        """The members."""
-        for i, member in enumerate(self.members):
-            yield f"{MEMBERS}.{i}", member.model_dump(exclude={"weight"})
 
 
 def check_description(header: Mapping[str, Any], where: object) -> None:
@@ -264,12 +54,12 @@ def check_description(header: Mapping[str, Any], where: object) -> None:
         InputError: an unknown kind, an entry that is missing or of another type or size, a part
             with other channels than the whole.
     """
-    kind = header.get("kind")
+    kind: Any = header.get("kind")
     if kind not in FAMILIES:
         raise InputError(f"{where}, kind", f"{kind!r}", f"one of {', '.join(FAMILIES.names())}")
-    schema = DESCRIPTIONS[kind] if kind in DESCRIPTIONS.names() else Description
-    description: Description = declare(dict(header), schema, where, strict=True)
-    for name, part in description.parts():
+    family = FAMILIES[kind]
+    declare(dict(header), family.description, where, strict=True)
+    for name, part in family.parts(header).items():
         check_description(part, f"{where}, {name}")
         if _channels(part) != _channels(header) or not _is_same_period(part["dt"], header["dt"]):
             raise InputError(

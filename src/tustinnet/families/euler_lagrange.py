@@ -14,23 +14,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
-from tustinnet.families.summaries import VALUES
+from tustinnet.families.descriptions import Description, Entries
+from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper, Lines
 from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.contract import Model
 from tustinnet.models.feedback import with_controller
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import with_sensor_errors
+from tustinnet.models.sizes import MOST_SUBSTEPS
 from tustinnet.registry import SYSTEMS
 from tustinnet.systems.files import SystemTemplate
 from tustinnet.systems.loading import load_system
 
+_VALUES = "values"  # the name of the array of the parameters' values
 _PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
@@ -42,12 +45,40 @@ class EulerLagrangeHyper(IdentifiedHyper):
     """The table `[model]` of a system whose parameters are identified."""
 
 
+class SystemEntries(Entries):
+    """The system of a grey box: its name, and the name of the file that defines it."""
+
+    name: str
+    file: str
+
+
+# the first fields of `Parameter`
+ParameterRow = tuple[str, str, float, float, float, bool]
+RowWithPrior = tuple[str, str, float, float, float, bool, float]
+
+
+class EulerLagrangeDescription(Description):
+    """The header of a grey box: its parameters by name, and what was added to its system."""
+
+    system: SystemEntries
+    parameters: list[str]
+    substeps: int = Field(gt=0, le=MOST_SUBSTEPS)
+    terms: list[ParameterRow] = Field(default_factory=list)
+    forces: list[str] = Field(default_factory=list)
+    of_forces: list[ParameterRow | RowWithPrior] = Field(default_factory=list)
+    sensors: list[ParameterRow] = Field(default_factory=list)
+    gains: list[ParameterRow] = Field(default_factory=list)
+    per: dict[str, str] = Field(default_factory=dict)
+    groups: dict[str, list[str]] = Field(default_factory=dict)
+
+
 class EulerLagrangeFamily(IdentifiedFamily):
     """The family of identified systems."""
 
     kind = "euler-lagrange"
     title = "Euler-Lagrange"
     hyper = EulerLagrangeHyper
+    description = EulerLagrangeDescription
     correctable = True
     has_feedback = True
     model = LagrangianModel
@@ -84,7 +115,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
             header["per"] = {p.name: p.per for p in system.grouped}
             header["groups"] = {name: list(values) for name, values in groups.items()}
         values = np.array([float(equations.values[name]) for name in names])
-        return header, {VALUES: values, _PROBED: _compute_probes(equations)}
+        return header, {_VALUES: values, _PROBED: _compute_probes(equations)}
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> Discretised:
         """The model of the packaged system, or of the one given, with the file's values."""
@@ -119,7 +150,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
             loaded, channels, tuple(Parameter(*fields) for fields in header.get("gains", ()))
         )
         # one by one: JAX compiles a program to take an array apart
-        values = dict(zip(header["parameters"], map(jnp.asarray, arrays[VALUES]), strict=True))
+        values = dict(zip(header["parameters"], map(jnp.asarray, arrays[_VALUES]), strict=True))
         model = loaded.model(values)
         expected = [
             name
@@ -133,6 +164,18 @@ class EulerLagrangeFamily(IdentifiedFamily):
             )
         _require_same(model, arrays[_PROBED], where)
         return discretise(model, header["dt"], header["substeps"], inputs=channels.inputs)
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """System and values."""
+        system = header["system"]
+        name = f"{system['name']} ({system['file']})" if system["file"] else system["name"]
+        values = dict(zip(header["parameters"], arrays[_VALUES].tolist(), strict=True))
+        forces = header.get("forces", ())
+        return [
+            ("system", f"{name}, {header['substeps']} Runge-Kutta steps a period"),
+            *([("added forces", ", ".join(forces))] if forces else []),
+            ("values", ", ".join(f"{name} {value:.4g}" for name, value in values.items())),
+        ]
 
     def with_initial_values(
         self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem | None

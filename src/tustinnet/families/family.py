@@ -1,7 +1,7 @@
 """The interface of every family of models; the rest of the package knows nothing else of one."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -15,16 +15,19 @@ from pydantic import Field, field_validator
 from tustinnet.data.declaration import Declaration
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.summaries import Arrays, Header, arrays_below
+from tustinnet.families.descriptions import Description
 from tustinnet.models.blocks import is_layer
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import FromContinuous
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sizes import MOST_LAYERS
 from tustinnet.old_names import FAMILY_METHODS, refuse_old_names
-from tustinnet.registry import FAMILIES, SUMMARIES, SYSTEMS
+from tustinnet.registry import FAMILIES, SYSTEMS
 
 Requirement = Literal["system", "physics"]
+Header = dict[str, Any]
+Arrays = dict[str, np.ndarray]
+Lines = list[tuple[str, str]]  # words, and values
 
 
 class Hyper(Declaration):
@@ -104,6 +107,7 @@ class Family(ABC):
         kind: its name in recipes and model files.
         title: its name in headings, where that is not `kind`.
         hyper: the keys of the table `[model]` of a recipe.
+        description: the keys of a model file's header; those that are not declared are allowed.
         has_seeds: whether its fits begin at random, with a seed each; then each has a name and a
             folder of its own.
         resumable: whether an interrupted fit goes on from its checkpoint.
@@ -120,6 +124,7 @@ class Family(ABC):
     kind: ClassVar[str]
     title: ClassVar[str] = ""
     hyper: ClassVar[type[Hyper]]
+    description: ClassVar[type[Description]] = Description
     has_seeds: ClassVar[bool] = False
     resumable: ClassVar[bool] = False
     averages_folds: ClassVar[bool] = False
@@ -174,16 +179,13 @@ class Family(ABC):
             where: the file, for messages.
         """
 
-    def parts(self, header: Header) -> Sequence[Header]:
-        """The descriptions of other models in that of a model; most have none."""
-        return ()
+    def parts(self, header: Header) -> Mapping[str, Header]:
+        """The descriptions of other models in that of a model, by their places; most have none."""
+        return {}
 
-    def summarise(self, header: Header, arrays: Arrays) -> list[tuple[str, str]]:
-        """The lines on the structure of a model file that `show` prints, as words and values.
-
-        The default is the function that the registry names in `SUMMARIES`.
-        """
-        return SUMMARIES[self.kind](header, arrays)
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """The lines on the structure of a model file that `show` prints."""
+        return []
 
     def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of a model's physical parameters; networks have none."""
@@ -354,14 +356,24 @@ def describe_part(part: Model, prefix: str) -> tuple[Header, Arrays]:
 def restore_part(header: Header, arrays: Arrays, prefix: str, system: Any, where: Path) -> Any:
     """The part of a model that `describe_part` described."""
     family = FAMILIES[header["kind"]]
-    return family.restore(header, arrays_below(prefix, arrays), system, where)
+    return family.restore(header, _arrays_below(prefix, arrays), system, where)
+
+
+def summarise_part(header: Header, arrays: Arrays, prefix: str) -> Lines:
+    """The lines on a part of a model that `describe_part` described."""
+    return FAMILIES[header["kind"]].summarise(header, _arrays_below(prefix, arrays))
+
+
+def _arrays_below(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays whose names begin with a prefix, without it."""
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
 def systems_in(header: Header) -> tuple[str, ...]:
     """The names of the systems that a described model belongs to, or parts of it; none twice."""
     own = header.get("system")
     names = [str(own.get("name", ""))] if isinstance(own, dict) else []
-    for part in FAMILIES[header["kind"]].parts(header):
+    for part in FAMILIES[header["kind"]].parts(header).values():
         names += systems_in(part)
     return tuple(dict.fromkeys(names))
 

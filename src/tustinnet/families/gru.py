@@ -12,15 +12,17 @@ from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
+from tustinnet.families.descriptions import Description, Entries
 from tustinnet.families.family import (
     Arrays,
     Header,
     Hyper,
+    Lines,
     TrainedFamily,
     named_arrays,
     restore_arrays,
 )
-from tustinnet.families.networks import InputTaps, blank_scaling
+from tustinnet.families.networks import InputTaps, Units, blank_scaling, summarise_units
 from tustinnet.models.blocks import Affine, Scaling, feature_count, learn_scaling, random_affine
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -29,7 +31,7 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
-from tustinnet.models.sizes import LONGEST_WARM_UP, MOST_UNITS
+from tustinnet.models.sizes import LONGEST_WARM_UP
 from tustinnet.models.step_layout import StepInput
 
 
@@ -121,9 +123,23 @@ class GRUHyper(Hyper):
             from the period's beginning; those above 0 look ahead. None: the period's mean.
     """
 
-    hidden: int = Field(default=32, gt=0, le=MOST_UNITS)
+    hidden: Units = 32
     warm_up: int = Field(default=20, ge=6, le=LONGEST_WARM_UP)
     input_taps: InputTaps = ()
+
+
+class GRUEntries(Entries):
+    """The sizes of a GRU."""
+
+    hidden: Units
+    warm_up: int = Field(ge=0, le=LONGEST_WARM_UP)
+    input_taps: InputTaps
+
+
+class GRUDescription(Description):
+    """The header of a gated recurrent unit."""
+
+    structure: GRUEntries
 
 
 class GRUFamily(TrainedFamily):
@@ -132,6 +148,7 @@ class GRUFamily(TrainedFamily):
     kind = "gru"
     title = "GRU"
     hyper = GRUHyper
+    description = GRUDescription
     model = GRU
 
     def builder(
@@ -162,6 +179,12 @@ class GRUFamily(TrainedFamily):
         key = jax.random.key(0)
         sizes = s["hidden"], s["warm_up"], tuple(s["input_taps"])
         return restore_arrays(lambda: random_gru(channels, blank, key, *sizes), arrays)
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """Size, warm-up and units."""
+        s = header["structure"]
+        sizes = f"{s['hidden']} hidden units, warm-up of {s['warm_up']} samples"
+        return [("network", sizes), summarise_units(arrays)]
 
 
 FAMILY = GRUFamily()

@@ -1,6 +1,6 @@
 """Hybrids: identified physics, and a network that corrects its accelerations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,17 +16,19 @@ from tustinnet.channels import Channels
 from tustinnet.data.declaration import declare
 from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.errors import InputError
+from tustinnet.families.descriptions import Description
 from tustinnet.families.family import (
     Arrays,
     Header,
     Hyper,
     LayeredStage,
+    Lines,
     TrainedFamily,
     describe_part,
     family_of,
     restore_part,
+    summarise_part,
 )
-from tustinnet.families.summaries import CORRECTION, PHYSICS
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -46,6 +48,7 @@ from tustinnet.simulate.along import predictions_along
 from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.substeps import fewest_substeps
 
+_PARTS = ("physics", "correction")  # keys of headers
 _INTEGRATION_SHARE = 0.1  # of the physics' error: what its integration may add
 _REST_LEVEL = 0.01  # a mean square of scaled velocities and inputs: a tenth of what is usual
 
@@ -203,11 +206,20 @@ def _read_correction(content: Any) -> Hyper:
     return declare({"kind": family.kind, **content}, family.hyper, "correction")
 
 
+class HybridDescription(Description):
+    """The header of a hybrid; the descriptions of its parts are checked by their families."""
+
+    fades_at_rest: bool
+    physics: dict[str, Any]
+    correction: dict[str, Any]
+
+
 class HybridFamily(TrainedFamily):
     """The family of hybrids."""
 
     kind = "hybrid"
     hyper = HybridHyper
+    description = HybridDescription
     stage = LayeredStage
     needs = frozenset({"physics"})
     has_feedback = True
@@ -287,24 +299,32 @@ class HybridFamily(TrainedFamily):
         """Physics and correction as their families describe them."""
         header: Header = {"fades_at_rest": model.fades_at_rest}
         arrays: Arrays = {}
-        for name in (PHYSICS, CORRECTION):
+        for name in _PARTS:
             header[name], part_arrays = describe_part(getattr(model, name), f"{name}.")
             arrays |= part_arrays
         return header, arrays
 
-    def parts(self, header: Header) -> Sequence[Header]:
+    def parts(self, header: Header) -> Mapping[str, Header]:
         """The descriptions of physics and correction."""
-        return [header[PHYSICS], header[CORRECTION]]
+        return {name: header[name] for name in _PARTS}
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> HybridModel:
         """The hybrid of a file, from its parts."""
         physics, correction = (
-            restore_part(header[name], arrays, f"{name}.", system, where)
-            for name in (PHYSICS, CORRECTION)
+            restore_part(header[name], arrays, f"{name}.", system, where) for name in _PARTS
         )
         if not isinstance(correction, AccelerationModel):
-            raise ValueError(f"a correction of kind '{header[CORRECTION]['kind']}'")
+            raise ValueError(f"a correction of kind '{header['correction']['kind']}'")
         return HybridModel(physics, correction, header["fades_at_rest"])
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """The kinds of physics and correction, and their own lines."""
+        fades = ", fading at rest" if header["fades_at_rest"] else ""
+        lines = []
+        for name, remark in zip(_PARTS, ("", fades), strict=True):
+            lines.append((name, header[name]["kind"] + remark))
+            lines += summarise_part(header[name], arrays, f"{name}.")
+        return lines
 
     def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of the parameters of the physics."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -13,10 +13,12 @@ from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
+from tustinnet.families.descriptions import Description, Entries
 from tustinnet.families.family import (
     Arrays,
     Header,
     Hyper,
+    Lines,
     TrainedFamily,
     named_arrays,
     restore_arrays,
@@ -65,6 +67,9 @@ class LinearModel(Model):
         return x + self.moved * self.change(scaled)
 
 
+Internal = Annotated[int, Field(ge=0, le=MOST_STATES)]
+
+
 class LinearHyper(Hyper):
     """The table `[model]` of a linear state-space model.
 
@@ -72,7 +77,19 @@ class LinearHyper(Hyper):
         internal: states beside positions and velocities.
     """
 
-    internal: int = Field(default=0, ge=0, le=MOST_STATES)
+    internal: Internal = 0
+
+
+class LinearEntries(Entries):
+    """The size of a linear model."""
+
+    internal: Internal
+
+
+class LinearDescription(Description):
+    """The header of a linear state-space model."""
+
+    structure: LinearEntries
 
 
 class LinearFamily(TrainedFamily):
@@ -80,6 +97,7 @@ class LinearFamily(TrainedFamily):
 
     kind = "linear"
     hyper = LinearHyper
+    description = LinearDescription
     correctable = True
     model = LinearModel
 
@@ -132,6 +150,14 @@ class LinearFamily(TrainedFamily):
             return LinearModel(change, *(jnp.zeros(n) for n in sizes), channels=channels)
 
         return restore_arrays(make, arrays)
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """Order and eigenvalues."""
+        n_x = len(arrays["offset"])
+        by_state = arrays["change.weight"][:, :n_x] / arrays["unit"]
+        values = np.linalg.eigvals(np.eye(n_x) + arrays["moved"][:, None] * by_state)
+        size = ", ".join(f"{abs(v):.4f}" for v in sorted(values, key=abs, reverse=True))
+        return [("order", f"{n_x} states"), ("eigenvalues", f"of size {size}")]
 
 
 FAMILY = LinearFamily()

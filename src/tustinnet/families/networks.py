@@ -9,18 +9,32 @@ from jaxtyping import PyTree
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from tustinnet.channels import Channels
-from tustinnet.families.descriptions import Tap, check_taps
+from tustinnet.families.descriptions import Entries
 from tustinnet.families.family import (
     Arrays,
     Hyper,
     LayeredStage,
+    Lines,
     TrainedFamily,
     make_mask,
     restore_arrays,
 )
 from tustinnet.models.blocks import Layers, Network, Scaling, feature_count, random_network
-from tustinnet.models.sizes import MOST_LAYERS, MOST_TAPS, MOST_UNITS
+from tustinnet.models.sizes import FARTHEST_TAP, MOST_LAYERS, MOST_TAPS, MOST_UNITS
 from tustinnet.registry import SCALINGS
+
+
+def _check_taps(taps: tuple[int, ...]) -> tuple[int, ...]:
+    if len(set(taps)) < len(taps):
+        raise ValueError(f"a tap twice: {list(taps)}")
+    return taps
+
+
+Units = Annotated[int, Field(gt=0, le=MOST_UNITS)]
+Hidden = Annotated[tuple[Units, ...], Field(min_length=1, max_length=MOST_LAYERS)]
+Activation = Literal["leaky_relu", "relu", "tanh", "silu", "softplus"]
+Tap = Annotated[int, Field(ge=-FARTHEST_TAP, le=FARTHEST_TAP)]
+InputTaps = Annotated[tuple[Tap, ...], Field(max_length=MOST_TAPS), AfterValidator(_check_taps)]
 
 
 class NetworkHyper(Hyper):
@@ -38,11 +52,9 @@ class NetworkHyper(Hyper):
             coordinates that move together.
     """
 
-    hidden: tuple[Annotated[int, Field(gt=0, le=MOST_UNITS)], ...] = Field(
-        default=(100, 100), min_length=1, max_length=MOST_LAYERS
-    )
-    stem: int | None = Field(default=None, gt=0, le=MOST_UNITS)
-    activation: Literal["leaky_relu", "relu", "tanh", "silu", "softplus"] = "leaky_relu"
+    hidden: Hidden = (100, 100)
+    stem: Units | None = None
+    activation: Activation = "leaky_relu"
     output_bias: bool = False
     odd: bool = False
     scaling: str = "records"
@@ -66,7 +78,17 @@ class NetworkHyper(Hyper):
         return self.model_dump(include={"hidden", "stem", "activation", "output_bias", "odd"})
 
 
-InputTaps = Annotated[tuple[Tap, ...], Field(max_length=MOST_TAPS), AfterValidator(check_taps)]
+class NetworkEntries(Entries):
+    """The layers of a network in a header, as `describe_network` writes them."""
+
+    hidden: Hidden
+    stem: Units | None
+    activation: Activation
+    output_bias: bool
+    linear: bool
+    odd: bool
+    centred_angles: bool
+    pairs: list[tuple[int, int]]
 
 
 def describe_network(network: Network) -> dict[str, Any]:
@@ -122,6 +144,24 @@ def blank_scaling(
         2 * len(pairs),
     )
     return Scaling(*(jnp.zeros(n, jnp.float32) for n in sizes), pairs=pairs)
+
+
+def summarise_network(structure: dict[str, Any], arrays: Arrays) -> Lines:
+    """Layers and units of a network."""
+    bias = "with" if structure["output_bias"] else "without"
+    layers = f"hidden {structure['hidden']}, {structure['activation']}, output {bias} bias"
+    if structure["linear"]:
+        layers += ", beside a linear map"
+    if structure["odd"]:
+        layers += ", odd"
+    return [("network", layers), summarise_units(arrays)]
+
+
+def summarise_units(arrays: Arrays) -> tuple[str, str]:
+    """The units of a network."""
+    names = ("position_offset", "position_scale", "velocity", "input", "acceleration")
+    units = [f"{n} {[float(f'{v:.4g}') for v in arrays[f'scaling.{n}']]}" for n in names]
+    return "scaling", ", ".join(units)
 
 
 class NetworkFamily(TrainedFamily):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,16 +11,15 @@ from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
-from tustinnet.families.family import (
-    Arrays,
-    Header,
-    named_arrays,
-)
+from tustinnet.families.descriptions import Description
+from tustinnet.families.family import Arrays, Header, Lines, named_arrays
 from tustinnet.families.networks import (
+    NetworkEntries,
     NetworkFamily,
     NetworkHyper,
     describe_network,
     restore_network,
+    summarise_network,
 )
 from tustinnet.models.blocks import Layers, Network, feature_count, random_network
 from tustinnet.models.contract import ContinuousModel, InputVector, Model, State
@@ -56,6 +55,9 @@ class NeuralODE(ContinuousModel):
         return unit * self.network(self.channels, x, u)
 
 
+Substeps = Annotated[int, Field(gt=0, le=MOST_UNROLLED)]
+
+
 class NeuralODEHyper(NetworkHyper):
     """The table `[model]` of a neural ODE.
 
@@ -65,7 +67,14 @@ class NeuralODEHyper(NetworkHyper):
     The other keys are those of the network.
     """
 
-    substeps: int = Field(default=1, gt=0, le=MOST_UNROLLED)
+    substeps: Substeps = 1
+
+
+class NeuralODEDescription(Description):
+    """The header of a neural ODE."""
+
+    structure: NetworkEntries
+    substeps: Substeps
 
 
 class NeuralODEFamily(NetworkFamily):
@@ -74,6 +83,7 @@ class NeuralODEFamily(NetworkFamily):
     kind = "neural-ode"
     title = "neural ODE"
     hyper = NeuralODEHyper
+    description = NeuralODEDescription
     correctable = True
     model = NeuralODE
 
@@ -111,6 +121,11 @@ class NeuralODEFamily(NetworkFamily):
         channels = Channels.from_header(header)
         network = restore_network(header["structure"], arrays, channels, 2 * channels.n_q)
         return _make_discrete(network, channels, header["substeps"])
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """Layers, units and integration."""
+        steps = ("integration", f"{header['substeps']} Runge-Kutta steps a period")
+        return [*summarise_network(header["structure"], arrays), steps]
 
 
 FAMILY = NeuralODEFamily()

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -15,21 +15,23 @@ from pydantic import Field, model_validator
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource
 from tustinnet.errors import InputError
-from tustinnet.families.descriptions import Seconds
+from tustinnet.families.descriptions import Description
 from tustinnet.families.family import (
     Arrays,
     Header,
+    Lines,
     named_arrays,
     restore_arrays,
 )
 from tustinnet.families.networks import (
     InputTaps,
+    NetworkEntries,
     NetworkFamily,
     NetworkHyper,
     describe_network,
     restore_network,
+    summarise_network,
 )
-from tustinnet.families.summaries import REST
 from tustinnet.models.blocks import Affine, Layers, Network, Scaling, feature_count, random_network
 from tustinnet.models.contract import (
     AccelerationModel,
@@ -39,13 +41,14 @@ from tustinnet.models.contract import (
     Model,
     State,
 )
-from tustinnet.models.sizes import MOST_TIMES
+from tustinnet.models.sizes import LONGEST_TIME, MOST_TIMES
 from tustinnet.models.step_layout import StepInput
 from tustinnet.registry import SCALINGS
 from tustinnet.signals.rest import usual_positions
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.input_signal import input_signal
 
+_REST = "rest"  # the name of the array of positions at which the memory rests
 _USUAL_SHARE = 0.5  # somebody turned the coordinate not long before, and part of that remains
 _SPREAD = 0.1  # of their size, as a standard deviation; freer ones explain a hand's push
 
@@ -173,6 +176,11 @@ class TustinNet(AccelerationModel):
         return replace(self, network=self.network.simplify())
 
 
+Times = Annotated[
+    tuple[Annotated[float, Field(gt=0, le=LONGEST_TIME)], ...], Field(max_length=MOST_TIMES)
+]  # of relaxation [s]
+
+
 class TustinNetHyper(NetworkHyper):
     """The table `[model]` of a Tustin-Net.
 
@@ -188,7 +196,7 @@ class TustinNetHyper(NetworkHyper):
     The other keys are those of the network.
     """
 
-    memory: tuple[Seconds, ...] = Field(default=(), max_length=MOST_TIMES)
+    memory: Times = ()
     remembered: float | None = Field(default=None, ge=0, le=1)
     input_taps: InputTaps = ()
     linear: bool = False
@@ -214,12 +222,27 @@ class TustinNetHyper(NetworkHyper):
         return self
 
 
+class TustinNetEntries(NetworkEntries):
+    """The layers and the memory of a Tustin-Net."""
+
+    relaxation_times: Times
+    input_taps: InputTaps
+    remembered: float = Field(ge=0, le=1)
+
+
+class TustinNetDescription(Description):
+    """The header of a Tustin-Net."""
+
+    structure: TustinNetEntries
+
+
 class TustinNetFamily(NetworkFamily):
     """The family of Tustin-Nets."""
 
     kind = "tustin-net"
     title = "Tustin-Net"
     hyper = TustinNetHyper
+    description = TustinNetDescription
     model = TustinNet
 
     def builder(
@@ -266,7 +289,7 @@ class TustinNetFamily(NetworkFamily):
         structure["relaxation_times"] = list(model.relaxation_times)
         structure["input_taps"] = list(model.taps)
         structure["remembered"] = model.remembered
-        rest = {} if model.rest is None else {REST: np.asarray(model.rest)}
+        rest = {} if model.rest is None else {_REST: np.asarray(model.rest)}
         return {"structure": structure}, named_arrays(model.network) | rest
 
     def restore(self, header: Header, arrays: Arrays, system: Any, where: Path) -> TustinNet:
@@ -277,8 +300,20 @@ class TustinNetFamily(NetworkFamily):
         memory = len(times) * channels.n_q
         network = restore_network(structure, arrays, channels, channels.n_q, memory)
         share = float(structure["remembered"])
-        rest = restore_arrays(lambda: jnp.zeros(channels.n_q), arrays, REST) if share else None
+        rest = restore_arrays(lambda: jnp.zeros(channels.n_q), arrays, _REST) if share else None
         return TustinNet(network, channels, times, taps, share, rest)
+
+    def summarise(self, header: Header, arrays: Arrays) -> Lines:
+        """Layers, units and memory."""
+        structure = header["structure"]
+        lines = summarise_network(structure, arrays)
+        if structure["relaxation_times"]:
+            memory = "relaxing in " + ", ".join(f"{t:g} s" for t in structure["relaxation_times"])
+            if structure["remembered"]:
+                rest = ", ".join(f"{x:.3g}" for x in arrays[_REST])
+                memory += f"; begins with {structure['remembered']:g} of the way from ({rest})"
+            lines.append(("memory", memory))
+        return lines
 
 
 FAMILY = TustinNetFamily()

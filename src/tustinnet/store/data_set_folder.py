@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tustinnet.channels import PDLoop
+from tustinnet.channels import Input, PDLoop
 from tustinnet.data.catalog import CARD_NAME
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import bare_key, quote
@@ -46,33 +46,13 @@ def write_data_set(
     if first.outputs is not None:
         places |= {loop.input: k for k, loop in enumerate(loops, width + 1)}
         width += len(loops)
-    inputs = [
-        {"name": i.name, "unit": i.unit, "hold": i.hold or "zero-order"}
-        | ({"column": places[i.name]} if i.name in places else {})
-        | (
-            {"delay": "unknown" if i.delay is None else i.delay}
-            if i.delay != 0 or (i.is_delay_declared and i.name in places)
-            else {}
-        )
-        | ({"limits": list(i.limits)} if i.limits else {})
-        for i in channels.plant.inputs
-    ]
-    coordinates = [
-        {"name": c.name, "kind": c.kind, "column": k, "unit": c.unit}
-        | ({"resolution": c.resolution} if c.resolution else {})
-        | (
-            {}
-            if first.v is None
-            else {
-                "velocity": {
-                    "column": k + channels.n_q + 1,
-                    "unit": f"{c.unit}/s",
-                    "measured": first.v_measured,
-                }
-            }
-        )
-        for k, c in enumerate(channels.coordinates, channels.n_u + 1)
-    ]
+    coordinates = []
+    for k, c in enumerate(channels.coordinates, channels.n_u + 1):
+        entry = c.as_header() | {"column": k, "unit": c.unit}
+        if first.v is not None:
+            speed = {"column": k + channels.n_q + 1, "unit": f"{c.unit}/s"}
+            entry["velocity"] = speed | {"measured": first.v_measured}
+        coordinates.append(entry)
     splits = {
         split: [
             {"file": files[e.name], "name": e.name}
@@ -87,7 +67,7 @@ def write_data_set(
         "dt": data.dt,
         "format": {"header": False, "columns": width},
         "time": {"column": time},
-        "inputs": inputs,
+        "inputs": [_input_entry(i, places.get(i.name)) for i in channels.plant.inputs],
         "coordinates": coordinates,
         "splits": splits,
     }
@@ -99,19 +79,23 @@ def write_data_set(
     return card
 
 
+def _input_entry(i: Input, column: int | None) -> dict[str, Any]:
+    """The entry of an input in a card."""
+    entry = i.as_header() | {"hold": i.hold or "zero-order", "column": column}
+    if i.delay is None:
+        entry["delay"] = "unknown"
+    elif i.delay == 0 and not (i.is_delay_declared and column):
+        del entry["delay"]
+    return entry
+
+
 def _loop_entry(loop: PDLoop, kind: str, places: Mapping[str, int]) -> dict[str, Any]:
     """The entry of a loop in a card, with its columns by the names of inputs."""
-    entry = {"input": loop.input, "coordinate": loop.coordinate}
-    names = {key: getattr(loop, key) for key in ("position", "velocity", "feedforward")}
-    # without a key `ki` of this kind the gain would be searched for
-    gains = {key: getattr(loop, key) for key in ("kp", "kd", *(["ki"] if kind == "pid" else []))}
-    others = {"velocity_filter": loop.velocity_filter, "delay": loop.delay}
-    return (
-        entry
-        | {key: places[name] for key, name in names.items() if name}
-        | {key: gain for key, gain in gains.items() if gain is not None}
-        | {key: value for key, value in others.items() if value}
-    )
+    entry = loop.as_header()
+    if kind == "pid" and loop.ki == 0:
+        entry["ki"] = 0.0  # without this key the gain would be searched for
+    set_points = ("position", "velocity", "feedforward")
+    return entry | {key: places[name] for key in set_points if (name := entry.pop(key))}
 
 
 def _to_toml(content: Mapping[str, Any]) -> str:
@@ -128,7 +112,9 @@ def _to_toml(content: Mapping[str, Any]) -> str:
 
 
 def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{bare_key(key)} = {_value(value)}" for key, value in table.items()]
+    """The lines of a table, without values that are None."""
+    values = ((key, value) for key, value in table.items() if value is not None)
+    return [f"{bare_key(key)} = {_value(value)}" for key, value in values]
 
 
 def _value(value: Any) -> str:

@@ -281,14 +281,7 @@ def make_card(
                 for name, unit, ends in zip(source.states, source.units, state_limits, strict=True)
             ],
             "inputs": [
-                {
-                    "name": i.name,
-                    "unit": i.unit,
-                    "hold": i.hold or "zero-order",
-                    "delay": i.delay,
-                    "limits": i.limits,
-                    "range": ends,
-                }
+                {**i.as_header(), "hold": i.hold or "zero-order", "range": ends}
                 for i, ends in zip(channels.inputs, input_limits, strict=True)
             ],
             "parameters": [

@@ -1,7 +1,7 @@
-"""The header of a model file, read and checked without its model: no JAX is loaded for it.
+"""The header of a model file, read and checked without its model.
 
-Whatever is read from a header is declared here, or by the family in `families.descriptions`, and
-is checked when the file is read. A header that passes can be used by every verb as it is.
+Whatever is read from a header is declared here, or by the family as its `description`, and is
+checked when the file is read. A header that passes can be used by every verb as it is.
 """
 
 import math
@@ -18,7 +18,6 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.fingerprint import FINGERPRINT, is_among
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.families.descriptions import Entries, check_description
-from tustinnet.families.summaries import summarise
 from tustinnet.registry import FAMILIES
 from tustinnet.store.sealed import read_sealed
 
@@ -346,7 +345,7 @@ def read_description(path: str | Path) -> tuple[dict[str, Any], list[tuple[str, 
     """
     header, arrays = read_header_and_arrays(Path(path))
     with convert_errors(path, "header and arrays do not fit", "a file written by tustinnet"):
-        return header, summarise(header, arrays)
+        return header, FAMILIES[header["kind"]].summarise(header, arrays)
 
 
 def columns_in_header(header: Mapping[str, Any]) -> dict[str, ColumnUnit]:
