@@ -213,10 +213,8 @@ class ContinuousModel(Stateful):
     def derivative(self, x: State, u: InputVector) -> State:
         """`dx/dt` at a state under an input."""
 
-    def between_samples(
-        self, x: State, u: InputVector
-    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
-        """Model that holds from a sample to the next, and its inputs by those of this one.
+    def between_samples(self, x: State, u: InputVector) -> "ContinuousModel":
+        """Model that holds from a sample to the next.
 
         Only a model with something that is sampled, as a controller, is another one there.
 
@@ -224,7 +222,7 @@ class ContinuousModel(Stateful):
             x: the state at the sample, (n_x,).
             u: the inputs there, (n_u,).
         """
-        return self, lambda inputs: inputs
+        return self
 
 
 AnyModel = TypeVar("AnyModel", bound=Stateful)

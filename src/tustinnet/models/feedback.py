@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, wraps
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -12,16 +12,14 @@ from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, PDController, PDLoop
 from tustinnet.errors import InputError
+from tustinnet.models.coordinates import rigid_system
+from tustinnet.models.internal_states import Memory, Values
 from tustinnet.models.lagrangian import (
     FeedbackLaw,
     LagrangianSystem,
-    Memory,
     Parameter,
-    Values,
     solve_positive,
-    takes_inputs,
 )
-from tustinnet.models.rigid import rigid_system
 
 _LEAST_RIDGE = 1e-12  # of the forces by the inputs, where several inputs do the same
 
@@ -52,6 +50,21 @@ class PDFeedback(FeedbackLaw):
     def size(self) -> int:
         """Number of inputs that are computed."""
         return len(self.controller.loops)
+
+    @property
+    def memory(self) -> Memory:
+        """Its internal states, which are searched for where a record begins."""
+        return Memory(
+            self.states,
+            lambda q, v, s, w, p: self.compute(q, v, s, w, p)[self.size :],
+            initial=self.initial if self.states else None,
+            spread=self.spread if self.states else None,
+            searched=self.states,
+        )
+
+    def computed_inputs(self, q: Any, v: Any, s: Any, w: Any, p: Values) -> Float[Array, " n_u"]:
+        """Inputs of the system, by the arguments of `compute`."""
+        return self.plant_inputs(self.compute(q, v, s, w, p)[: self.size], w)
 
     def compute(self, q: Any, v: Any, s: Any, w: Any, p: Values) -> Float[Array, " computed"]:
         """The inputs of the system that are computed, then the rates of the internal states.
@@ -100,7 +113,8 @@ class PDFeedback(FeedbackLaw):
 
     def initial(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " n_s"]:
         """The internal states where a record begins: those with which nothing is accelerated."""
-        states: list[Any] = []
+        measured = self.channels.position
+        q, v, states = q[measured], v[measured], []
         has_integrals = any("ki" in loop.gains for loop in self.controller.loops)
         holding = self._holding_inputs(q, v, w, p) if has_integrals else None
         for k, loop in enumerate(self.controller.loops):
@@ -204,13 +218,20 @@ def with_controller(
     feedback = PDFeedback(
         plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"}, states
     )
-    closed = _close_with_states(feedback) if states else _close(feedback)
+    memory, unmeasured = feedback.memory, plant.unmeasured
+
+    def initial_unmeasured(q: Any, v: Any, w: Any, p: Values) -> Any:
+        assert unmeasured is not None
+        u = feedback.computed_inputs(q, v, memory.compute_initial(q, v, w, p), w, p)
+        return unmeasured.initial_states(q, v, u, p)
+
     return replace(
         plant,
         inputs=channels.inputs,
         parameters=(*plant.parameters, *gains),
         feedback=feedback,
-        **closed,
+        unmeasured=unmeasured and replace(unmeasured, initial=initial_unmeasured),
+        **plant.inside(memory, feedback.computed_inputs),
     )
 
 
@@ -226,86 +247,6 @@ def _loop_states(loop: PDLoop) -> list[str]:
     if loop.velocity_filter:
         states.append(f"{loop.coordinate}.filtered_velocity")
     return [*states, *(f"{loop.input}.delayed{k + 1}" for k in range(loop.delay))]
-
-
-def _close(feedback: PDFeedback) -> dict[str, Any]:
-    """The attributes of a system in a closed loop: functions of inputs as ones of set points."""
-    plant = feedback.plant
-
-    def with_set_points(function: Callable[..., Any] | None, arguments: str) -> Any:
-        """A function of the system that may take the inputs, as one of the closed loop."""
-        if function is None or not takes_inputs(function, arguments):
-            return function
-        n_before = len(arguments) - 1
-
-        @wraps(function)
-        def of_set_points(*others: Any) -> Any:
-            *before, w, p = others
-            q, v = before[:2]
-            u = feedback.plant_inputs(feedback.compute(q, v, jnp.zeros(0, q.dtype), w, p), w)
-            return function(*before[:n_before], u, p)
-
-        return of_set_points
-
-    memory, unmeasured = plant.memory, plant.unmeasured
-    return {
-        "input_map": with_set_points(plant.input_map, "qvp"),
-        "memory": memory
-        and replace(
-            memory,
-            rate=with_set_points(memory.rate, "qvzp"),
-            force=with_set_points(memory.force, "qvzp"),
-            initial=with_set_points(memory.initial, "qvp"),
-        ),
-        "unmeasured": unmeasured
-        and replace(unmeasured, initial=with_set_points(unmeasured.initial, "qvp")),
-    }
-
-
-def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
-    """The attributes of a system in a closed loop whose controller has internal states.
-
-    These are in the memory behind the system's own. What the inputs do is a force of the memory, as
-    it depends on internal states.
-    """
-    plant, memory, unmeasured = feedback.plant, feedback.plant.memory, feedback.plant.unmeasured
-    measured, n = plant.channels.position, len(plant.memory_states)
-
-    def computed(q: Any, v: Any, s: Any, w: Any, p: Values) -> tuple[Any, Any]:
-        """Inputs of the system, and rates of the controller's states."""
-        values = feedback.compute(q, v, s, w, p)
-        return feedback.plant_inputs(values[: feedback.size], w), values[feedback.size :]
-
-    def rate(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
-        u, own = computed(q, v, z[n:], w, p)
-        return jnp.concatenate([memory.compute_rate(q, v, z[:n], u, p), own]) if memory else own
-
-    def force(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
-        u, _ = computed(q, v, z[n:], w, p)
-        total = jnp.zeros_like(q)
-        if plant.input_map is not None:
-            total = total + jnp.asarray(plant.input_map(q, v, u, p))
-        return total + memory.compute_force(q, v, z[:n], u, p) if memory else total
-
-    def initial(q: Any, v: Any, w: Any, p: Values) -> Any:
-        own = feedback.initial(q[measured], v[measured], w, p)
-        before = jnp.zeros(n, q.dtype)
-        if memory and memory.initial:
-            inputs = (computed(q, v, own, w, p)[0],) if memory.initial_needs_inputs else ()
-            before = jnp.asarray(memory.initial(q, v, *inputs, p))
-        return jnp.concatenate([before, own])
-
-    def initial_unmeasured(q: Any, v: Any, w: Any, p: Values) -> Any:
-        assert unmeasured is not None
-        u, _ = computed(q, v, feedback.initial(q, v, w, p), w, p)
-        return unmeasured.initial_states(q, v, u, p)
-
-    names = (*plant.memory_states, *feedback.states)
-    return {
-        "input_map": None,
-        "memory": Memory(names, rate, force, initial),
-        "unmeasured": unmeasured and replace(unmeasured, initial=initial_unmeasured),
-    }
 
 
 def with_changed_plant(

@@ -101,19 +101,14 @@ class Discretised(FromContinuous):
     def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
         n, h = self.substeps, period / self.substeps
-        model, inputs = self.continuous.between_samples(x, input_at(u, 0.0))
-
-        def stages(i: Array | int) -> tuple[InputVector, InputVector, InputVector]:
-            begin, middle, end = stage_inputs(u, i, n)
-            return inputs(begin), inputs(middle), inputs(end)
-
+        model = self.continuous.between_samples(x, input_at(u, 0.0))
         if self.unrolled:
             for i in range(n):
-                x = runge_kutta_4(model, x, stages(i), h)
+                x = runge_kutta_4(model, x, stage_inputs(u, i, n), h)
             return x
 
         def substep(state: State, i: Array) -> tuple[State, None]:
-            return runge_kutta_4(model, state, stages(i), h, looped=True), None
+            return runge_kutta_4(model, state, stage_inputs(u, i, n), h, looped=True), None
 
         return jax.lax.scan(substep, x, jnp.arange(n, dtype=x.dtype))[0]
 

@@ -13,11 +13,11 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, parse_forces, with_forces
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter
-from tustinnet.models.rigid import rigid_system
 
 
 def with_added(

@@ -16,9 +16,9 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.problem import Problem
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.models.rigid import rigid_system
 
 
 def require_refit_possible(problem: Problem) -> None:
@@ -47,7 +47,7 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
 
     def at_rest_and_moving(q: Array) -> Array:
         if unmeasured:
-            q, _ = unmeasured.complete(q, q, model.values)
+            q = unmeasured.complete(q, model.values)
         if system.inertia:  # it does not depend on the velocity
             return jnp.stack([model.mass_matrix(q)] * 2).ravel()
         both = [hessian(q, jnp.full_like(q, speed), model.values) for speed in (0.0, 1.0)]

@@ -19,9 +19,9 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.engine.engines import evaluate
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.feedback import with_changed_plant, without_controller_states
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.rigid import rigid_system
 
 _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
 _SHORTEST = 4  # blocks: a swing can always be compared
