@@ -22,8 +22,8 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper
 from tustinnet.families.summaries import VALUES
 from tustinnet.models.added import parse_forces, with_forces
+from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.contract import Model
-from tustinnet.models.feedback import with_controller
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import with_sensor_errors

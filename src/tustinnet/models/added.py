@@ -12,7 +12,7 @@ import numpy as np
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.models.feedback import with_changed_plant
+from tustinnet.models.closed_loop import gains_of, with_controller
 from tustinnet.models.forces import (
     LAWS,
     OWN_LEVEL,
@@ -153,7 +153,8 @@ def with_forces(
     if not names:
         return system
     if system.feedback is not None:
-        return with_changed_plant(system, lambda plant: with_forces(plant, names, parameters))
+        plant = with_forces(system.plant, names, parameters)
+        return with_controller(plant, system.feedback.channels, gains_of(system))
     added = parse_forces(system, names)
     _require_additions(system, added)
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]

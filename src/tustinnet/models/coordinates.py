@@ -103,12 +103,11 @@ def rigid_system(system: LagrangianSystem) -> LagrangianSystem:
     motion.
 
     Args:
-        system: the system without a controller; one without unmeasured coordinates is returned as
-            it is. `with_changed_plant` makes the system in a closed loop rigid.
+        system: the system; one without unmeasured coordinates is returned as it is.
     """
     if system.unmeasured is None:
         return system
     rigid = in_coordinates(system, system.unmeasured.complete) | {"unmeasured": None}
     if rigid["inertia"] is not None:
         rigid["inertia"] = replace(rigid["inertia"], uncoupled=())
-    return replace(system, **rigid)
+    return replace(system, **rigid, alone=system.alone and rigid_system(system.alone))

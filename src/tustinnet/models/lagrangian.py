@@ -24,6 +24,7 @@ from tustinnet.models.contract import (
     Internal,
     State,
 )
+from tustinnet.models.feedback import PDFeedback
 from tustinnet.models.internal_states import (
     AllCoordinates,
     InternalStates,
@@ -61,51 +62,6 @@ class Inertia:
     mass_matrix: Callable[[Coordinates, Values], Any]
     coriolis: Callable[[Coordinates, Coordinates, Values], Any]
     uncoupled: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class FeedbackLaw(ABC):
-    """A controller in the loop of a system, see `models.feedback`.
-
-    Attributes:
-        plant: the system without the controller.
-        channels: coordinates and inputs of the closed loop, with the controller.
-        is_sampled: whether what it computes at a sample is held until the next.
-        states: names of its internal states, which stand behind those of the system.
-    """
-
-    plant: "LagrangianSystem"
-    channels: Channels
-    is_sampled: bool
-    states: tuple[str, ...]
-
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of inputs of the system that it computes."""
-
-    @abstractmethod
-    def compute(
-        self, q: AllCoordinates, v: AllCoordinates, s: Internal, w: InputVector, p: Values
-    ) -> Float[Array, " computed"]:
-        """The inputs that it computes, then the rates of its internal states, (size + n_s,).
-
-        Args:
-            q: positions.
-            v: velocities.
-            s: its internal states, (n_s,).
-            w: inputs of the closed loop, (n_w,).
-            p: values of the parameters by name.
-        """
-
-    @abstractmethod
-    def plant_inputs(self, outputs: Array, w: InputVector) -> InputVector:
-        """Inputs of the system, (n_u,).
-
-        Args:
-            outputs: those that are computed, (size,).
-            w: inputs of the closed loop, (n_w,), others of the system among them.
-        """
 
 
 class _Held(ContinuousModel):
@@ -186,6 +142,7 @@ class LagrangianSystem:
         limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
             equation of motion knows of them.
         feedback: the controller in the loop, whose set points are among the inputs; None without.
+        alone: the system without the controller in the loop; None without one.
         unmeasured: coordinates that no sensor measures; None without.
     """
 
@@ -205,7 +162,8 @@ class LagrangianSystem:
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None
     limits: tuple[MotionLimits, ...] = ()
-    feedback: "FeedbackLaw | None" = None
+    feedback: PDFeedback | None = None
+    alone: "LagrangianSystem | None" = None
     unmeasured: UnmeasuredCoordinates | None = None
 
     def __post_init__(self) -> None:
@@ -261,7 +219,7 @@ class LagrangianSystem:
     @property
     def plant(self) -> "LagrangianSystem":
         """The system without a controller in the loop; itself where there is none."""
-        return self if self.feedback is None else self.feedback.plant
+        return self.alone or self
 
     @cached_property
     def states(self) -> InternalStates:
@@ -328,10 +286,7 @@ class LagrangianSystem:
     def without(self, names: Collection[str]) -> "LagrangianSystem":
         """The system without some of its optional parameters."""
         kept = tuple(p for p in self.parameters if p.name not in names)
-        feedback = self.feedback and replace(
-            self.feedback, plant=self.feedback.plant.without(names)
-        )
-        return replace(self, parameters=kept, feedback=feedback)
+        return replace(self, parameters=kept, alone=self.alone and self.alone.without(names))
 
     def inside(self, outer: Memory, inputs: Callable[..., Any] | None = None) -> dict[str, Any]:
         """Attributes of the system with further internal states, which may compute its inputs.
@@ -594,7 +549,7 @@ class LagrangianModel(ContinuousModel):
         return _Held(self, self.computed(x, u)) if is_held else self
 
     def computed(self, x: State, w: InputVector) -> Float[Array, " computed"]:
-        """What the controller in the loop computes, see `FeedbackLaw.compute`.
+        """What the controller in the loop computes, see `PDFeedback.compute`.
 
         Args:
             x: the state, (n_x,).
@@ -603,7 +558,7 @@ class LagrangianModel(ContinuousModel):
         feedback, (q, v, z) = self.system.feedback, self._parts(x)
         assert feedback is not None
         s = z[len(z) - len(feedback.states) :]
-        return jnp.asarray(feedback.compute(q, v, s, w, self.values))
+        return feedback.compute(q, v, s, w, self.values)
 
     def held_derivative(self, x: State, w: InputVector, computed: Array) -> State:
         """The derivative while the controller in the loop holds what it computed.
@@ -616,7 +571,7 @@ class LagrangianModel(ContinuousModel):
         feedback = self.system.feedback
         assert feedback is not None
         u = feedback.plant_inputs(computed[: feedback.size], w)
-        plant = LagrangianModel(feedback.plant, self.values)
+        plant = LagrangianModel(self.system.plant, self.values)
         own = plant.derivative(x[: len(x) - len(feedback.states)], u)
         return jnp.concatenate([own, computed[feedback.size :]])
 

@@ -20,7 +20,6 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.coordinates import rigid_system
-from tustinnet.models.feedback import with_changed_plant
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.simulation import delay_changes, system_motion
@@ -130,7 +129,7 @@ class SystemEquations:
         internal states follow inputs: an actuator without its lag. Unmeasured coordinates follow
         the measured ones rigidly.
         """
-        system, channels = with_changed_plant(self.system, rigid_system), self.system.channels
+        system, channels = rigid_system(self.system), self.system.channels
         first = channels.measured.stop + channels.n_u
 
         def momentum_and_force(point: Array) -> Array:
