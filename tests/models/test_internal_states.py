@@ -223,6 +223,15 @@ def test_along_the_measured_motion_what_is_hidden_follows(kinds):
     np.testing.assert_allclose(found, a, rtol=1e-10)
 
 
+def test_a_memory_says_which_of_its_states_are_searched_for():
+    memory = replace(MEMORY, spread=lambda p: jnp.array([0.3, 2.0]), searched=("fan",))
+    model = model_of(replace(PLAIN, memory=memory))
+    np.testing.assert_array_equal(model.internal_spread, [0.3, 2.0])
+    assert model.searched_internal.tolist() == [False, True]
+    with pytest.raises(tn.InputError, match="'spin' in `searched`; expected among creep, fan"):
+        replace(MEMORY, searched=("spin",))
+
+
 def test_sensor_errors_change_all_of_them():
     kinds = dict.fromkeys("hmf", True) | {"c": False}
     gain, bias, drive = 1.3, 0.2, 0.8

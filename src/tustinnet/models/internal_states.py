@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from tustinnet.errors import InputError
 from tustinnet.models.contract import Coordinates, InputVector, Internal
 
 Values = Mapping[str, Any]
@@ -50,7 +51,7 @@ def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
 class Memory:
     """Forces with memory: internal states `z` beside positions and velocities.
 
-    Each function but `spread` may also take the inputs, before the parameters. So a motor or a fan
+    Functions may also take the inputs, before the parameters. So a motor or a fan
     that lags behind its command is written: `rate(q, v, z, u, p)` returns `(u - z) / p["lag"]`.
 
     Attributes:
@@ -71,6 +72,12 @@ class Memory:
     spread: Callable[[Values], Any] | None = None
     searched: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        for name in self.searched:
+            if name not in self.names:
+                expected = f"among {', '.join(self.names) or '(none)'}"
+                raise InputError("memory", f"'{name}' in `searched`", expected)
+
     @property
     def has_inputs(self) -> bool:
         """Whether inputs drive the internal states: whether `rate` takes them."""
@@ -85,19 +92,13 @@ class Memory:
         self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector | None, p: Values
     ) -> Internal:
         """The rate `dz/dt`, (n_z,); `u` may be None where the function does not take it."""
-        if not self.names:
-            return z
-        return jnp.asarray(self.rate(q, v, z, *((u,) if self.has_inputs else ()), p))
+        return _call(self.rate, (q, v, z), u, p) if self.names else z
 
     def compute_force(
         self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector, p: Values
     ) -> Coordinates:
         """The generalised force, (n_q,)."""
-        if self.force is None:
-            return jnp.zeros_like(q)
-        return jnp.asarray(
-            self.force(q, v, z, *((u,) if takes_inputs(self.force, "qvzp") else ()), p)
-        )
+        return jnp.zeros_like(q) if self.force is None else _call(self.force, (q, v, z), u, p)
 
     def compute_initial(
         self, q: Coordinates, v: Coordinates, u: InputVector | None, p: Values
@@ -105,8 +106,7 @@ class Memory:
         """The expected states, (n_z,); `u` may be None where the function does not take it."""
         if self.initial is None:
             return jnp.zeros(len(self.names), q.dtype)
-        inputs = (u,) if self.initial_needs_inputs else ()
-        return jnp.asarray(self.initial(q, v, *inputs, p), q.dtype)
+        return _call(self.initial, (q, v), u, p).astype(q.dtype)
 
     def compute_spread(self, p: Values) -> Internal:
         """The standard deviations, (n_z,)."""
@@ -149,6 +149,12 @@ class Memory:
             lambda p: jnp.concatenate([memory.compute_spread(p) for memory in both]),
             (*self.searched, *outer.searched),
         )
+
+
+def _call(function: Callable[..., Any], before: tuple[Array, ...], u: Any, p: Values) -> Array:
+    """The result of a function that may take the inputs between other arguments and parameters."""
+    inputs = (u,) if takes_inputs(function, f"{'qvz'[: len(before)]}p") else ()
+    return jnp.asarray(function(*before, *inputs, p))
 
 
 def _of_inputs(function: Callable[..., Any], takes: bool) -> Callable[..., Any]:
