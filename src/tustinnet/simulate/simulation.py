@@ -225,13 +225,13 @@ def initial_states(
     measured = np.asarray(measured, np.float64)
     if not model.internal:
         return measured
-    where = f"the model ({type(model).__name__})"
-    if not model.initial_needs_inputs:
-        formula = Formula(model.initial_internal, measured.shape[1], where=where)
-        return np.concatenate([measured, evaluate(formula, measured)], axis=1)
-    assert inputs is not None
-    n_m, points = measured.shape[1], np.concatenate([measured, inputs], axis=1)
+    n_m, points, by_inputs = measured.shape[1], measured, model.initial_needs_inputs
+    if by_inputs:
+        assert inputs is not None
+        points = np.concatenate([measured, inputs], axis=1)
     formula = Formula(
-        lambda point: model.initial_internal(point[:n_m], point[n_m:]), points.shape[1], where=where
+        lambda x: model.initial_internal(x[:n_m], x[n_m:] if by_inputs else None),
+        points.shape[1],
+        where=f"the model ({type(model).__name__})",
     )
     return np.concatenate([measured, evaluate(formula, points)], axis=1)
