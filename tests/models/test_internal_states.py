@@ -73,8 +73,9 @@ def parameters(values):
     return tuple(tn.Parameter(name, "1", x, x, x, fixed=True) for name, x in values.items())
 
 
-def make(kinds, hold="first-order", delay=0):
+def make(kinds, *, is_sampled=False, delay=0):
     """A system: h with a hidden coordinate, m memory, f added forces, c a controller."""
+    hold = "zero-order" if is_sampled else "first-order"
     system = replace(
         PLAIN, unmeasured=HIDDEN if kinds["h"] else None, memory=MEMORY if kinds["m"] else None
     )
@@ -180,10 +181,12 @@ def test_where_records_begin(kinds):
     if kinds["h"]:
         expected += [RATIO * q[1], RATIO * v[1]]
         spread, searched = [0.1, 0.2], [True, True]
-    u = KP * (w[0] - q[1]) - KD * v[1] if kinds["c"] else w[0]
+    loop: list[list] = [[], [], []]
+    u = w[0]
     if kinds["c"]:
-        u += begun[-2]  # what holds the system, see below
-        expected_of_loop, of_loop = [begun[-2], v[1]], [KP, 1.0]
+        integral = begun[-2]  # what holds the system, compared with no number here
+        u = KP * (w[0] - q[1]) - KD * v[1] + integral
+        loop = [[integral, v[1]], [KP, 1.0], [True, True]]
     if kinds["m"]:
         # it sees what the actuator has reached, and the last coordinate, which may be hidden
         reached = 0.9 * u if kinds["f"] else u
@@ -192,12 +195,7 @@ def test_where_records_begin(kinds):
         expected += [0.9 * u, SHARE * q[1]]
     plain = 2 * (kinds["m"] + kinds["f"])
     spread, searched = spread + [1.0] * plain, searched + [False] * plain
-    if kinds["c"]:
-        expected, spread, searched = (
-            expected + expected_of_loop,
-            spread + of_loop,
-            searched + [True] * 2,
-        )
+    expected, spread, searched = expected + loop[0], spread + loop[1], searched + loop[2]
     np.testing.assert_allclose(begun, expected, rtol=1e-12)
     np.testing.assert_allclose(model.internal_spread, spread)
     assert model.searched_internal.tolist() == searched
@@ -253,7 +251,7 @@ def test_sensor_errors_change_all_of_them():
 def test_a_sampled_controller_holds_while_everything_else_moves():
     """Steps against those of Runge and Kutta by hand, under the law by hand, with a delay."""
     kinds = dict.fromkeys("hmfc", True)
-    system = make(kinds, "zero-order", delay=1)
+    system = make(kinds, is_sampled=True, delay=1)
     model = tn.discretise(model_of(system), DT, 2, inputs=system.inputs)
     by_hand, rng = ByHand(kinds | {"c": False}), np.random.default_rng(5)
     x, integral, speed, coming = 0.3 * rng.normal(size=10), 0.4, 0.1, 1.5
