@@ -9,8 +9,8 @@ import numpy as np
 import tustinnet as tn
 from tustinnet.channels import Channels, PDController, PDLoop
 from tustinnet.models.chains import Body, body_inertia, inertial_parameters
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.rigid import rigid_system
 
 COUNT = 2 * np.pi / 2**16
 

@@ -11,7 +11,7 @@ from swinging import COUNT, LAGGING, SWING, TRUTH
 import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.models.added import with_forces
-from tustinnet.models.feedback import with_controller
+from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.lagrangian import LagrangianModel
 
 GAINS = (

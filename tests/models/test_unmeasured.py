@@ -9,8 +9,8 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import Inertia, UnmeasuredCoordinates
-from tustinnet.models.rigid import rigid_system
 from tustinnet.models.sensors import with_sensor_errors
 
 # a pendulum on a cart by a spring: the cart's position is measured, the pendulum's angle is not

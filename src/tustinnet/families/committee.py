@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from tustinnet.channels import Channels
@@ -30,7 +30,7 @@ from tustinnet.families.family import (
     summarise_part,
     systems_in,
 )
-from tustinnet.models.contract import InputVector, Internal, Model, State
+from tustinnet.models.contract import Model, State
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.sizes import MOST_MEMBERS
 from tustinnet.models.step_layout import StepInput, StepLayout
@@ -114,26 +114,9 @@ class Committee(Model):
         return tuple(f"{z} {n}" for n, names in enumerate(self._internal_names, 1) for z in names)
 
     @property
-    def initial_needs_inputs(self) -> bool:
-        """Whether the expected internal states of any member depend on inputs."""
-        return any(group.member().initial_needs_inputs for group in self.groups)
-
-    def initial_internal(
-        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
-    ) -> Internal:
-        """The expected internal states of all members, one member after the other."""
-        states = [member.initial_state(measured, u) for member in self.members]
-        return jnp.concatenate([state[self.channels.internal] for state in states])
-
-    @property
-    def internal_spread(self) -> Internal:
-        """The standard deviations of all members, one member after the other."""
-        return jnp.concatenate([member.internal_spread for member in self.members])
-
-    @property
-    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
-        """The searched internal states of all members, one member after the other."""
-        return np.concatenate([member.searched_internal for member in self.members])
+    def inner_models(self) -> tuple[Model, ...]:
+        """The members."""
+        return self.members
 
     @property
     def warm_up(self) -> int:

@@ -23,8 +23,8 @@ from tustinnet.errors import InputError
 from tustinnet.families.descriptions import Description, Entries
 from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper, Lines
 from tustinnet.models.added import parse_forces, with_forces
+from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.contract import Model
-from tustinnet.models.feedback import with_controller
 from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Parameter
 from tustinnet.models.sensors import with_sensor_errors
@@ -302,7 +302,7 @@ def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     sizes = {"q": channels.n_q, "v": channels.n_q, "z": len(model.internal), "u": channels.n_u}
     drawn = {k: _REACH[k] * generator.uniform(-1, 1, (_PROBES, n)) for k, n in sizes.items()}
     points = np.concatenate([drawn["q"], drawn["v"], drawn["z"], drawn["u"]], axis=1)
-    n_x, has_initial = points.shape[1] - channels.n_u, model.system.has_initial
+    n_x, has_initial = points.shape[1] - channels.n_u, model.system.states.has_initial
 
     def probe(point: Array) -> Array:
         parts = [model.derivative(point[:n_x], point[n_x:])]

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pydantic import Field, SerializeAsAny, field_validator
 
 from tustinnet.channels import Channels
@@ -32,8 +32,6 @@ from tustinnet.families.family import (
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import (
     AccelerationModel,
-    InputVector,
-    Internal,
     Model,
     State,
     require_fit,
@@ -93,37 +91,14 @@ class HybridModel(Model):
         return self.physics.channels
 
     @property
-    def internal(self) -> tuple[str, ...]:
-        """The internal states of the physics, then those of the correction."""
-        return (*self.physics.internal, *self.correction.internal)
+    def inner_models(self) -> tuple[Model, ...]:
+        """The physics, then the correction."""
+        return self.physics, self.correction
 
     @property
     def warm_up(self) -> int:
         """The longer warm-up of both parts."""
         return max(self.physics.warm_up, self.correction.warm_up)
-
-    @property
-    def initial_needs_inputs(self) -> bool:
-        """Whether the expected internal states of either part depend on inputs."""
-        return self.physics.initial_needs_inputs or self.correction.initial_needs_inputs
-
-    def initial_internal(
-        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
-    ) -> Internal:
-        """The expected internal states of the physics, then those of the correction."""
-        states = [part.initial_state(measured, u) for part in (self.physics, self.correction)]
-        return jnp.concatenate([state[self.channels.internal] for state in states])
-
-    @property
-    def internal_spread(self) -> Internal:
-        """The standard deviations of the physics, then those of the correction."""
-        return jnp.concatenate([self.physics.internal_spread, self.correction.internal_spread])
-
-    @property
-    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
-        """The searched internal states of the physics, then those of the correction."""
-        parts = (self.physics, self.correction)
-        return np.concatenate([part.searched_internal for part in parts])
 
     def for_record(self, experiment: Experiment) -> "HybridModel":
         """The hybrid with the physics of the record."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import jax
@@ -12,7 +12,7 @@ import numpy as np
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.models.feedback import with_changed_plant
+from tustinnet.models.closed_loop import gains_of, with_controller
 from tustinnet.models.forces import (
     LAWS,
     OWN_LEVEL,
@@ -24,7 +24,8 @@ from tustinnet.models.forces import (
     Law,
     Spring,
 )
-from tustinnet.models.lagrangian import LagrangianSystem, Memory, Parameter, Values
+from tustinnet.models.internal_states import Memory, Values
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.old_names import FORCES, refuse_old_names
 
 WHERE = "model.forces"
@@ -152,15 +153,20 @@ def with_forces(
     if not names:
         return system
     if system.feedback is not None:
-        return with_changed_plant(system, lambda plant: with_forces(plant, names, parameters))
+        plant = with_forces(system.plant, names, parameters)
+        return with_controller(plant, system.feedback.channels, gains_of(system))
     added = parse_forces(system, names)
     _require_additions(system, added)
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
     frictions = [force for force in added if isinstance(force.law, Friction)]
     # those that depend on a deflection are added last, in whatever order the names stand
     frictions.sort(key=lambda force: force.law.needs_limited_travel)
-    with_states = tuple(f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag))
-    is_lagging = any(isinstance(force.law, ActuatorLag) for force in added)
+    with_states = [f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag)]
+    lagging = {f.index: k for k, f in enumerate(with_states) if f.law.is_at_input}
+
+    def reached(q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
+        """The inputs, in the place of those that lag the states that follow them."""
+        return jnp.stack([z[lagging[i]] if i in lagging else u[i] for i in range(len(u))])
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
         total = compute_friction(frictions, system.potential, q, v, p)
@@ -170,16 +176,18 @@ def with_forces(
         energy = sum(law.energy(q[f.index], *f.values(p)) for f, law in springs)
         return energy + system.potential(q, p) if system.potential else energy
 
+    remembering: dict[str, Any] = {}
+    if with_states:
+        memory = reduce(Memory.followed_by, map(_memory_of, with_states))
+        remembering = system.inside(memory, reached if lagging else None)
     return replace(
         system,
         parameters=(*system.parameters, *parameters),
         dissipation=dissipation if frictions else system.dissipation,
         potential=potential if springs else system.potential,
-        # behind a lag the forces of the inputs depend on internal states
-        input_map=None if is_lagging else system.input_map,
-        memory=_ExtendedMemory(system, with_states).memory if with_states else system.memory,
         added=(*system.added, *map(str, added)),
         added_parameters=(*system.added_parameters, *(p.name for p in parameters)),
+        **remembering,
     )
 
 
@@ -276,101 +284,19 @@ def _sum_by_coordinate(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
     return jnp.stack(total)
 
 
-@dataclass(frozen=True)
-class _ExtendedMemory:
-    """The memory of a system followed by that of added forces.
-
-    Behind the lags of inputs it also has the forces of the system's `input_map`: all that depends
-    on inputs is given what the actuators have reached.
-
-    Attributes:
-        system: the system.
-        added: the added forces with internal states.
-    """
-
-    system: LagrangianSystem
-    added: tuple[PlacedForce, ...]
-
-    @property
-    def lagging(self) -> dict[int, int]:
-        """The internal states that follow inputs that lag, by the index of the input."""
-        n = len(self.system.memory_states)
-        return {f.index: k for k, f in enumerate(self.added, n) if isinstance(f.law, ActuatorLag)}
-
-    def reached(self, z: Any, u: Any) -> Any:
-        """The inputs, in the place of those that lag the states that follow them."""
-        if not (lagging := self.lagging):
-            return u
-        n_u = len(self.system.inputs)
-        return jnp.stack([z[lagging[i]] if i in lagging else u[i] for i in range(n_u)])
-
-    def rate(self, q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
-        """The rates of the system's internal states, then of the added ones."""
-        before, n = self.system.memory, len(self.system.memory_states)
-        rates = []
-        for f, state in zip(self.added, z[n:], strict=True):
-            driving = u if f.law.is_at_input else v
-            rates.append(_law_with_state(f).rate(driving[f.index], state, *f.values(p)))
-        added = jnp.stack(rates)
-        if before is None:
-            return added
-        own = before.compute_rate(q, v, z[:n], self.reached(z, u), p)
-        return jnp.concatenate([jnp.asarray(own), added])
-
-    def force(self, q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
-        """The forces of the system's internal states, of the added ones, and of lagging inputs."""
-        system, before, n = self.system, self.system.memory, len(self.system.memory_states)
-        acting = [
-            (f.index, f.law.force(v[f.index], state, *f.values(p)))
-            for f, state in zip(self.added, z[n:], strict=True)
-            if isinstance(f.law, ForceWithMemory)
-        ]
-        total = _sum_by_coordinate(v, acting)
-        if before is not None:
-            own = before.compute_force(q, v, z[:n], self.reached(z, u), p)
-            total = jnp.asarray(own) + total
-        if self.lagging and system.input_map is not None:
-            total = total + jnp.asarray(system.input_map(q, v, self.reached(z, u), p))
-        return total
-
-    def initial(self, q: Any, v: Any, u: Any, p: Values) -> Any:
-        """The expected internal states of the system, then the added ones."""
-        before, n = self.system.memory, len(self.system.memory_states)
-        states = []
-        for f in self.added:
-            place = u if f.law.is_at_input else q
-            states.append(_law_with_state(f).initial(place[f.index], *f.values(p)))
-        added = jnp.stack(states)
-        if before is None:
-            return added
-        own = jnp.zeros(n, added.dtype)
-        if before.initial is not None:
-            reached = self.reached(jnp.concatenate([own, added]), u)
-            inputs = (reached,) if before.initial_needs_inputs else ()
-            own = jnp.asarray(before.initial(q, v, *inputs, p))
-        return jnp.concatenate([own, added])
-
-    @property
-    def memory(self) -> Memory:
-        """The memory, whose functions take inputs only where something depends on them."""
-        before, lags = self.system.memory, bool(self.lagging)
-        names = (*self.system.memory_states, *map(str, self.added))
-        rate, force, initial = self.rate, self.force, self.initial
-        if not (lags or (before and before.has_inputs)):
-            rate = _without_inputs(self.rate)
-        if not (lags or (before and before.force_needs_inputs)):
-            force = _without_inputs(self.force)
-        if not (lags or (before and before.initial_needs_inputs)):
-            return Memory(names, rate, force, lambda q, v, p: initial(q, v, None, p))
-        return Memory(names, rate, force, initial)
-
-
-def _law_with_state(force: PlacedForce) -> ForceWithMemory | ActuatorLag:
-    """The law of a force that has an internal state."""
-    assert isinstance(force.law, ForceWithMemory | ActuatorLag)
-    return force.law
-
-
-def _without_inputs(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A rate or a force that takes the inputs, as one that does not."""
-    return lambda q, v, z, p: function(q, v, z, None, p)
+def _memory_of(force: PlacedForce) -> Memory:
+    """The internal state of an added force, or of an actuator that lags."""
+    law, i, names = force.law, force.index, (str(force),)
+    if isinstance(law, ActuatorLag):
+        return Memory(
+            names,
+            lambda q, v, z, u, p: jnp.stack([law.rate(u[i], z[0], *force.values(p))]),
+            initial=lambda q, v, u, p: jnp.stack([law.initial(u[i], *force.values(p))]),
+        )
+    assert isinstance(law, ForceWithMemory)
+    return Memory(
+        names,
+        lambda q, v, z, p: jnp.stack([law.rate(v[i], z[0], *force.values(p))]),
+        lambda q, v, z, p: _sum_by_coordinate(v, [(i, law.force(v[i], z[0], *force.values(p)))]),
+        lambda q, v, p: jnp.stack([law.initial(q[i], *force.values(p))]),
+    )

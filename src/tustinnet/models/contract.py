@@ -47,9 +47,14 @@ class Stateful(HasChannels, eqx.Module):
             raise attribute_error(f"'{type(self).__name__}'", name, METHODS)
 
     @property
+    def inner_models(self) -> "tuple[Stateful, ...]":
+        """The models inside whose internal states are its own, in their order; mostly none."""
+        return ()
+
+    @property
     def internal(self) -> tuple[str, ...]:
         """Names of its internal states; most models have none."""
-        return ()
+        return tuple(name for model in self.inner_models for name in model.internal)
 
     @property
     def state_size(self) -> int:
@@ -59,7 +64,7 @@ class Stateful(HasChannels, eqx.Module):
     @property
     def initial_needs_inputs(self) -> bool:
         """Whether `initial_internal` depends on inputs; of most models it does not."""
-        return False
+        return any(model.initial_needs_inputs for model in self.inner_models)
 
     def initial_internal(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
@@ -71,7 +76,9 @@ class Stateful(HasChannels, eqx.Module):
             u: the inputs at its beginning, (n_u,), which only models with `initial_needs_inputs`
                 use; None for 0.
         """
-        return jnp.zeros(len(self.internal), measured.dtype)
+        if not self.inner_models:
+            return jnp.zeros(len(self.internal), measured.dtype)
+        return jnp.concatenate([x.initial_internal(measured, u) for x in self.inner_models])
 
     @property
     def internal_spread(self) -> Internal:
@@ -79,7 +86,9 @@ class Stateful(HasChannels, eqx.Module):
 
         In the states' units, at the beginning of a record. Starts that search for them use it.
         """
-        return jnp.asarray(np.ones(len(self.internal)))
+        if not self.inner_models:
+            return jnp.asarray(np.ones(len(self.internal)))
+        return jnp.concatenate([model.internal_spread for model in self.inner_models])
 
     @property
     def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
@@ -88,7 +97,9 @@ class Stateful(HasChannels, eqx.Module):
         Within `internal_spread` of the expected ones. Of most models these are none: records say
         little of what forces remember.
         """
-        return np.zeros(len(self.internal), dtype=bool)
+        if not self.inner_models:
+            return np.zeros(len(self.internal), dtype=bool)
+        return np.concatenate([model.searched_internal for model in self.inner_models])
 
     def initial_state(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
@@ -213,10 +224,8 @@ class ContinuousModel(Stateful):
     def derivative(self, x: State, u: InputVector) -> State:
         """`dx/dt` at a state under an input."""
 
-    def between_samples(
-        self, x: State, u: InputVector
-    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
-        """Model that holds from a sample to the next, and its inputs by those of this one.
+    def between_samples(self, x: State, u: InputVector) -> "ContinuousModel":
+        """Model that holds from a sample to the next.
 
         Only a model with something that is sampled, as a controller, is another one there.
 
@@ -224,7 +233,7 @@ class ContinuousModel(Stateful):
             x: the state at the sample, (n_x,).
             u: the inputs there, (n_u,).
         """
-        return self, lambda inputs: inputs
+        return self
 
 
 AnyModel = TypeVar("AnyModel", bound=Stateful)

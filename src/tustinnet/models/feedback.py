@@ -1,29 +1,15 @@
-"""A controller in the loop: a system whose inputs are the set points of the controller."""
+"""What a controller in the loop computes: feedback to set points, and what it remembers."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache, wraps
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels, PDController, PDLoop
-from tustinnet.errors import InputError
-from tustinnet.models.lagrangian import (
-    FeedbackLaw,
-    LagrangianSystem,
-    Memory,
-    Parameter,
-    Values,
-    solve_positive,
-    takes_inputs,
-)
-from tustinnet.models.rigid import rigid_system
-
-_LEAST_RIDGE = 1e-12  # of the forces by the inputs, where several inputs do the same
+from tustinnet.models.internal_states import Values
 
 
 def gain_name(loop: PDLoop, gain: str) -> str:
@@ -32,15 +18,20 @@ def gain_name(loop: PDLoop, gain: str) -> str:
 
 
 @dataclass(frozen=True)
-class PDFeedback(FeedbackLaw):
+class PDFeedback:
     """Proportional, integral and derivative feedback to set points, with a filter and a delay.
 
     Sampled controllers compute at each sample: what they remember changes from one to the next as
     if at constant rates, so that it is simulated with everything else.
 
-    Attributes are those of `FeedbackLaw`. The channels have a sampling period where there are
-    internal states: of each loop the integral, the filtered velocity, and what is still to act.
+    Attributes:
+        channels: coordinates and inputs of the closed loop, with the controller, and a sampling
+            period where there are internal states.
+        is_sampled: whether what it computes at a sample is held until the next.
     """
+
+    channels: Channels
+    is_sampled: bool
 
     @property
     def controller(self) -> PDController:
@@ -52,6 +43,16 @@ class PDFeedback(FeedbackLaw):
     def size(self) -> int:
         """Number of inputs that are computed."""
         return len(self.controller.loops)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Internal states: of each loop the integral, the filtered velocity, what is to act."""
+        names: list[str] = []
+        for loop in self.controller.loops:
+            names += [f"{loop.coordinate}.integral"] if "ki" in loop.gains else []
+            names += [f"{loop.coordinate}.filtered_velocity"] if loop.velocity_filter else []
+            names += [f"{loop.input}.delayed{k + 1}" for k in range(loop.delay)]
+        return tuple(names)
 
     def compute(self, q: Any, v: Any, s: Any, w: Any, p: Values) -> Float[Array, " computed"]:
         """The inputs of the system that are computed, then the rates of the internal states.
@@ -98,16 +99,21 @@ class PDFeedback(FeedbackLaw):
         change = -np.expm1(-period / loop.velocity_filter) * (speed - before)
         return before + change, change / period
 
-    def initial(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " n_s"]:
-        """The internal states where a record begins: those with which nothing is accelerated."""
+    def initial(self, q: Any, v: Any, w: Any, p: Values, holding: Any) -> Float[Array, " n_s"]:
+        """The internal states where a record begins.
+
+        Args:
+            q: positions.
+            v: velocities.
+            w: inputs of the closed loop, (n_w,).
+            p: values of the parameters by name.
+            holding: inputs with which nothing is accelerated, (loops,), for loops with an integral.
+        """
         states: list[Any] = []
-        has_integrals = any("ki" in loop.gains for loop in self.controller.loops)
-        holding = self._holding_inputs(q, v, w, p) if has_integrals else None
         for k, loop in enumerate(self.controller.loops):
             error, rate, speed, extra = self._signals(loop, q, v, w)
             u = _without_integral(loop, error, rate - speed, extra, p)
             if "ki" in loop.gains:
-                assert holding is not None
                 states.append(holding[k] - u)
                 u = holding[k]
             if loop.velocity_filter:
@@ -138,21 +144,6 @@ class PDFeedback(FeedbackLaw):
         """The limits of the input that a loop computes."""
         return next(i.limits for i in self.controller.inputs if i.name == loop.input)
 
-    def _holding_inputs(self, q: Any, v: Any, w: Any, p: Values) -> Float[Array, " loops"]:
-        """Computed inputs with which the system is not accelerated, in least squares."""
-        model = rigid_system(self.plant).model(p)
-
-        def force(outputs: Any) -> Any:
-            u = self.plant_inputs(outputs, w)
-            z = model.balanced_internal(q, v, u)
-            return model.applied(q, v, z, u) + model.conservative(q, v)
-
-        none = jnp.zeros(self.size, q.dtype)
-        rest, by_output = force(none), jax.jacfwd(force)(none)
-        square = by_output.T @ by_output
-        ridge = _LEAST_RIDGE * jnp.trace(square) + jnp.finfo(q.dtype).tiny
-        return -solve_positive(square + ridge * jnp.eye(self.size), by_output.T @ rest)
-
     def plant_inputs(self, outputs: Any, w: Any) -> Float[Array, " n_u"]:
         """Inputs of the system, computed ones and others.
 
@@ -170,177 +161,7 @@ class PDFeedback(FeedbackLaw):
         )
 
 
-@lru_cache(maxsize=64)  # so that the same system serves the same compiled programs
-def with_controller(
-    plant: LagrangianSystem, channels: Channels, gains: tuple[Parameter, ...]
-) -> LagrangianSystem:
-    """The system with a controller in the loop, and the controller's gains among its parameters.
-
-    Its inputs are the set points. A controller whose set points are held from sample to sample
-    (`zero-order`) computes at each sample what it holds until the next; other ones compute all the
-    time.
-
-    Args:
-        plant: the system, in the coordinates and inputs of the controller.
-        channels: channels of records, with their controller; without one the system is returned.
-        gains: the gains, `COORDINATE.kp`, `COORDINATE.kd` of each loop, and `COORDINATE.ki` of one
-            with an integral.
-
-    Raises:
-        InputError: a parameter that the system has already.
-    """
-    controller = channels.controller
-    if controller is None:
-        return plant
-    if twice := sorted({p.name for p in gains} & {p.name for p in plant.parameters}):
-        raise InputError(
-            f"system '{plant.name}'",
-            f"a parameter '{twice[0]}', as the controller has a gain",
-            "another name",
-        )
-    set_points = {name for loop in controller.loops for name in loop.set_points}
-    holds = {i.hold for i in channels.inputs if i.name in set_points}
-    states = tuple(name for loop in controller.loops for name in _loop_states(loop))
-    feedback = PDFeedback(
-        plant, channels if states else replace(channels, dt=0.0), holds == {"zero-order"}, states
-    )
-    closed = _close_with_states(feedback) if states else _close(feedback)
-    return replace(
-        plant,
-        inputs=channels.inputs,
-        parameters=(*plant.parameters, *gains),
-        feedback=feedback,
-        **closed,
-    )
-
-
 def _without_integral(loop: PDLoop, error: Any, rate_error: Any, extra: Any, p: Values) -> Any:
     """The input that a loop computes by deviations of position and velocity, and feed-forward."""
     u = p[gain_name(loop, "kp")] * error + p[gain_name(loop, "kd")] * rate_error
     return u if extra is None else u + extra
-
-
-def _loop_states(loop: PDLoop) -> list[str]:
-    """Names of the internal states of a loop."""
-    states = [f"{loop.coordinate}.integral"] if "ki" in loop.gains else []
-    if loop.velocity_filter:
-        states.append(f"{loop.coordinate}.filtered_velocity")
-    return [*states, *(f"{loop.input}.delayed{k + 1}" for k in range(loop.delay))]
-
-
-def _close(feedback: PDFeedback) -> dict[str, Any]:
-    """The attributes of a system in a closed loop: functions of inputs as ones of set points."""
-    plant = feedback.plant
-
-    def with_set_points(function: Callable[..., Any] | None, arguments: str) -> Any:
-        """A function of the system that may take the inputs, as one of the closed loop."""
-        if function is None or not takes_inputs(function, arguments):
-            return function
-        n_before = len(arguments) - 1
-
-        @wraps(function)
-        def of_set_points(*others: Any) -> Any:
-            *before, w, p = others
-            q, v = before[:2]
-            u = feedback.plant_inputs(feedback.compute(q, v, jnp.zeros(0, q.dtype), w, p), w)
-            return function(*before[:n_before], u, p)
-
-        return of_set_points
-
-    memory, unmeasured = plant.memory, plant.unmeasured
-    return {
-        "input_map": with_set_points(plant.input_map, "qvp"),
-        "memory": memory
-        and replace(
-            memory,
-            rate=with_set_points(memory.rate, "qvzp"),
-            force=with_set_points(memory.force, "qvzp"),
-            initial=with_set_points(memory.initial, "qvp"),
-        ),
-        "unmeasured": unmeasured
-        and replace(unmeasured, initial=with_set_points(unmeasured.initial, "qvp")),
-    }
-
-
-def _close_with_states(feedback: PDFeedback) -> dict[str, Any]:
-    """The attributes of a system in a closed loop whose controller has internal states.
-
-    These are in the memory behind the system's own. What the inputs do is a force of the memory, as
-    it depends on internal states.
-    """
-    plant, memory, unmeasured = feedback.plant, feedback.plant.memory, feedback.plant.unmeasured
-    measured, n = plant.channels.position, len(plant.memory_states)
-
-    def computed(q: Any, v: Any, s: Any, w: Any, p: Values) -> tuple[Any, Any]:
-        """Inputs of the system, and rates of the controller's states."""
-        values = feedback.compute(q, v, s, w, p)
-        return feedback.plant_inputs(values[: feedback.size], w), values[feedback.size :]
-
-    def rate(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
-        u, own = computed(q, v, z[n:], w, p)
-        return jnp.concatenate([memory.compute_rate(q, v, z[:n], u, p), own]) if memory else own
-
-    def force(q: Any, v: Any, z: Any, w: Any, p: Values) -> Any:
-        u, _ = computed(q, v, z[n:], w, p)
-        total = jnp.zeros_like(q)
-        if plant.input_map is not None:
-            total = total + jnp.asarray(plant.input_map(q, v, u, p))
-        return total + memory.compute_force(q, v, z[:n], u, p) if memory else total
-
-    def initial(q: Any, v: Any, w: Any, p: Values) -> Any:
-        own = feedback.initial(q[measured], v[measured], w, p)
-        before = jnp.zeros(n, q.dtype)
-        if memory and memory.initial:
-            inputs = (computed(q, v, own, w, p)[0],) if memory.initial_needs_inputs else ()
-            before = jnp.asarray(memory.initial(q, v, *inputs, p))
-        return jnp.concatenate([before, own])
-
-    def initial_unmeasured(q: Any, v: Any, w: Any, p: Values) -> Any:
-        assert unmeasured is not None
-        u, _ = computed(q, v, feedback.initial(q, v, w, p), w, p)
-        return unmeasured.initial_states(q, v, u, p)
-
-    names = (*plant.memory_states, *feedback.states)
-    return {
-        "input_map": None,
-        "memory": Memory(names, rate, force, initial),
-        "unmeasured": unmeasured and replace(unmeasured, initial=initial_unmeasured),
-    }
-
-
-def with_changed_plant(
-    system: LagrangianSystem, change: Callable[[LagrangianSystem], LagrangianSystem]
-) -> LagrangianSystem:
-    """A closed loop of which only the system inside is changed; any other system is changed itself.
-
-    Args:
-        system: the system.
-        change: the function that changes a system without a controller.
-    """
-    if system.feedback is None:
-        return change(system)
-    return with_controller(change(system.plant), system.feedback.channels, _gains_of(system))
-
-
-def without_controller_states(system: LagrangianSystem) -> LagrangianSystem:
-    """A closed loop whose controller remembers nothing: without integrals, filters and delays.
-
-    Its parameters stay. Any other system is returned as it is.
-
-    Args:
-        system: the system.
-    """
-    feedback = system.feedback
-    if feedback is None or not feedback.states:
-        return system
-    controller = feedback.channels.controller
-    assert controller is not None
-    loops = (replace(x, ki=0.0, velocity_filter=0.0, delay=0) for x in controller.loops)
-    channels = replace(feedback.channels, controller=replace(controller, loops=tuple(loops)))
-    return with_controller(system.plant, channels, _gains_of(system))
-
-
-def _gains_of(system: LagrangianSystem) -> tuple[Parameter, ...]:
-    """The gains among the parameters of a closed loop."""
-    own = {p.name for p in system.plant.parameters}
-    return tuple(p for p in system.parameters if p.name not in own)

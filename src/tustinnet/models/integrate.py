@@ -7,8 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
 from tustinnet.channels import Channels, Input, merge_timing
 from tustinnet.data.experiment import Experiment
@@ -16,7 +15,6 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
     InputVector,
-    Internal,
     Model,
     State,
 )
@@ -43,30 +41,9 @@ class FromContinuous(Model):
     channels: Channels = eqx.field(static=True)
 
     @property
-    def internal(self) -> tuple[str, ...]:
-        """Names of the internal states of the continuous model."""
-        return self.continuous.internal
-
-    @property
-    def initial_needs_inputs(self) -> bool:
-        """Whether expected internal states of the continuous model depend on inputs."""
-        return self.continuous.initial_needs_inputs
-
-    def initial_internal(
-        self, measured: Float[Array, " n_measured"], u: InputVector | None = None
-    ) -> Internal:
-        """Expected internal states of the continuous model at the beginning of a record."""
-        return self.continuous.initial_state(measured, u)[self.channels.internal]
-
-    @property
-    def internal_spread(self) -> Internal:
-        """Standard deviations of the internal states of the continuous model."""
-        return self.continuous.internal_spread
-
-    @property
-    def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
-        """Internal states of the continuous model that are searched for where a record begins."""
-        return self.continuous.searched_internal
+    def inner_models(self) -> tuple[ContinuousModel, ...]:
+        """The continuous model."""
+        return (self.continuous,)
 
     def for_record(self, experiment: Experiment) -> "FromContinuous":
         """The model with the values of the record's groups."""
@@ -101,19 +78,14 @@ class Discretised(FromContinuous):
     def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
         n, h = self.substeps, period / self.substeps
-        model, inputs = self.continuous.between_samples(x, input_at(u, 0.0))
-
-        def stages(i: Array | int) -> tuple[InputVector, InputVector, InputVector]:
-            begin, middle, end = stage_inputs(u, i, n)
-            return inputs(begin), inputs(middle), inputs(end)
-
+        model = self.continuous.between_samples(x, input_at(u, 0.0))
         if self.unrolled:
             for i in range(n):
-                x = runge_kutta_4(model, x, stages(i), h)
+                x = runge_kutta_4(model, x, stage_inputs(u, i, n), h)
             return x
 
         def substep(state: State, i: Array) -> tuple[State, None]:
-            return runge_kutta_4(model, state, stages(i), h, looped=True), None
+            return runge_kutta_4(model, state, stage_inputs(u, i, n), h, looped=True), None
 
         return jax.lax.scan(substep, x, jnp.arange(n, dtype=x.dtype))[0]
 

@@ -1,6 +1,5 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
-import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,117 +24,25 @@ from tustinnet.models.contract import (
     Internal,
     State,
 )
+from tustinnet.models.feedback import PDFeedback
+from tustinnet.models.internal_states import (
+    AllCoordinates,
+    InternalStates,
+    Memory,
+    UnmeasuredCoordinates,
+    Values,
+    takes_inputs,
+)
 from tustinnet.models.kinematics import Link, require_links
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
-Values = Mapping[str, Any]
-AllCoordinates = Float[Array, " n_all"]  # measured ones, then the others
 
 _UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
 
 
 _SMALLEST_PIVOT = 1e-12  # of balanced internal states, relative to the size of the equations
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Forces with memory: internal states `z` beside positions and velocities.
-
-    Each function may also take the inputs, before the parameters. So a motor or a fan that lags
-    behind its command is written: `rate(q, v, z, u, p)` returns `(u - z) / p["lag"]`.
-
-    Attributes:
-        names: names of the internal states.
-        rate: `dz/dt = rate(q, v, z, p)` or `rate(q, v, z, u, p)`, (n_z,).
-        force: generalised force on the system, `force(q, v, z, p)` or `force(q, v, z, u, p)`,
-            (n_q,) [N m or N].
-        initial: the expected internal states at the beginning of a record, `initial(q, v, p)` or
-            `initial(q, v, u, p)`, (n_z,): the effect of the time before. None for 0.
-    """
-
-    names: tuple[str, ...]
-    rate: Callable[..., Any]
-    force: Callable[..., Any]
-    initial: Callable[..., Any] | None = None
-
-    @property
-    def has_inputs(self) -> bool:
-        """Whether inputs drive the internal states: whether `rate` takes them."""
-        return takes_inputs(self.rate, "qvzp")
-
-    @property
-    def force_needs_inputs(self) -> bool:
-        """Whether the forces depend on inputs, beside those that the internal states follow."""
-        return takes_inputs(self.force, "qvzp")
-
-    @property
-    def initial_needs_inputs(self) -> bool:
-        """Whether the expected internal states at the beginning of a record depend on inputs."""
-        return self.initial is not None and takes_inputs(self.initial, "qvp")
-
-    def compute_rate(
-        self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector | None, p: Values
-    ) -> Any:
-        """The rate `dz/dt`, (n_z,); `u` may be None where the function does not take it."""
-        return self.rate(q, v, z, u, p) if self.has_inputs else self.rate(q, v, z, p)
-
-    def compute_force(
-        self, q: Coordinates, v: Coordinates, z: Internal, u: InputVector | None, p: Values
-    ) -> Any:
-        """The generalised force, (n_q,); `u` may be None where the function does not take it."""
-        return self.force(q, v, z, u, p) if self.force_needs_inputs else self.force(q, v, z, p)
-
-
-@dataclass(frozen=True)
-class UnmeasuredCoordinates:
-    """Generalised coordinates without a sensor, as the angle of a link behind an elastic gear.
-
-    In the `q` and `v` that the functions of a system take they stand behind the measured ones, and
-    so do their forces. Their positions, then their velocities are internal states, the first ones.
-
-    Attributes:
-        names: names of the coordinates; their velocities are called `NAME_speed`.
-        follow: `follow(q, p)`, where they are if nothing gives, by the measured coordinates, (n_h,)
-            [rad or m]. Estimates without a simulation take this for their motion.
-        initial: `initial(q, v, u, p)`, their expected positions and velocities where a record or a
-            piece of one begins, (2 n_h,), by the measured coordinates. None for those of `follow`.
-        spread: `spread(p)`, standard deviations of positions and velocities from the expected ones,
-            (2 n_h,). None for 1.
-    """
-
-    names: tuple[str, ...]
-    follow: Callable[[Coordinates, Values], Any]
-    initial: Callable[[Coordinates, Coordinates, InputVector, Values], Any] | None = None
-    spread: Callable[[Values], Any] | None = None
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """The names of the internal states: of the positions, then of the velocities."""
-        return (*self.names, *(f"{name}_speed" for name in self.names))
-
-    def complete(
-        self, q: Coordinates, v: Coordinates, p: Values
-    ) -> tuple[AllCoordinates, AllCoordinates]:
-        """Positions and velocities of all coordinates if nothing gives, (n_q + n_h,) each.
-
-        Args:
-            q: measured positions, (n_q,).
-            v: their velocities, (n_q,).
-            p: values of the parameters by name.
-        """
-        at, rate = jax.jvp(lambda x: jnp.asarray(self.follow(x, p)), (q,), (v,))
-        return jnp.concatenate([q, at]), jnp.concatenate([v, rate])
-
-    def initial_states(
-        self, q: Coordinates, v: Coordinates, u: InputVector, p: Values
-    ) -> Float[Array, " n_states"]:
-        """The expected positions and velocities, (2 n_h,), see `initial`."""
-        if self.initial is not None:
-            return jnp.asarray(self.initial(q, v, u, p), q.dtype)
-        at, rate = self.complete(q, v, p)
-        return jnp.concatenate([at[len(q) :], rate[len(q) :]])
 
 
 @dataclass(frozen=True)
@@ -157,89 +64,16 @@ class Inertia:
     uncoupled: tuple[int, ...] = ()
 
 
-def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
-    """Whether a function of a system takes the inputs u beside other arguments.
-
-    Args:
-        function: the function.
-        arguments: its arguments without the inputs, a letter each, the parameters last: `qvzp`.
-
-    Raises:
-        TypeError: it takes neither as many arguments nor one more; the message has both forms.
-    """
-    try:
-        signature = inspect.signature(function)
-    except ValueError:  # of some functions in C nothing is known
-        return False
-    with_inputs = f"{arguments[:-1]}u{arguments[-1]}"
-    for form in (arguments, with_inputs):
-        try:
-            signature.bind(*form)
-        except TypeError:
-            continue
-        return form is with_inputs
-    forms = " or ".join(f"({', '.join(form)})" for form in (arguments, with_inputs))
-    raise TypeError(f"the arguments {signature}; expected {forms}")
-
-
-@dataclass(frozen=True)
-class FeedbackLaw(ABC):
-    """A controller in the loop of a system, see `models.feedback`.
+class _Held(ContinuousModel):
+    """A closed loop from one sample to the next, while what its controller computed is held.
 
     Attributes:
-        plant: the system without the controller.
-        channels: coordinates and inputs of the closed loop, with the controller.
-        is_sampled: whether what it computes at a sample is held until the next.
-        states: names of its internal states, which stand behind those of the system.
-    """
-
-    plant: "LagrangianSystem"
-    channels: Channels
-    is_sampled: bool
-    states: tuple[str, ...]
-
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """Number of inputs of the system that it computes."""
-
-    @abstractmethod
-    def compute(
-        self, q: AllCoordinates, v: AllCoordinates, s: Internal, w: InputVector, p: Values
-    ) -> Any:
-        """The inputs that it computes, then the rates of its internal states, (size + n_s,).
-
-        Args:
-            q: positions.
-            v: velocities.
-            s: its internal states, (n_s,).
-            w: inputs of the closed loop, (n_w,).
-            p: values of the parameters by name.
-        """
-
-    @abstractmethod
-    def initial(self, q: Coordinates, v: Coordinates, w: InputVector, p: Values) -> Any:
-        """Internal states of the controller expected where a record begins, (n_s,)."""
-
-    @abstractmethod
-    def spread(self, p: Values) -> Any:
-        """Standard deviations of its internal states from the expected ones, (n_s,)."""
-
-    @abstractmethod
-    def plant_inputs(self, outputs: Any, w: InputVector) -> Any:
-        """Inputs of the system, (n_u,), by those that the controller computes, (size,)."""
-
-
-class _WithConstantRates(ContinuousModel):
-    """A model with further internal states behind its own, whose rates are constant.
-
-    Attributes:
-        model: the model.
-        rates: the rates, (n,).
+        model: the closed loop.
+        computed: what the controller computed at the sample, see `LagrangianModel.computed`.
     """
 
     model: "LagrangianModel"
-    rates: Array
+    computed: Array
 
     # a property in the place of a field of the base class: nobody assigns it
     @property
@@ -248,9 +82,8 @@ class _WithConstantRates(ContinuousModel):
         return self.model.channels
 
     def derivative(self, x: State, u: InputVector) -> State:
-        """The derivative of the model's state, then the rates."""
-        own = self.model.derivative(x[: -len(self.rates)], u)
-        return jnp.concatenate([own, self.rates])
+        """The derivative of the model's state."""
+        return self.model.held_derivative(x, u, self.computed)
 
 
 class ChannelSource(ABC):
@@ -309,6 +142,7 @@ class LagrangianSystem:
         limits: limits of the motion of each coordinate, in the order of q; none if unknown. No
             equation of motion knows of them.
         feedback: the controller in the loop, whose set points are among the inputs; None without.
+        alone: the system without the controller in the loop; None without one.
         unmeasured: coordinates that no sensor measures; None without.
     """
 
@@ -328,7 +162,8 @@ class LagrangianSystem:
     inertia: Inertia | None = None
     source: "ChannelSource | None" = None
     limits: tuple[MotionLimits, ...] = ()
-    feedback: "FeedbackLaw | None" = None
+    feedback: PDFeedback | None = None
+    alone: "LagrangianSystem | None" = None
     unmeasured: UnmeasuredCoordinates | None = None
 
     def __post_init__(self) -> None:
@@ -384,36 +219,23 @@ class LagrangianSystem:
     @property
     def plant(self) -> "LagrangianSystem":
         """The system without a controller in the loop; itself where there is none."""
-        return self if self.feedback is None else self.feedback.plant
+        return self.alone or self
+
+    @cached_property
+    def states(self) -> InternalStates:
+        """The internal states, of whatever they are."""
+        parts = {"unmeasured": self.unmeasured, "memory": self.memory}
+        return InternalStates(**{name: part for name, part in parts.items() if part})
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """The names of the internal states: of unmeasured coordinates, then of the memory."""
-        own = self.unmeasured.states if self.unmeasured else ()
-        return (*own, *self.memory_states)
-
-    @property
-    def memory_states(self) -> tuple[str, ...]:
-        """The names of the internal states of the memory."""
-        return self.memory.names if self.memory else ()
+        """The names of the internal states."""
+        return self.states.names
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
         """The names of all coordinates: of the measured ones, then of the unmeasured ones."""
-        own = self.unmeasured.names if self.unmeasured else ()
-        return (*(c.name for c in self.coordinates), *own)
-
-    @property
-    def has_initial(self) -> bool:
-        """Whether internal states other than 0 are expected where a record begins."""
-        remembers = self.memory is not None and self.memory.initial is not None
-        return self.unmeasured is not None or remembers
-
-    @property
-    def initial_needs_inputs(self) -> bool:
-        """Whether the internal states that are expected there depend on inputs."""
-        of_memory = self.memory is not None and self.memory.initial_needs_inputs
-        return self.unmeasured is not None or of_memory
+        return (*(c.name for c in self.coordinates), *self.states.unmeasured.names)
 
     def for_channels(
         self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
@@ -464,36 +286,70 @@ class LagrangianSystem:
     def without(self, names: Collection[str]) -> "LagrangianSystem":
         """The system without some of its optional parameters."""
         kept = tuple(p for p in self.parameters if p.name not in names)
-        feedback = self.feedback and replace(
-            self.feedback, plant=self.feedback.plant.without(names)
-        )
-        return replace(self, parameters=kept, feedback=feedback)
+        return replace(self, parameters=kept, alone=self.alone and self.alone.without(names))
+
+    def inside(self, outer: Memory, inputs: Callable[..., Any] | None = None) -> dict[str, Any]:
+        """Attributes of the system with further internal states, which may compute its inputs.
+
+        Args:
+            outer: the further internal states, which stand behind its own.
+            inputs: `inputs(q, v, z, u, p)`, what acts in the place of its inputs, by the further
+                states. None where these do not change its inputs.
+
+        Returns:
+            `memory` and `input_map`. Behind inputs that depend on states, the map of the inputs is
+            a force of the memory.
+        """
+        memory, input_map = self.states.memory, self.input_map
+        if inputs is None or input_map is None:
+            return {"memory": memory.followed_by(outer, inputs), "input_map": input_map}
+        if not outer.names:
+
+            def of_computed(q: Any, v: Any, u: Any, p: Values) -> Any:
+                return input_map(q, v, inputs(q, v, jnp.zeros(0, q.dtype), u, p), p)
+
+            return {"memory": memory.followed_by(outer, inputs), "input_map": of_computed}
+
+        def force(q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
+            return memory.compute_force(q, v, z, u, p) + jnp.asarray(input_map(q, v, u, p))
+
+        driven = replace(memory, force=force)
+        return {"memory": driven.followed_by(outer, inputs), "input_map": None}
 
     def _require_shapes(self) -> None:
         """Raises unless every function returns the shape that the equations of motion need."""
-        q = v = jax.ShapeDtypeStruct((len(self.coordinate_names),), jnp.float32)
-        u = jax.ShapeDtypeStruct((len(self.inputs),), jnp.float32)
-        z = jax.ShapeDtypeStruct((len(self.memory_states),), jnp.float32)
+        memory, hidden, inertia = self.states.memory, self.states.unmeasured, self.inertia
+        n, n_z, n_h = len(self.coordinate_names), len(memory.names), len(hidden.states)
+        sizes = {"q": n, "v": n, "z": n_z, "u": len(self.inputs), "x": len(self.coordinates)}
+        given: dict[str, Any] = {
+            letter: jax.ShapeDtypeStruct((size,), jnp.float32) for letter, size in sizes.items()
+        }
         # without the optional ones: a function that requires one is refused
-        p = {
+        given["p"] = {
             x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters if not x.optional
         }
-        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
-        functions = [("kinetic", self.kinetic, (q, v, p), ())]
-        if self.potential:
-            functions.append(("potential", self.potential, (q, p), ()))
-        if self.dissipation:
-            functions.append(("dissipation", self.dissipation, (q, v, p), q.shape))
-        if self.input_map:
-            functions.append(("input_map", self.input_map, (q, v, u, p), q.shape))
-        if self.inertia:
-            square = (*q.shape, *q.shape)
-            functions.append(("mass_matrix", self.inertia.mass_matrix, (q, p), square))
-            functions.append(("coriolis", self.inertia.coriolis, (q, v, p), q.shape))
-        functions += self._memory_functions(q, v, z, u, p)
-        functions += self._unmeasured_functions(u, p)
-        for name, function, arguments, shape in functions:
+        functions: list[tuple[str, Callable[..., Any] | None, str, tuple[int, ...]]] = [
+            ("kinetic", self.kinetic, "qvp", ()),
+            ("potential", self.potential, "qp", ()),
+            ("dissipation", self.dissipation, "qvp", (n,)),
+            ("input_map", self.input_map, "qvup", (n,)),
+            ("mass_matrix", inertia and inertia.mass_matrix, "qp", (n, n)),
+            ("coriolis", inertia and inertia.coriolis, "qvp", (n,)),
+            ("memory rate", memory.rate, "qvzp", (n_z,)),
+            ("memory force", memory.force, "qvzp", (n,)),
+            ("memory initial", memory.initial, "qvp", (n_z,)),
+            ("memory spread", memory.spread, "p", (n_z,)),
+            ("unmeasured follow", hidden.follow, "xp", (n_h // 2,)),
+            ("unmeasured initial", hidden.initial, "xxup", (n_h,)),
+            ("unmeasured spread", hidden.spread, "p", (n_h,)),
+        ]
+        for name, function, letters, shape in functions:
+            if function is None:
+                continue
             where = f"system '{self.name}', {name}"
+            if function in (memory.rate, memory.force, memory.initial):
+                letters = self._with_inputs(function, letters, where)
+            arguments = [given[letter] for letter in letters]
             try:
                 result = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
             except KeyError as error:
@@ -527,48 +383,14 @@ class LagrangianSystem:
                     "energies are scalars, forces have a value per coordinate",
                 )
 
-    def _unmeasured_functions(
-        self, u: Any, p: Any
-    ) -> list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]:
-        """Names of the functions of unmeasured coordinates, with arguments and shapes."""
-        if (own := self.unmeasured) is None:
-            return []
-        q, n = jax.ShapeDtypeStruct((len(self.coordinates),), jnp.float32), len(own.names)
-        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]
-        functions = [("unmeasured follow", own.follow, (q, p), (n,))]
-        if own.initial:
-            functions.append(("unmeasured initial", own.initial, (q, q, u, p), (2 * n,)))
-        if own.spread:
-            functions.append(("unmeasured spread", own.spread, (p,), (2 * n,)))
-        return functions
-
-    def _memory_functions(
-        self, q: Any, v: Any, z: Any, u: Any, p: Any
-    ) -> list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]]:
-        """Names of the functions of the memory, the functions, their arguments, and shapes."""
-        if self.memory is None:
-            return []
-        functions: list[tuple[str, Callable[..., Any], tuple[Any, ...], tuple[int, ...]]] = []
-        for name, function, letters, shape in (
-            ("memory rate", self.memory.rate, "qvzp", z.shape),
-            ("memory force", self.memory.force, "qvzp", q.shape),
-            ("memory initial", self.memory.initial, "qvp", z.shape),
-        ):
-            if function is None:
-                continue
-            try:
-                inputs = (u,) if takes_inputs(function, letters) else ()
-            except TypeError as error:
-                problem, _, expected = str(error).partition("; expected ")
-                raise InputError(
-                    f"system '{self.name}', {name}",
-                    problem,
-                    expected,
-                    "u are the inputs, p the parameters by name",
-                ) from error
-            others = (q, v, z) if "z" in letters else (q, v)
-            functions.append((name, function, (*others, *inputs, p), shape))
-        return functions
+    def _with_inputs(self, function: Callable[..., Any], letters: str, where: str) -> str:
+        """The arguments of a function of the memory, a letter each, with inputs if it has them."""
+        try:
+            return f"{letters[:-1]}up" if takes_inputs(function, letters) else letters
+        except TypeError as error:
+            problem, _, expected = str(error).partition("; expected ")
+            remedy = "u are the inputs, p the parameters by name"
+            raise InputError(where, problem, expected, remedy) from error
 
 
 def tracing_remedy(error: BaseException) -> str:
@@ -691,9 +513,7 @@ class LagrangianModel(ContinuousModel):
             force = force + jnp.asarray(s.input_map(q, v, u, p))
         if s.dissipation:
             force = force - jnp.asarray(s.dissipation(q, v, p))
-        if s.memory:
-            force = force + jnp.asarray(s.memory.compute_force(q, v, z, u, p))
-        return force
+        return force + s.states.memory.compute_force(q, v, z, u, p)
 
     def acceleration(self, x: State, u: InputVector) -> AllCoordinates:
         """The acceleration at a state under an input, of all coordinates [rad/s^2 or m/s^2]."""
@@ -722,61 +542,63 @@ class LagrangianModel(ContinuousModel):
                 )
         return _derivative(self, x, u)
 
-    def between_samples(
-        self, x: State, u: InputVector
-    ) -> "tuple[ContinuousModel, Callable[[InputVector], InputVector]]":
-        """The equations of motion until the next sample, see `ContinuousModel`.
+    def between_samples(self, x: State, u: InputVector) -> ContinuousModel:
+        """The equations of motion until the next sample: what is sampled is held."""
+        feedback = self.system.feedback
+        is_held = feedback is not None and feedback.is_sampled
+        return _Held(self, self.computed(x, u)) if is_held else self
 
-        Those of the system with what its controller computed at the sample, if it is sampled.
+    def computed(self, x: State, w: InputVector) -> Float[Array, " computed"]:
+        """What the controller in the loop computes, see `PDFeedback.compute`.
+
+        Args:
+            x: the state, (n_x,).
+            w: inputs of the closed loop, (n_w,).
+        """
+        feedback, (q, v, z) = self.system.feedback, self._parts(x)
+        assert feedback is not None
+        s = z[len(z) - len(feedback.states) :]
+        return feedback.compute(q, v, s, w, self.values)
+
+    def held_derivative(self, x: State, w: InputVector, computed: Array) -> State:
+        """The derivative while the controller in the loop holds what it computed.
+
+        Args:
+            x: the state, (n_x,).
+            w: inputs of the closed loop, (n_w,).
+            computed: what `computed` returned at the sample.
         """
         feedback = self.system.feedback
-        if feedback is None or not feedback.is_sampled:
-            return super().between_samples(x, u)
-        (q, v, z), size = self._parts(x), feedback.size
-        computed = feedback.compute(q, v, z[len(z) - len(feedback.states) :], u, self.values)
-        plant = LagrangianModel(feedback.plant, self.values)
+        assert feedback is not None
+        u = feedback.plant_inputs(computed[: feedback.size], w)
+        plant = LagrangianModel(self.system.plant, self.values)
+        own = plant.derivative(x[: len(x) - len(feedback.states)], u)
+        return jnp.concatenate([own, computed[feedback.size :]])
 
-        def inputs(w: InputVector) -> Any:
-            return feedback.plant_inputs(computed[:size], w)
-
-        return (_WithConstantRates(plant, computed[size:]) if feedback.states else plant), inputs
-
-    def memory_rate(self, x: State, u: InputVector | None = None) -> Internal:
+    def memory_rate(self, x: State, u: InputVector) -> Internal:
         """Rates of the internal states of the memory at a state, without unmeasured coordinates.
 
         Args:
             x: the state, (n_x,).
-            u: the inputs, (n_u,); None for 0.
+            u: the inputs, (n_u,).
         """
-        if self.system.memory is None:
-            return jnp.zeros(0, x.dtype)
-        if u is None:
-            u = jnp.zeros(self.channels.n_u, x.dtype)
-        return jnp.asarray(self.system.memory.compute_rate(*self._parts(x), u, self.values))
+        return self.system.states.memory.compute_rate(*self._parts(x), u, self.values)
 
     def balanced_internal(self, q: Coordinates, v: Coordinates, u: InputVector) -> Internal:
         """Internal states that follow inputs, as if these had been there for long, (n_z,).
 
-        For estimates without a simulation: at them the rates of states that inputs drive, also by
-        way of other states, are 0, where rates are linear in the states. All others are 0.
-        Unmeasured coordinates are where they are expected at the beginning of a record.
+        For estimates without a simulation, of a system without unmeasured coordinates: the rates of
+        states that inputs drive, also by way of other states, are 0, where rates are linear in the
+        states. All others are 0.
         """
-        if self.system.unmeasured is not None:
-            own = self.system.unmeasured.initial_states(q, v, u, self.values)
-            q, v = self._complete(q, v, own)
-            return jnp.concatenate([own, self._balanced_memory(q, v, u)])
-        return self._balanced_memory(q, v, u)
-
-    def _balanced_memory(self, q: AllCoordinates, v: AllCoordinates, u: InputVector) -> Internal:
-        """Internal states of the memory that follow inputs, by all coordinates."""
-        memory = self.system.memory
-        n = len(self.system.memory_states)
+        memory = self.system.states.memory
+        n = len(memory.names)
         zero = jnp.zeros(n, q.dtype)
-        if memory is None or not memory.has_inputs or not n or not self.channels.n_u:
+        if not memory.has_inputs or not self.channels.n_u:
             return zero
 
         def rate(z: Internal, u: InputVector) -> Internal:
-            return jnp.asarray(memory.compute_rate(q, v, z, u, self.values))
+            return memory.compute_rate(q, v, z, u, self.values)
 
         matrix, by_input = jax.jacfwd(rate, argnums=(0, 1))(zero, u)
         driven = jnp.where(jnp.sum(jnp.abs(by_input), axis=1) > 0, 1.0, 0.0)
@@ -792,7 +614,7 @@ class LagrangianModel(ContinuousModel):
     @property
     def initial_needs_inputs(self) -> bool:
         """Whether the internal states at the beginning of a record depend on inputs."""
-        return self.system.initial_needs_inputs
+        return self.system.states.initial_needs_inputs
 
     def initial_internal(
         self, measured: Float[Array, " n_measured"], u: InputVector | None = None
@@ -803,74 +625,34 @@ class LagrangianModel(ContinuousModel):
             measured: the record's first positions and velocities [q, v], (2 n_q,).
             u: the inputs at its beginning, (n_u,); None for 0.
         """
-        system, channels = self.system, self.channels
-        memory, unmeasured = system.memory, system.unmeasured
-        if not system.has_initial:
-            return super().initial_internal(measured)
-        q, v = measured[channels.position], measured[channels.velocity]
-        if system.initial_needs_inputs:
-            u = jnp.zeros(channels.n_u, measured.dtype) if u is None else u
-        own = jnp.zeros(0, measured.dtype)
-        if unmeasured is not None:
-            assert u is not None
-            own = unmeasured.initial_states(q, v, u, self.values)
-            q, v = self._complete(q, v, own)
-        if memory is None:
-            return own
-        if memory.initial is None:
-            remembered = jnp.zeros(len(memory.names), measured.dtype)
-        else:
-            inputs = (u,) if memory.initial_needs_inputs else ()
-            remembered = jnp.asarray(memory.initial(q, v, *inputs, self.values), measured.dtype)
-        return remembered if unmeasured is None else jnp.concatenate([own, remembered])
+        q, v = measured[self.channels.position], measured[self.channels.velocity]
+        u = jnp.zeros(self.channels.n_u, measured.dtype) if u is None else u
+        return self.system.states.initial(q, v, u, self.values)
 
     @property
     def internal_spread(self) -> Internal:
         """Standard deviations of internal states, 1 where neither system nor controller has any."""
-        unmeasured, feedback = self.system.unmeasured, self.system.feedback
-        spread = super().internal_spread
-        if unmeasured is not None and unmeasured.spread is not None:
-            own = jnp.asarray(unmeasured.spread(self.values))
-            spread = jnp.concatenate([own, spread[len(own) :]])
-        if feedback is not None and feedback.states:
-            last = len(spread) - len(feedback.states)
-            spread = jnp.concatenate([spread[:last], jnp.asarray(feedback.spread(self.values))])
-        return spread
+        return self.system.states.spread(self.values)
 
     @property
     def searched_internal(self) -> Bool[np.ndarray, " n_z"]:
         """Mask of the internal states of unmeasured coordinates and of the controller."""
-        unmeasured, feedback, n = self.system.unmeasured, self.system.feedback, len(self.internal)
-        first = len(unmeasured.states) if unmeasured else 0
-        last = n - len(feedback.states) if feedback else n
-        return (np.arange(n) < first) | (np.arange(n) >= last)
-
-    def _complete(
-        self, q: Coordinates, v: Coordinates, states: Internal
-    ) -> tuple[AllCoordinates, AllCoordinates]:
-        """All positions and velocities, by the measured ones and the states of the others."""
-        n = len(states) // 2
-        return jnp.concatenate([q, states[:n]]), jnp.concatenate([v, states[n:]])
+        return self.system.states.searched
 
     def _parts(self, x: State) -> tuple[AllCoordinates, AllCoordinates, Internal]:
         """Positions and velocities of all coordinates, and the states of the memory."""
-        channels, unmeasured = self.channels, self.system.unmeasured
-        q, v, z = x[channels.position], x[channels.velocity], x[channels.internal]
-        if unmeasured is None:
-            return q, v, z
-        n = len(unmeasured.states)
-        return *self._complete(q, v, z[:n]), z[n:]
+        channels = self.channels
+        return self.system.states.split(
+            x[channels.position], x[channels.velocity], x[channels.internal]
+        )
 
 
 # a function of its own, so that it is derived once and not for each of a step's many uses
 @jax.jit
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
-    a, rate = model.acceleration(x, u), model.memory_rate(x, u)
-    if model.system.unmeasured is None:
-        return jnp.concatenate([v, a, rate])
-    n = model.channels.n_q
-    return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], rate])
+    a, n = model.acceleration(x, u), model.channels.n_q
+    return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], model.memory_rate(x, u)])
 
 
 def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

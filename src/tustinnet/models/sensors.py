@@ -1,15 +1,17 @@
 """Errors of sensors and actuators: zero, gain and delay of a channel as parameters."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, wraps
+from functools import lru_cache
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Input
-from tustinnet.models.lagrangian import Inertia, LagrangianSystem, Parameter, Values
+from tustinnet.models.coordinates import in_coordinates
+from tustinnet.models.internal_states import Values
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 _NEUTRAL = {"bias": 0.0, "gain": 1.0}
 
@@ -52,70 +54,19 @@ def with_sensor_errors(
         neutral = jnp.full(others, _NEUTRAL[which], measured.dtype)
         return jnp.concatenate([measured, neutral]) if others else measured
 
+    def physical(q: Any, p: Values) -> Any:
+        return (q - of_coordinates("bias", q, p)) / of_coordinates("gain", q, p)
+
     def physical_inputs(u: Any, p: Values) -> Any:
         if not system.inputs:
             return u
         return values(system.inputs, "gain", p) * u + values(system.inputs, "bias", p)
 
-    def physical(
-        function: Callable[..., Any], *, is_force: bool = False, has_inputs: bool = False
-    ) -> Callable[..., Any]:
-        """A function of the physical motion as one of the measured motion."""
-
-        @wraps(function)
-        def of_measured(q: Any, v: Any, *others: Any) -> Any:
-            p = others[-1]
-            gain = of_coordinates("gain", q, p)
-            position = (q - of_coordinates("bias", q, p)) / gain
-            if has_inputs:
-                *before, u, _ = others
-                others = *before, physical_inputs(u, p), p
-            result = function(position, v / gain, *others)
-            return jnp.asarray(result) / gain if is_force else result
-
-        return of_measured
-
-    def potential(q: Any, p: Values) -> Any:
-        return physical(lambda q, v, p: system.potential and system.potential(q, p))(q, q, p)
-
-    def mass_matrix(q: Any, p: Values) -> Any:
-        gain = of_coordinates("gain", q, p)
-        inertia = system.inertia and system.inertia.mass_matrix
-        by_physical = physical(lambda q, v, p: inertia and inertia(q, p))(q, q, p)
-        return jnp.asarray(by_physical) / gain / gain[:, None]
-
-    def follow(q: Any, p: Values) -> Any:
-        return physical(lambda q, v, p: unmeasured and unmeasured.follow(q, p))(q, q, p)
-
-    memory, unmeasured = system.memory, system.unmeasured
     return replace(
         system,
         parameters=(*system.parameters, *sensors),
-        kinetic=physical(system.kinetic),
-        potential=system.potential and wraps(system.potential)(potential),
-        dissipation=system.dissipation and physical(system.dissipation, is_force=True),
-        input_map=system.input_map and physical(system.input_map, is_force=True, has_inputs=True),
-        memory=memory
-        and replace(
-            memory,
-            rate=physical(memory.rate, has_inputs=memory.has_inputs),
-            force=physical(memory.force, is_force=True, has_inputs=memory.force_needs_inputs),
-            initial=memory.initial
-            and physical(memory.initial, has_inputs=memory.initial_needs_inputs),
-        ),
         sensors=tuple(s.name for s in sensors),
-        inertia=system.inertia
-        and Inertia(
-            mass_matrix,
-            physical(system.inertia.coriolis, is_force=True),
-            system.inertia.uncoupled,
-        ),
-        unmeasured=unmeasured
-        and replace(
-            unmeasured,
-            follow=follow,
-            initial=unmeasured.initial and physical(unmeasured.initial, has_inputs=True),
-        ),
+        **in_coordinates(system, physical, physical_inputs),
     )
 
 

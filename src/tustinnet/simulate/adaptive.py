@@ -35,10 +35,10 @@ class Adaptive(FromContinuous):
         """The state a period later, in as many steps as the tolerance needs, see `Discretised`."""
         import diffrax
 
-        model, inputs = self.continuous.between_samples(x, input_at(u, 0.0))
+        model = self.continuous.between_samples(x, input_at(u, 0.0))
 
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:
-            return model.derivative(state, inputs(input_at(u, t / period)))
+            return model.derivative(state, input_at(u, t / period))
 
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(derivative),

@@ -53,15 +53,11 @@ def system_motion(
         delays: whether the inputs are followed by their derivatives by their delays, and the
             parameters by the delays that the inputs were made with.
     """
-    n_u, n_others, channels = len(system.inputs), len(others), system.channels
-    feedback = system.feedback
-    n_x, size = channels.measured.stop + len(system.internal), feedback.size if feedback else 0
-    n_s = len(feedback.states) if feedback else 0  # states of the controller, the last ones
+    n_u, n_others, feedback = len(system.inputs), len(others), system.feedback
 
-    def model(p: Array, c: Array, own: LagrangianSystem = system) -> LagrangianModel:
+    def model(p: Array, c: Array) -> LagrangianModel:
         values = {name: p[i] for i, name in enumerate(searched)}
-        values |= {name: c[i] for i, name in enumerate(others)}
-        return own.model(values)
+        return system.model(values | {name: c[i] for i, name in enumerate(others)})
 
     def derivative(x: Array, u: Array, p: Array, c: Array) -> Array:
         equations = model(p, c)
@@ -69,26 +65,21 @@ def system_motion(
             u = u[:n_u] + u[n_u:] * delay_changes(system, equations.values, c[n_others:])
         return equations.derivative(x, u)
 
-    def compute_outputs(x: Array, u: Array, p: Array, c: Array) -> Array:
-        assert feedback is not None
-        q, v = x[channels.position], x[channels.velocity]
-        return jnp.asarray(feedback.compute(q, v, x[n_x - n_s :], u, model(p, c).values))
-
-    def plant_derivative(x: Array, u: Array, p: Array, c: Array, outputs: Array) -> Array:
-        assert feedback is not None
-        plant_inputs = feedback.plant_inputs(outputs[:size], u)
-        rate = model(p, c, feedback.plant).derivative(x[: n_x - n_s], plant_inputs)
-        return jnp.concatenate([rate, outputs[size:]]) if n_s else rate
-
-    is_sampled = feedback is not None and feedback.is_sampled
+    sampled = None
+    if feedback is not None and feedback.is_sampled:
+        sampled = SampledValues(
+            lambda x, u, p, c: model(p, c).computed(x, u), feedback.size + len(feedback.states)
+        )
     return Equations(
-        plant_derivative if is_sampled else derivative,
-        n_x=n_x,
+        derivative
+        if sampled is None
+        else lambda x, u, p, c, computed: model(p, c).held_derivative(x, u, computed),
+        n_x=system.channels.measured.stop + len(system.internal),
         n_u=2 * n_u if delays else n_u,
         n_p=len(searched),
         n_c=n_others + (n_u if delays else 0),
         where=f"system '{system.name}'",
-        sampled=SampledValues(compute_outputs, size + n_s) if is_sampled else None,
+        sampled=sampled,
     )
 
 
@@ -234,13 +225,13 @@ def initial_states(
     measured = np.asarray(measured, np.float64)
     if not model.internal:
         return measured
-    where = f"the model ({type(model).__name__})"
-    if not model.initial_needs_inputs:
-        formula = Formula(model.initial_internal, measured.shape[1], where=where)
-        return np.concatenate([measured, evaluate(formula, measured)], axis=1)
-    assert inputs is not None
-    n_m, points = measured.shape[1], np.concatenate([measured, inputs], axis=1)
+    n_m, points, by_inputs = measured.shape[1], measured, model.initial_needs_inputs
+    if by_inputs:
+        assert inputs is not None
+        points = np.concatenate([measured, inputs], axis=1)
     formula = Formula(
-        lambda point: model.initial_internal(point[:n_m], point[n_m:]), points.shape[1], where=where
+        lambda x: model.initial_internal(x[:n_m], x[n_m:] if by_inputs else None),
+        points.shape[1],
+        where=f"the model ({type(model).__name__})",
     )
     return np.concatenate([measured, evaluate(formula, points)], axis=1)

@@ -1,7 +1,7 @@
 """Systems by name, or of a file, which is run if it is Python code."""
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +27,10 @@ from tustinnet.systems.robots import RobotFile
 
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
 _FUNCTIONS = ("kinetic", "potential", "dissipation", "input_map")
+_PARTS = {
+    "memory": ("rate", "force", "initial", "spread"),
+    "unmeasured": ("follow", "initial", "spread"),
+}
 _LONGEST_CHAIN = 20  # of errors; they may be causes of one another
 _REMEDY = "docs/reference/systems.md shows a whole file"
 
@@ -124,21 +128,16 @@ def _with_guards(system: LagrangianSystem, path: Path) -> LagrangianSystem:
 
         return guarded
 
-    functions = {n: f for n in _FUNCTIONS if (f := getattr(system, n)) is not None}
-    memory = system.memory and replace(
-        system.memory,
-        rate=guard("memory rate", system.memory.rate),
-        force=guard("memory force", system.memory.force),
-    )
-    unmeasured = system.unmeasured and replace(
-        system.unmeasured,
-        follow=guard("unmeasured follow", system.unmeasured.follow),
-        initial=system.unmeasured.initial
-        and guard("unmeasured initial", system.unmeasured.initial),
-        spread=system.unmeasured.spread and guard("unmeasured spread", system.unmeasured.spread),
-    )
-    guarded = {n: guard(n, f) for n, f in functions.items()}
-    return replace(system, memory=memory, unmeasured=unmeasured, **guarded)
+    def guard_all(part: Any, functions: Sequence[str], label: str = "") -> dict[str, Any]:
+        present = {name: f for name in functions if (f := getattr(part, name)) is not None}
+        return {name: guard(f"{label}{name}", f) for name, f in present.items()}
+
+    parts = {
+        label: replace(part, **guard_all(part, functions, f"{label} "))
+        for label, functions in _PARTS.items()
+        if (part := getattr(system, label))
+    }
+    return replace(system, **parts, **guard_all(system, _FUNCTIONS))
 
 
 @contextmanager

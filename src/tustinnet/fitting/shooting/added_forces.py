@@ -13,11 +13,10 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.models.added import WHERE, parse_forces, with_forces
-from tustinnet.models.feedback import with_changed_plant
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.parameters import Parameter
-from tustinnet.models.rigid import rigid_system
 
 
 def with_added(
@@ -117,8 +116,7 @@ def _motions(
     q, u = ([getattr(e, name) for e in experiments] for name in ("q", "u"))
     q, v, a, u = map(np.concatenate, (q, velocities, a, u))
     samples, ends = np.concatenate([q, v, a, u], axis=1), np.cumsum([x.shape[1] for x in (q, v, a)])
-    rigid = with_changed_plant(system, rigid_system)
-    model = rigid.model({name: jnp.asarray(x) for name, x in values.items()})
+    model = rigid_system(system).model({name: jnp.asarray(x) for name, x in values.items()})
 
     def forces(sample: Array) -> Array:
         q, v, a, u = jnp.split(sample, ends)

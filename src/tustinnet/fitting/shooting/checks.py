@@ -16,9 +16,8 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.problem import Problem
-from tustinnet.models.feedback import with_changed_plant
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianModel
-from tustinnet.models.rigid import rigid_system
 
 
 def require_refit_possible(problem: Problem) -> None:
@@ -42,12 +41,11 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
     system = model.system
     q = np.concatenate([e.q[:: max(1, len(e) // 50)] for e in records])
     hessian, n_m = jax.hessian(system.kinetic, argnums=1), q.shape[1]
-    unmeasured, n_q = system.unmeasured, len(system.coordinate_names)
+    n_q, complete = len(system.coordinate_names), system.states.unmeasured.complete
     where = f"system '{system.name}', kinetic"
 
     def at_rest_and_moving(q: Array) -> Array:
-        if unmeasured:
-            q, _ = unmeasured.complete(q, q, model.values)
+        q = complete(q, model.values)
         if system.inertia:  # it does not depend on the velocity
             return jnp.stack([model.mass_matrix(q)] * 2).ravel()
         both = [hessian(q, jnp.full_like(q, speed), model.values) for speed in (0.0, 1.0)]
@@ -76,7 +74,7 @@ def require_mass_matrix(model: LagrangianModel, records: Sequence[Experiment]) -
 
 def require_finite_terms(model: LagrangianModel, records: Sequence[Experiment]) -> None:
     """Refuses energies and forces, or derivatives of them, that are not finite along records."""
-    system, p = with_changed_plant(model.system, rigid_system), model.values
+    system, p = rigid_system(model.system), model.values
     channels = model.channels
     q = np.concatenate([e.q for e in records])
     v = np.concatenate([e.velocities() for e in records])

@@ -33,8 +33,8 @@ from tustinnet.fitting.shooting.inverse_dynamics import (
 )
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.space import SearchSpace
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.rigid import rigid_system
 
 _MUCH = 0.15  # share of the force that is missing at a joint, from which columns are doubted
 _MOST = 0.5  # share from which a sentence says what to look at though no mistake explains it

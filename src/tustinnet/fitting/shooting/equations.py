@@ -19,9 +19,8 @@ from jaxtyping import Array, Float, Int
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
-from tustinnet.models.feedback import with_changed_plant
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.rigid import rigid_system
 from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.simulation import delay_changes, system_motion
 
@@ -104,7 +103,7 @@ class SystemEquations:
     @property
     def expects_by_inputs(self) -> bool:
         """Whether the internal states that are expected at a beginning depend on inputs."""
-        return self.system.initial_needs_inputs
+        return self.system.states.initial_needs_inputs
 
     @cached_property
     def balanced_internal_states(self) -> Formula:
@@ -130,7 +129,7 @@ class SystemEquations:
         internal states follow inputs: an actuator without its lag. Unmeasured coordinates follow
         the measured ones rigidly.
         """
-        system, channels = with_changed_plant(self.system, rigid_system), self.system.channels
+        system, channels = rigid_system(self.system), self.system.channels
         first = channels.measured.stop + channels.n_u
 
         def momentum_and_force(point: Array) -> Array:
@@ -242,7 +241,7 @@ class SystemEquations:
         n, n_x = x0.shape
         n_m, n_p, states = self.system.channels.measured.stop, self.n_p, x0.copy()
         by_parameter, by_state = np.zeros((n, n_p, n_x)), np.tile(np.eye(n_x), (n, 1, 1))
-        if not self.system.has_initial:
+        if not self.system.states.has_initial:
             return InitialStates(states, by_parameter, by_state)
         formula = self.expected_internal_states
         points = np.concatenate([x0[:, :n_m], parameter_rows], axis=1)

@@ -19,9 +19,9 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.engine.engines import evaluate
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
-from tustinnet.models.feedback import with_changed_plant, without_controller_states
+from tustinnet.models.closed_loop import without_controller_states
+from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.models.rigid import rigid_system
 
 _GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
 _SHORTEST = 4  # blocks: a swing can always be compared
@@ -59,7 +59,7 @@ def find_horizons(
     """
     # a motor alone, its link held in place, would hide how an arm falls; what a controller
     # remembers is no part of the measured states
-    system = with_changed_plant(without_controller_states(system), rigid_system)
+    system = rigid_system(without_controller_states(system))
     equations, values = system_equations(system), space.to_values(vector)
     channels = system.channels
     horizons = {}
@@ -80,7 +80,7 @@ def find_horizons(
                 [e.u[part], np.broadcast_to(parameters, (len(points), parameters.shape[1]))], axis=1
             )
             # internal states stay at zero, except where they follow inputs
-            if system.memory is not None and system.memory.has_inputs:
+            if system.states.memory.has_inputs:
                 points[:, n_m:n_x] = evaluate(equations.balanced_internal_states, points)
             jacobian = evaluate(equations.state_derivative, points, derivatives=True)
             measured = jacobian.reshape(-1, n_x, n_x)[:, channels.measured, channels.measured]

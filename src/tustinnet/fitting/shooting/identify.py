@@ -42,8 +42,8 @@ from tustinnet.fitting.shooting.sensor_errors import sensor_parameters
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.fitting.shooting.stages import search
 from tustinnet.fitting.task import Member, Task
+from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.contract import require_float64
-from tustinnet.models.feedback import with_controller
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.simulate.batches import batches
