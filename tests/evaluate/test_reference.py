@@ -1,10 +1,17 @@
 """The trivial predictors that any model has to beat."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.evaluate.reference import find_reference
+from tustinnet.evaluate.horizons import (
+    describe_followed,
+    errors_over_horizons,
+    seconds_followed,
+)
+from tustinnet.evaluate.reference import Persistence, find_reference
 
 
 def record(q: np.ndarray, name: str = "a") -> tn.Experiment:
@@ -26,3 +33,32 @@ def test_the_better_of_both_predictors_is_the_reference():
     assert rising.mean == pytest.approx(0.0, abs=1e-9)
     assert list(rising.rmse) == ["a", "b"]
     assert rising.mean_by_unit == {"m": pytest.approx(0.0, abs=1e-9)}
+
+
+def test_a_record_is_followed_until_a_coordinate_is_far_off():
+    t = 0.01 * np.arange(401)
+    records = [record(np.sin(3 * t)), record(np.sin(3 * t), "b")]
+    whole = list(find_reference(records, None).scores)
+    off = np.abs(np.sin(3 * t)) > 0.3 * np.std(np.sin(3 * t))  # of one that stands still
+    assert whole[0].simulated[:, 0] == pytest.approx(0.0, abs=1e-3)
+    expected = [0.01 * np.argmax(off)] * 2
+    assert seconds_followed(records, whole) == pytest.approx(expected, abs=0.011)
+    assert describe_followed(records, whole).startswith("follows whole records for 0.08 s in the ")
+    true = [
+        replace(s, simulated=np.hstack([e.q, e.q])) for e, s in zip(records, whole, strict=True)
+    ]
+    assert seconds_followed(records, true) == pytest.approx([4.0, 4.0])
+    assert describe_followed(records, true).startswith("follows 2 whole records to the end: ")
+
+
+def test_errors_grow_with_the_horizon_beside_the_reference():
+    t = 0.01 * np.arange(401)
+    records = [record(np.sin(3 * t))]
+    model = Persistence(records[0].channels, True)
+    whole = tn.evaluate(model, records, "derived-6")
+    errors = errors_over_horizons(model, records, "derived-6", whole)
+    assert [e.horizon for e in errors] == [0.3, 1.0, 3.0, None]
+    assert errors[-1].rmse == {"m": whole[0].rmse}
+    assert errors[0].rmse["m"] == pytest.approx(errors[0].reference.mean)
+    assert errors[-1].reference.label == "standing still"
+    assert errors[0].rmse["m"] < errors[1].rmse["m"] < errors[2].rmse["m"]

@@ -221,8 +221,10 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     table = candidates_table(made.choice)
     assert table.rows[-1][0] == "(standing still)"
     assert made.choice.as_plain()["reference"]["mean"] == made.choice.reference.mean
-    assert told[2].startswith("a new record of these kinds: typically ")
-    assert " than the next, " in told[3]
+    assert told[2].startswith("follows ")
+    assert set(made.choice.whole) == {e.name for e in made.choice.context.data}
+    assert told[3].startswith("a new record of these kinds: typically ")
+    assert " than the next, " in told[4]
     assert any(line.startswith("round 1 of 3, one fold: ") for line in made.said)
 
 
@@ -237,7 +239,7 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     assert "free runs of 2 of the 5 records that its models" in cut.sentences[1]
     close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
     assert len(close[1]) == len(close[0]) + 1
-    assert "no candidate follows these records closely" in close[1][2]
+    assert "no candidate follows these records closely" in "\n".join(close[1])
     small = replace(choice.reference.scores[0], rmse=1e-6)
     lost = replace(choice, reference=replace(choice.reference, scores=(small,)))
     assert "nothing follows these records better than standing still: look" in "\n".join(
@@ -260,11 +262,11 @@ def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
 
 def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little(made):
     even, uneven = (with_errors(made.choice, *e) for e in ((0.1, 0.1, 0.2), (0.01, 0.01, 0.01, 9)))
-    assert "typically 0.13 rad, " in even.sentences[2]
+    assert "typically 0.13 rad, " in even.sentences[3]
     assert not any("pessimistic" in line for line in even.sentences)
-    assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[3]
+    assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[4]
     assert "192 % of the error of standing still (1.18 rad); worst r3" in uneven.sentences[1]
-    two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").sentences[3]
+    two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").sentences[4]
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9
     assert with_errors(made.choice, 0.1, 0.2).claim is None

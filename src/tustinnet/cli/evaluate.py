@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tustinnet.data.experiment import Experiment
     from tustinnet.evaluate.bands import BandOptions
     from tustinnet.evaluate.coverage import Coverage
+    from tustinnet.evaluate.horizons import HorizonError
     from tustinnet.evaluate.scores import Score
     from tustinnet.report.tables import Table
 
@@ -63,6 +64,11 @@ def evaluate(
         rmse_ahead_by_unit,
     )
     from tustinnet.evaluate.coverage import compute_coverage
+    from tustinnet.evaluate.horizons import (
+        describe_followed,
+        errors_over_horizons,
+        seconds_followed,
+    )
     from tustinnet.evaluate.reference import find_reference
     from tustinnet.evaluate.scores import evaluate as score_records
     from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
@@ -81,6 +87,12 @@ def evaluate(
     inputs = list_input_files(data, card, model, system)
     require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
+    whole = (
+        scores
+        if runs.horizon is None
+        else score_records(simulator, records, runs.start, horizon=None)
+    )
+    horizons = errors_over_horizons(simulator, records, runs.start, whole)
     reference = find_reference(records, runs.horizon)
     by_split, trivial = (_group_by_split(records, s) for s in (scores, reference.scores))
     bands, coverage = [], []
@@ -102,11 +114,12 @@ def evaluate(
             "mean": mean_rmse(scores),
             "means": {name: mean_rmse(group) for name, group in by_split.items()},
             "mean_by_unit": mean_rmse_by_unit(scores, channels),
-            "reference": {
-                "predictor": reference.label,
-                "mean": reference.mean,
-                "mean_by_unit": reference.mean_by_unit,
-            },
+            "reference": reference.as_plain(),
+            "horizons": [
+                {"horizon": h.horizon, "mean_by_unit": h.rmse, "reference": h.reference.as_plain()}
+                for h in horizons
+            ],
+            "seconds_followed": seconds_followed(records, whole),
             "means_by_unit": {
                 name: mean_rmse_by_unit(group, channels) for name, group in by_split.items()
             },
@@ -129,6 +142,8 @@ def evaluate(
         terminal.print_tables(
             *_score_tables(by_split, channels, runs.start, reference.label, trivial)
         )
+        terminal.print_tables(_horizon_table(horizons, channels))
+        terminal.echo(describe_followed(records, whole))
         if not mean_rmse(scores) < reference.mean:
             terminal.echo(f"the model follows these records no better than {reference.label}")
         if band_options is not None:
@@ -163,6 +178,25 @@ def _group_by_split(
     for e, score in zip(records, scores, strict=True):
         groups.setdefault(e.split or "all", []).append(score)
     return groups
+
+
+def _horizon_table(errors: "Sequence[HorizonError]", channels: "Channels") -> "Table":
+    """Table of mean errors over longer and longer free runs, beside the reference."""
+    from tustinnet.report.tables import Table, number
+
+    rows = []
+    for e in errors:
+        trivial = e.reference.mean_by_unit
+        row = ["whole" if e.horizon is None else f"{e.horizon:g} s"]
+        for unit in channels.units:
+            share = 100 * e.rmse[unit] / trivial[unit] if trivial[unit] else float("nan")
+            row += [number(e.rmse[unit]), number(trivial[unit]), number(share, 1)]
+        rows.append([*row, e.reference.label])
+    columns = ["free runs of"]
+    for unit in channels.units:
+        columns += [f"RMSE [{unit}]", f"reference [{unit}]", "share [%]"]
+    title = "Means over the records, beside what a trivial predictor is off by"
+    return Table([*columns, "reference"], rows, title=title)
 
 
 def _band_table(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -64,6 +65,11 @@ class Reference:
     def mean_by_unit(self) -> dict[str, float]:
         """Mean RMSE over the records, by unit."""
         return mean_rmse_by_unit(self.scores, self.channels)
+
+    def as_plain(self) -> dict[str, Any]:
+        """What it does, and its errors, as plain values."""
+        by_unit = self.mean_by_unit
+        return {"predictor": self.label, "mean": self.mean, "mean_by_unit": by_unit}
 
 
 def find_reference(records: Sequence[Experiment], horizon: float | None) -> Reference:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.evaluate.scores import Score, evaluate
+from tustinnet.evaluate.scores import Score
 from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.report.tables import Table, norm_words, number, scale_of
 from tustinnet.selection.choice import Choice
@@ -128,20 +128,11 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     of a committee those of the candidate with the largest weight. At most 6 records are drawn,
     from the worst to the best.
     """
-    labels = dict.fromkeys(
-        max(choice.candidates.members(name), key=lambda member: member[1])[0].name
-        for name in (choice.best, choice.simplest)
-    )
+    labels = dict.fromkeys(map(choice.candidates.leading_member, (choice.best, choice.simplest)))
     shown_names = choose_shown_records(choice.result(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:
-        for fits in choice.result(label).fits_by_fold.values():
-            first = fits[0]
-            start, rmse = next(iter(first.rmse.items()))
-            records = [choice.context.data[name] for name in rmse if name in shown_names]
-            if not records:
-                continue
-            model, horizon = choice.context.load_model(first.model), choice.context.scoring.horizon
-            for score in evaluate(model, records, start, horizon=horizon):
-                runs.setdefault(score.experiment, {})[label] = score
+        fits, horizon = choice.result(label).fits_by_fold, choice.context.scoring.horizon
+        for name, score in choice.context.evaluate_folds(fits, horizon, shown_names).items():
+            runs.setdefault(name, {})[label] = score
     return runs

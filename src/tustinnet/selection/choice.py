@@ -10,9 +10,10 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
+from tustinnet.evaluate.horizons import describe_followed
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.reference import Reference
-from tustinnet.evaluate.scores import scores_header
+from tustinnet.evaluate.scores import Score, scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
@@ -56,6 +57,7 @@ class Choice:
         spoiled: parts of the records that the model does not explain.
         left_out: sentences on the parts of records that were left out; `notes` have them, too.
         is_cut: whether the records are pieces of one or two.
+        whole: free runs of whole records, by models of the chosen kind that do not know them.
     """
 
     context: RunContext
@@ -73,6 +75,7 @@ class Choice:
     spoiled: tuple[SpoiledPart, ...] = ()
     left_out: tuple[str, ...] = ()
     is_cut: bool = False
+    whole: Mapping[str, Score] = field(default_factory=dict)
 
     @property
     def unit(self) -> str:
@@ -127,6 +130,9 @@ class Choice:
         if best.unexplained:
             shares = ", ".join(f"{name} {_percent(x)} %" for name, x in best.unexplained.items())
             sentences.append(f"forces along these records that it does not explain: {shares}")
+        if self.whole:
+            records = [self.context.data[name] for name in self.whole]
+            sentences.append(describe_followed(records, list(self.whole.values())))
         sentences += self._expectation
         if share > _POOR:
             remedies = ["look at them (inspect)"]
@@ -287,7 +293,7 @@ class Choice:
             "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,
-            "reference": {"predictor": self.reference.label, "mean": self.reference.mean},
+            "reference": self.reference.as_plain(),
             "claim": None if self.claim is None else asdict(self.claim),
             "seconds": self.seconds,
             "seconds_by_part": dict(self.seconds_by_part),

@@ -63,6 +63,10 @@ class SelectionResults:
         """Whether two are made into the same model, as a candidate and the average of its seeds."""
         return self.members(one) == self.members(other)
 
+    def leading_member(self, name: str) -> str:
+        """The candidate with the largest share of a committee; of a candidate its own name."""
+        return max(self.members(name), key=lambda member: member[1])[0].name
+
     def members(self, name: str) -> list[tuple[CandidateResult, float]]:
         """The candidates that a committee, or a candidate by itself, is made of; their shares."""
         shares = self.committees[name].shares if name in self.committees else {name: 1.0}

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
-from tustinnet.evaluate.scores import scores_header
+from tustinnet.evaluate.scores import Score, evaluate, scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import NEVER, Deadline, StopCheck
 from tustinnet.fits.in_folder import fit_in_folder
@@ -266,6 +266,28 @@ class RunContext:
         path, given = self.folder / name, self.loaded_system
         is_given = given is not None and read_system_name(path) == given.name
         return load_model(path, given if is_given else None)
+
+    def evaluate_folds(
+        self,
+        fits_by_fold: Mapping[int, Sequence[FitScore]],
+        horizon: float | None,
+        names: Collection[str] | None = None,
+    ) -> dict[str, Score]:
+        """Free runs of records by the models of the first seed that were not fitted to them.
+
+        Args:
+            fits_by_fold: what was fitted.
+            horizon: how long a free run lasts at most [s], None for whole records.
+            names: the records; None for all that the folds have.
+        """
+        scores: dict[str, Score] = {}
+        for first, *_ in fits_by_fold.values():
+            start, rmse = next(iter(first.rmse.items()))
+            records = [self.data[name] for name in rmse if names is None or name in names]
+            if records:
+                found = evaluate(self.load_model(first.model), records, start, horizon=horizon)
+                scores |= {score.experiment: score for score in found}
+        return scores
 
     def score(self, model: Model, fit_horizon: float | None, fold: int) -> RmseByStart:
         """RMSE of the records that a fold leaves out, by start."""

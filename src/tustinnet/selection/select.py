@@ -11,6 +11,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
+from tustinnet.evaluate.scores import Score
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
@@ -309,6 +310,9 @@ def _choose(
         bands,
         spoiled=spoiled,
         left_out=left_out,
+        whole={}
+        if deadline.has_passed()
+        else _free_runs_of_whole_records(candidates, best, context),
     )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
@@ -316,6 +320,14 @@ def _choose(
     save(choice.model, context.folder / MODEL, **choice.header(best.name, final))
     stopwatch.end("model files")
     return choice
+
+
+def _free_runs_of_whole_records(
+    candidates: SelectionResults, best: CandidateResult, context: RunContext
+) -> dict[str, Score]:
+    """Free runs of whole records, of a committee those of the member with the largest weight."""
+    result = candidates.result(candidates.leading_member(best.name))
+    return context.evaluate_folds(result.fits_by_fold, None)
 
 
 def _find_spoiled(

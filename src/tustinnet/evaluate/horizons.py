@@ -1,0 +1,99 @@
+"""Errors over longer and longer free runs, and how long a model follows a record."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.evaluate.reference import Reference, find_reference
+from tustinnet.evaluate.scores import Score, evaluate, mean_rmse_by_unit
+from tustinnet.models.contract import Model
+from tustinnet.simulate.starts import start_named
+from tustinnet.wording import counted
+
+HORIZONS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # [s], as far as records go
+FOLLOWED = 0.3  # of the standard deviation of a coordinate: an error with which it is not followed
+
+
+@dataclass(frozen=True)
+class HorizonError:
+    """The errors of free runs over a horizon.
+
+    Attributes:
+        horizon: how long a free run lasts at most [s], None for whole records.
+        rmse: mean RMSE over the records by unit.
+        reference: what the trivial predictor is off by.
+    """
+
+    horizon: float | None
+    rmse: dict[str, float]
+    reference: Reference
+
+
+def errors_over_horizons(
+    model: Model, records: Sequence[Experiment], start: str, whole: Sequence[Score]
+) -> list[HorizonError]:
+    """The errors of free runs of records over each of `HORIZONS` that they reach, then of all.
+
+    Args:
+        model: the model.
+        records: the records.
+        start: where the free runs start.
+        whole: scores of the free runs of whole records.
+    """
+    dt, longest = records[0].dt, max(len(e) for e in records)
+    fewest = 2 * start_named(start).samples
+    errors = []
+    for horizon in HORIZONS:
+        if fewest <= round(horizon / dt) < longest:
+            scores = evaluate(model, records, start, horizon=horizon)
+            errors.append(_horizon_error(horizon, records, scores))
+    return [*errors, _horizon_error(None, records, whole)]
+
+
+def _horizon_error(
+    horizon: float | None, records: Sequence[Experiment], scores: Sequence[Score]
+) -> HorizonError:
+    rmse = mean_rmse_by_unit(scores, records[0].channels)
+    return HorizonError(horizon, rmse, find_reference(records, horizon))
+
+
+def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> list[float]:
+    """How long the free run of each whole record follows it [s]; to its end at most.
+
+    It follows until the error of a coordinate exceeds `FOLLOWED` of the coordinate's standard
+    deviation, the root mean square of those in all records.
+
+    Args:
+        records: the records.
+        whole: scores of their free runs as a whole.
+    """
+    channels = records[0].channels
+    spread = np.sqrt(np.mean([np.var(e.q, axis=0) for e in records], axis=0))
+    seconds = []
+    for e, score in zip(records, whole, strict=True):
+        first = start_named(score.start).first
+        error = np.abs(score.simulated[first:, channels.position] - e.q[first:])
+        is_off = ~(error <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
+        seconds.append(float(e.dt * (np.argmax(is_off) if is_off.any() else len(is_off) - 1)))
+    return seconds
+
+
+def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> str:
+    """A sentence on how long free runs of whole records follow them."""
+    seconds = seconds_followed(records, whole)
+    lengths = [
+        e.dt * (len(e) - 1 - start_named(s.start).first)
+        for e, s in zip(records, whole, strict=True)
+    ]
+    to_the_end = sum(a >= b for a, b in zip(seconds, lengths, strict=True))
+    until = f"off by {100 * FOLLOWED:.0f} % of its standard deviation"
+    if to_the_end == len(records):
+        return (
+            f"follows {counted(len(records), 'whole record')} to the end: no coordinate is {until}"
+        )
+    return (
+        f"follows whole records for {np.median(seconds):.2g} s in the median, until a coordinate "
+        f"is {until}; {to_the_end} of {len(records)} to the end"
+    )
