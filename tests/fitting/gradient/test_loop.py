@@ -474,7 +474,7 @@ def test_the_published_scaling_is_refused_for_linear_coordinates():
 
 @pytest.mark.parametrize(
     ("kept", "said"),
-    [(98, "one of the last.*--set stages.1.epochs=200"), (3, "one of the first"), (50, "")],
+    [(98, "one of the last.*`changes=` stages.1.epochs=200"), (3, "one of the first"), (50, "")],
 )
 def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
     progress = Progress(stage=1, epochs=(5, 100), best_epoch=kept, outcome="finished")

@@ -101,7 +101,7 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     # it is suggested where it helps, as the command has it
     (sentence,) = [s for s in plain.findings if "depends on the speed" in s]
     assert "missing at shoulder" in sentence
-    (forces,) = re.findall("--set '(.*)'", sentence)
+    (forces,) = re.findall("`changes=` '(.*)'", sentence)
     assert forces.startswith('model.forces=["curve:shoulder", "curve:')
     by_recipe = tn.read_recipe("inverse-dynamics", [forces])
     curve = tn.identify(data, tn.load_system(SCARA), by_recipe)
