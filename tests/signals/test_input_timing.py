@@ -141,12 +141,20 @@ def test_weights_keep_the_gain_and_the_mean_delay(hold: DeclaredHold):
 
 
 @pytest.mark.parametrize(
-    ("angles", "message"), [(np.zeros((60, 1)), "samples to judge"), (np.zeros((900, 1)), "moves")]
+    ("angles", "message"),
+    [
+        (np.zeros((60, 1)), "samples to judge"),
+        (np.zeros((900, 1)), "moves"),
+        (np.zeros((900, 13)), "13 coordinates, 1 inputs; expected at most 12 of each"),
+    ],
 )
 def test_records_that_say_nothing_are_refused(angles, message):
-    u = np.random.default_rng(0).normal(size=angles.shape)
+    u, angular = (
+        np.random.default_rng(0).normal(size=(len(angles), 1)),
+        np.full(angles.shape[1], True),
+    )
     with pytest.raises(tn.InputError, match=message):
-        estimate_input_timing([angles], [u], DT, np.array([True]), [KnownTiming()])
+        estimate_input_timing([angles], [u], DT, angular, [KnownTiming()])
 
 
 def shifted(records: Sequence[tn.Experiment], periods: int):

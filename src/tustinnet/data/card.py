@@ -229,10 +229,10 @@ class InputCard(Declaration):
         scale: units of `value` in one unit of the column.
         sign: 1 or -1.
         offset: reading of the column where the input is 0.
-        hold: if it is `unknown`, `fit` tries all of them, also where neither this key nor the
-            system says one; elsewhere it is then that of the model, or `zero-order`.
-        delay: time from a logged sample to its effect [s], or `unknown`: `fit` searches for it,
-            also where there is no such key.
+        hold: if it is `unknown`, `fit` finds it, also where neither this key nor the system says
+            one; elsewhere it is then that of the model, or `zero-order`.
+        delay: time from a logged sample to its effect [s], or `unknown`: `fit` finds it, also
+            where there is no such key.
         assumed: keys of this table that nothing in the logs says; the check reminds of them.
     """
 

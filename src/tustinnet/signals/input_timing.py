@@ -41,6 +41,8 @@ class TimingLevels:
     Attributes:
         rows: of all records, at most; more say little that is new.
         fewest_rows: in motion, below which nothing is told.
+        coupled: coordinates, at most, whose functions have products of theirs.
+        most: coordinates or inputs, at most; more take minutes.
         blocks: of rows, for errors and likelihoods.
         earliest: smallest delay that is tried [periods]; one below 0 is none, but shows a defect.
         latest: largest delay [periods].
@@ -63,6 +65,8 @@ class TimingLevels:
 
     rows: int = 8_000
     fewest_rows: int = 200
+    coupled: int = 6
+    most: int = 12
     blocks: int = 10
     earliest: float = -2.0
     latest: float = 8.0
@@ -193,7 +197,7 @@ def estimate_input_timing(
         known: what is known of each input. A known delay is no hypothesis, and leaves no lag.
 
     Raises:
-        InputError: too few samples, or nothing moves.
+        InputError: too few samples, too many coordinates or inputs, or nothing moves.
     """
     regression = _Regression(positions, inputs, dt, angular)
     usual = [Response(k.hold or "zero-order", (k.delay or 0.0) / dt) for k in known]
@@ -240,6 +244,10 @@ class _Regression:
     ) -> None:
         every, n_u = np.concatenate(positions), inputs[0].shape[1]
         n_q, is_small = every.shape[1], n_u <= 2
+        if max(n_q, n_u) > LEVELS.most:
+            raise InputError(
+                "records", f"{n_q} coordinates, {n_u} inputs", f"at most {LEVELS.most} of each"
+            )
         # one coordinate leaves room for slow lags; many coordinates have many inputs
         self.lags = (
             np.arange(-6, 61) if n_q == 1 else np.arange(*((-5, 25) if is_small else (-3, 17)))
@@ -378,8 +386,11 @@ class _MotionScale:
         double = [f(2 * x) for x in q.T[self.angular] for f in (np.sin, np.cos)]
         others = [x if turns else x**3 for x, turns in zip(q.T, self.angular, strict=True)]
         dry = [f for w in v.T for f in (np.tanh(w / 0.03), np.tanh(w / 0.3), w * np.abs(w))]
-        squares = [v[:, i] * v[:, j] for i in range(n_q) for j in range(i, n_q)]
-        pairs = [a * b for i, a in enumerate(waves) for b in waves[2 * (i // 2) + 2 :]]
+        squares = [v[:, i] ** 2 for i in range(n_q)]
+        pairs = list[Array]()
+        if n_q <= LEVELS.coupled:
+            squares += [v[:, i] * v[:, j] for i in range(n_q) for j in range(i + 1, n_q)]
+            pairs = [a * b for i, a in enumerate(waves) for b in waves[2 * (i // 2) + 2 :]]
         static = [np.ones(n), *waves, *double, *others, *v.T, *dry, *squares, *pairs]
         gains = [np.ones(n)]
         if n_q <= 2:
