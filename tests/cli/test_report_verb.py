@@ -106,7 +106,7 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
     assert '<th scope="col">error of J&#39;J</th>' in text
     assert text.count('class="place"') == 2 * 3
     assert tustinnet(capsys, *command, "--overwrite", "--horizon", 1)[0] == 0
-    assert "no bands: --band: start" in page.read_text(encoding="utf-8")
+    assert "no bands: `band=`: start" in page.read_text(encoding="utf-8")
 
 
 def test_an_identification_shows_its_stages_and_the_way_of_its_parameters(identified):
