@@ -39,11 +39,12 @@ def test_a_record_is_followed_until_a_coordinate_is_far_off():
     t = 0.01 * np.arange(401)
     records = [record(np.sin(3 * t)), record(np.sin(3 * t), "b")]
     whole = list(find_reference(records, None).scores)
-    off = np.abs(np.sin(3 * t)) > 0.3 * np.std(np.sin(3 * t))  # of one that stands still
+    rms = np.sqrt(np.cumsum(np.sin(3 * t) ** 2) / np.arange(1, 402))  # of one that stands still
+    off = rms > 0.3 * np.std(np.sin(3 * t))
     assert whole[0].simulated[:, 0] == pytest.approx(0.0, abs=1e-3)
     expected = [0.01 * np.argmax(off)] * 2
     assert seconds_followed(records, whole) == pytest.approx(expected, abs=0.011)
-    assert describe_followed(records, whole).startswith("follows whole records for 0.08 s in the ")
+    assert describe_followed(records, whole).startswith("follows whole records for 0.13 s in the ")
     true = [
         replace(s, simulated=np.hstack([e.q, e.q])) for e, s in zip(records, whole, strict=True)
     ]

@@ -13,7 +13,7 @@ from tustinnet.simulate.starts import start_named
 from tustinnet.wording import counted
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # [s], as far as records go
-FOLLOWED = 0.3  # of the standard deviation of a coordinate: an error with which it is not followed
+FOLLOWED = 0.3  # of the standard deviation of a coordinate: an error that no longer follows it
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def _horizon_error(
 def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> list[float]:
     """How long the free run of each whole record follows it [s]; to its end at most.
 
-    It follows until the error of a coordinate exceeds `FOLLOWED` of the coordinate's standard
-    deviation, the root mean square of those in all records.
+    It follows until the error of a coordinate, its root mean square from the beginning on, exceeds
+    `FOLLOWED` of the coordinate's standard deviation, the root mean square of those in all records.
 
     Args:
         records: the records.
@@ -74,8 +74,10 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
     seconds = []
     for e, score in zip(records, whole, strict=True):
         first = start_named(score.start).first
-        error = np.abs(score.simulated[first:, channels.position] - e.q[first:])
-        is_off = ~(error <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
+            squares = np.cumsum((score.simulated[first:, channels.position] - e.q[first:]) ** 2, 0)
+        rms = np.sqrt(squares / np.arange(1, len(squares) + 1)[:, None])
+        is_off = ~(rms <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
         seconds.append(float(e.dt * (np.argmax(is_off) if is_off.any() else len(is_off) - 1)))
     return seconds
 
@@ -88,12 +90,11 @@ def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> 
         for e, s in zip(records, whole, strict=True)
     ]
     to_the_end = sum(a >= b for a, b in zip(seconds, lengths, strict=True))
-    until = f"off by {100 * FOLLOWED:.0f} % of its standard deviation"
+    limit = f"{100 * FOLLOWED:.0f} % of its standard deviation"
     if to_the_end == len(records):
-        return (
-            f"follows {counted(len(records), 'whole record')} to the end: no coordinate is {until}"
-        )
+        whole_records = counted(len(records), "whole record")
+        return f"follows {whole_records} to the end: no coordinate's RMS error reaches {limit}"
     return (
-        f"follows whole records for {np.median(seconds):.2g} s in the median, until a coordinate "
-        f"is {until}; {to_the_end} of {len(records)} to the end"
+        f"follows whole records for {np.median(seconds):.2g} s in the median, until a coordinate's "
+        f"RMS error so far is {limit}; {to_the_end} of {len(records)} to the end"
     )
