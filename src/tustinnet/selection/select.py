@@ -310,9 +310,7 @@ def _choose(
         bands,
         spoiled=spoiled,
         left_out=left_out,
-        whole={}
-        if deadline.has_passed()
-        else _free_runs_of_whole_records(candidates, best, context),
+        whole=_free_runs_of_whole_records(candidates, best, context),
     )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
