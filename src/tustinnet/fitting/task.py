@@ -166,12 +166,12 @@ def make_task(
             raise InputError(
                 f"recipe '{recipe.name}'",
                 f"no {name}",
-                f"a {name}: --{name} ...",
+                f"a {name}: `{name}=`",
                 f"{kind} needs it",
             )
         if part is not None and name not in family.needs:
             raise InputError(
-                f"--{name}",
+                f"`{name}=`",
                 f"not applicable to {kind}",
                 f"a recipe that takes a {name}",
                 f"leave it out, or add `recipe=` {_DEFAULT_RECIPES[name]}",
