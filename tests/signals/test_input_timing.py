@@ -8,7 +8,7 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.signals.excitation import DeclaredHold, excitation
-from tustinnet.signals.input_timing import KnownTiming, Response, estimate_input_timing
+from tustinnet.signals.input_timing import DeclaredTiming, Response, estimate_input_timing
 
 DT, FINE = 0.02, 20  # sampling period [s]; simulated steps a period
 
@@ -53,7 +53,7 @@ def simulate(truth: Truth, seed: int, *, n: int = 400, feedback: Feedback | None
     return q[:, None], u[:, None]
 
 
-def estimate(truth: Truth, known: KnownTiming = KnownTiming(), **options):  # noqa: B008
+def estimate(truth: Truth, known: DeclaredTiming = DeclaredTiming(), **options):  # noqa: B008
     records = [simulate(truth, seed, **options) for seed in range(4)]
     positions, inputs = zip(*records, strict=True)
     (found,) = estimate_input_timing(positions, inputs, DT, np.array([True]), [known])
@@ -90,11 +90,11 @@ def test_delays_and_lags_are_found_within_their_errors(truth):
     assert not found.is_closed_loop
 
 
-def test_what_is_known_is_no_question():
-    found = estimate(Truth(delay=1.5), KnownTiming("first-order", None))
+def test_declared_timing_is_no_question():
+    found = estimate(Truth(delay=1.5), DeclaredTiming("first-order", None))
     assert (found.hold, found.rivals) == ("first-order", ())
     assert found.delay.value == pytest.approx(2.0 * DT, abs=0.2 * DT)
-    found = estimate(Truth("first-order"), KnownTiming(None, 0.0))
+    found = estimate(Truth("first-order"), DeclaredTiming(None, 0.0))
     assert (found.verdict, found.delay) == ("none", (0.0, 0.0))
     assert found.hold == "first-order"
 
@@ -103,7 +103,7 @@ def test_an_input_that_does_nothing_tells_nothing():
     records = [simulate(Truth(), seed) for seed in range(3)]
     others = [simulate(Truth(), seed + 10)[1] for seed in range(3)]
     (found,) = estimate_input_timing(
-        [q for q, _ in records], others, DT, np.array([True]), [KnownTiming()]
+        [q for q, _ in records], others, DT, np.array([True]), [DeclaredTiming()]
     )
     assert found.verdict == "unclear"
 
@@ -124,7 +124,7 @@ def test_two_inputs_are_told_apart():
     other = [simulate(Truth(), seed + 20) for seed in range(4)]
     q = [np.hstack([a[0], b[0]]) for a, b in zip(one, other, strict=True)]
     u = [np.hstack([a[1], b[1]]) for a, b in zip(one, other, strict=True)]
-    first, second = estimate_input_timing(q, u, DT, np.array([True, True]), [KnownTiming()] * 2)
+    first, second = estimate_input_timing(q, u, DT, np.array([True, True]), [DeclaredTiming()] * 2)
     assert (first.verdict, second.verdict) == ("delay", "none")
     assert first.delay.value == pytest.approx(DT, abs=0.15 * DT)
 
@@ -154,7 +154,7 @@ def test_records_that_say_nothing_are_refused(angles, message):
         np.full(angles.shape[1], True),
     )
     with pytest.raises(tn.InputError, match=message):
-        estimate_input_timing([angles], [u], DT, angular, [KnownTiming()])
+        estimate_input_timing([angles], [u], DT, angular, [DeclaredTiming()])
 
 
 def shifted(records: Sequence[tn.Experiment], periods: int):
@@ -170,7 +170,7 @@ def test_inputs_that_were_moved_in_measured_records_are_found_there(real_data):
     for periods in range(3):
         q, u = shifted(records, periods)
         (found,) = estimate_input_timing(
-            q, u, records[0].dt, np.array([True, True]), [KnownTiming()]
+            q, u, records[0].dt, np.array([True, True]), [DeclaredTiming()]
         )
         assert found.hold == "zero-order"
         assert found.verdict == ("delay" if periods else "none")

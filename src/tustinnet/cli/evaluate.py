@@ -87,13 +87,10 @@ def evaluate(
     inputs = list_input_files(data, card, model, system)
     require_figures("--figures", paths, inputs, overwrite=overwrite)
     scores = score_records(simulator, records, runs.start, horizon=runs.horizon)
-    whole = (
-        scores
-        if runs.horizon is None
-        else score_records(simulator, records, runs.start, horizon=None)
-    )
+    is_whole = runs.horizon is None
+    whole = scores if is_whole else score_records(simulator, records, runs.start)
     horizons = errors_over_horizons(simulator, records, runs.start, whole)
-    reference = find_reference(records, runs.horizon)
+    reference = horizons[-1].reference if is_whole else find_reference(records, runs.horizon)
     by_split, trivial = (_group_by_split(records, s) for s in (scores, reference.scores))
     bands, coverage = [], []
     if band_options is not None:

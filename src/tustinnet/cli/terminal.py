@@ -59,8 +59,8 @@ def messages() -> "Console":
 
     class Messages(Console):
         def print(self, *objects: Any, **options: Any) -> None:
-            told = [with_options(o) if isinstance(o, str) else o for o in objects]
-            super().print(*told, **options)
+            texts = [with_options(o) if isinstance(o, str) else o for o in objects]
+            super().print(*texts, **options)
 
     return Messages(stderr=True, highlight=False, soft_wrap=True, markup=False)
 

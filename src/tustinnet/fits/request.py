@@ -56,14 +56,14 @@ class PreparedFit:
     def with_findings(self, results: Sequence[FitResult]) -> list[FitResult]:
         """Results whose identifications also say what was found out about the inputs."""
         timing = self.records.timing
-        told = []
+        completed = []
         for result in results:
             own = result.identification
             if own is not None:
                 own = replace(own, findings=(*timing, *own.findings))
                 result = replace(result, findings=own.findings, identification=own)
-            told.append(result)
-        return told
+            completed.append(result)
+        return completed
 
 
 def prepare(

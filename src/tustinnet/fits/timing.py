@@ -15,8 +15,8 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.signals.input_timing import (
+    DeclaredTiming,
     InputTiming,
-    KnownTiming,
     Measured,
     estimate_input_timing,
 )
@@ -56,46 +56,48 @@ def determine_timing(
         keeps_unknown_delays: whether delays that the card calls unknown stay so, as an
             identification has them as parameters.
     """
-    declared = _holds_of(system)
-    sentences = _list_conflicts(declared, data.channels.inputs)
-    inputs = [i if i.hold else replace(i, hold=declared.get(i.name)) for i in data.channels.inputs]
-    known = [_what_is_known(i) for i in inputs]
+    system_holds = _holds_of(system)
+    sentences = _list_conflicts(system_holds, data.channels.inputs)
+    inputs = [
+        i if i.hold else replace(i, hold=system_holds.get(i.name)) for i in data.channels.inputs
+    ]
+    declared = [_declared_timing(i) for i in inputs]
     stays_open = [keeps_unknown_delays and i.delay is None for i in inputs]
     is_asked = [
         k.hold is None or (k.delay is None and not stays)
-        for k, stays in zip(known, stays_open, strict=True)
+        for k, stays in zip(declared, stays_open, strict=True)
     ]
     if not any(is_asked):
         return Timing(data, tuple(sentences))
     try:
-        found = _estimate(data, known)
+        estimates = _estimate(data, declared)
     except InputError as error:
-        found = None
+        estimates = None
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
             sentences.append(
                 f"holds and delays of inputs: not found ({error}); {_USUAL} and no delay taken "
                 "where they are not known"
             )
-    lags, timing = list[str](), list[Input]()
-    for j, (own, what) in enumerate(zip(inputs, known, strict=True)):
-        one = found[j] if found else None
+    lags, acting = list[str](), list[Input]()
+    for j, (own, what) in enumerate(zip(inputs, declared, strict=True)):
+        one = estimates[j] if estimates else None
         delay = what.delay if one is None or what.delay is not None else _acting_delay(one)
         hold = what.hold or (one.hold if one else _USUAL)
-        timing.append(replace(own, hold=hold, delay=None if stays_open[j] else delay or 0.0))
+        acting.append(replace(own, hold=hold, delay=None if stays_open[j] else delay or 0.0))
         if one and is_asked[j]:
             sentences.append(_describe(own.name, one, what, data[0].dt))
             if "lag" in one.verdict:
                 lags.append(own.name)
-    experiments = tuple(_with_inputs(e, timing) for e in data)
+    experiments = tuple(_with_inputs(e, acting) for e in data)
     return Timing(replace(data, experiments=experiments), tuple(sentences), tuple(lags))
 
 
-def _what_is_known(own: Input) -> KnownTiming:
+def _declared_timing(own: Input) -> DeclaredTiming:
     hold = None if own.hold == "unknown" else own.hold
-    return KnownTiming(hold, own.delay if own.delay or own.is_delay_declared else None)
+    return DeclaredTiming(hold, own.delay if own.delay or own.is_delay_declared else None)
 
 
-def _estimate(data: DataSet, known: Sequence[KnownTiming]) -> list[InputTiming]:
+def _estimate(data: DataSet, declared: Sequence[DeclaredTiming]) -> list[InputTiming]:
     """When the inputs act.
 
     Raises:
@@ -106,43 +108,44 @@ def _estimate(data: DataSet, known: Sequence[KnownTiming]) -> list[InputTiming]:
     records = [e for e in records_without_test(data) if np.isclose(e.dt, data[0].dt)]
     angular = np.array([c.kind == "angular" for c in data.channels.coordinates])
     q, u = [e.q for e in records], [e.u for e in records]
-    return estimate_input_timing(q, u, data[0].dt, angular, known)
+    return estimate_input_timing(q, u, data[0].dt, angular, declared)
 
 
-def _acting_delay(found: InputTiming) -> float:
+def _acting_delay(timing: InputTiming) -> float:
     """The delay with which records are fitted [s]."""
-    has_delay = found.verdict in ("delay", "delay or lag", "delay and lag")
-    return found.delay.value if has_delay else 0.0
+    has_delay = timing.verdict in ("delay", "delay or lag", "delay and lag")
+    return timing.delay.value if has_delay else 0.0
 
 
-def _describe(name: str, found: InputTiming, known: KnownTiming, dt: float) -> str:
+def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: float) -> str:
     """What was found out about an input, in one sentence."""
 
     def say(time: Measured) -> str:
         periods = f"{time.value / dt:.2g} periods"
         return f"{time.value:.3g} ± {time.error:.1g} s ({periods})"
 
-    lag = f"a first-order lag of {say(found.lag)}"
+    lag = f"a first-order lag of {say(timing.lag)}"
+    lead = say(Measured(-timing.delay.value, timing.delay.error))
     needs_force = f"; the force `{LAG}` adds it to equations of motion"
     what = {
         "none": "acts without delay",
-        "delay": f"acts with a delay of {say(found.delay)}",
+        "delay": f"acts with a delay of {say(timing.delay)}",
         "lag": f"acts through {lag}, without delay{needs_force}",
-        "delay and lag": f"acts with a delay of {say(found.delay)} and {lag}{needs_force}",
-        "delay or lag": f"acts with a delay of {say(found.delay)}, or {lag}: these records do not "
+        "delay and lag": f"acts with a delay of {say(timing.delay)} and {lag}{needs_force}",
+        "delay or lag": f"acts with a delay of {say(timing.delay)}, or {lag}: these records do not "
         "tell which; the delay is taken",
-        "early": f"acts {say(Measured(-found.delay.value, found.delay.error))} before it is logged",
+        "early": f"acts {lead} before it is logged",
         "unclear": "is made by a controller from the motion, which hides when it acts; no delay is "
         "taken"
-        if found.is_hidden
+        if timing.is_hidden
         else "acts at a time that these records do not tell; no delay is taken",
-    }[found.verdict]
-    if known.delay is not None:
-        what = f"acts with the declared delay of {known.delay:g} s"
-    if known.hold is not None:
+    }[timing.verdict]
+    if declared.delay is not None:
+        what = f"acts with the declared delay of {declared.delay:g} s"
+    if declared.hold is not None:
         return f"input '{name}' {what}"
-    rivals = f" ({' or '.join(found.rivals)} fits as well)" if found.rivals else ""
-    return f"input '{name}' {what}; hold {found.hold}{rivals}"
+    rivals = f" ({' or '.join(timing.rivals)} fits as well)" if timing.rivals else ""
+    return f"input '{name}' {what}; hold {timing.hold}{rivals}"
 
 
 def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:

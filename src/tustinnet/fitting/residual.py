@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 from tustinnet.data.experiment import Experiment, moving_coordinates
 from tustinnet.engine import equations as engine
 from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
+from tustinnet.signals.outliers import TO_DEVIATION
 
 _STILL_UNIT = 1.0  # the unit of a signal that never changes
-TO_DEVIATION = 1.4826  # the standard deviation of normal residuals over their median size
 _HUBER = 1.345  # standard deviations from which on a residual weighs less
 _DEGREES_OF_FREEDOM = 4.0  # of Student's t
 _LEAST_SCALE = 1e-12  # where most residuals are 0

@@ -285,8 +285,8 @@ class RunContext:
             start, rmse = next(iter(first.rmse.items()))
             records = [self.data[name] for name in rmse if names is None or name in names]
             if records:
-                found = evaluate(self.load_model(first.model), records, start, horizon=horizon)
-                scores |= {score.experiment: score for score in found}
+                runs = evaluate(self.load_model(first.model), records, start, horizon=horizon)
+                scores |= {score.experiment: score for score in runs}
         return scores
 
     def score(self, model: Model, fit_horizon: float | None, fold: int) -> RmseByStart:

@@ -1,7 +1,7 @@
 """When inputs act: holds, delays and lags from records alone, without a model of the system.
 
 The second difference of a position is its acceleration, averaged exactly by a triangle that spans
-two periods. What an input adds to it is therefore known in closed form for every hold, delay and
+two periods. What an input adds to it is therefore declared in closed form for every hold, delay and
 first-order lag: a weight for each sample before (`Response`). Records are then a regression,
 
     (q[k+1] - 2 q[k] + q[k-1]) / dt^2
@@ -29,6 +29,7 @@ from scipy.signal import lfilter
 from tustinnet.errors import InputError
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.signals.excitation import DeclaredHold
+from tustinnet.signals.outliers import TO_DEVIATION
 
 Verdict = Literal["none", "delay", "lag", "delay and lag", "delay or lag", "early", "unclear"]
 Array = Float[np.ndarray, "..."]
@@ -168,12 +169,12 @@ class Response(NamedTuple):
         return step @ np.array(factors)
 
 
-class KnownTiming(NamedTuple):
-    """What is known of an input before.
+class DeclaredTiming(NamedTuple):
+    """The hold and the delay that records declare of an input.
 
     Attributes:
-        hold: its hold, None where it is not known.
-        delay: its delay [s], None where it is not known.
+        hold: its hold, None where it is not declared.
+        delay: its delay [s], None where it is not declared.
     """
 
     hold: DeclaredHold | None = None
@@ -185,7 +186,7 @@ def estimate_input_timing(
     inputs: Sequence[Float[np.ndarray, "_ n_u"]],
     dt: float,
     angular: Bool[np.ndarray, " n_q"],
-    known: Sequence[KnownTiming],
+    declared: Sequence[DeclaredTiming],
 ) -> list[InputTiming]:
     """When each input acts.
 
@@ -194,28 +195,28 @@ def estimate_input_timing(
         inputs: of each record, (n, n_u).
         dt: sampling period of all records [s].
         angular: which coordinates are angles.
-        known: what is known of each input. A known delay is no hypothesis, and leaves no lag.
+        declared: what is declared of each input. A declared delay leaves no hypothesis, and no lag.
 
     Raises:
         InputError: too few samples, too many coordinates or inputs, or nothing moves.
     """
     regression = _Regression(positions, inputs, dt, angular)
-    usual = [Response(k.hold or "zero-order", (k.delay or 0.0) / dt) for k in known]
-    searched = [j for j, k in enumerate(known) if k.delay is None]
-    for j in searched * min(len(known), 2):  # twice, as each depends on the others
+    usual = [Response(k.hold or "zero-order", (k.delay or 0.0) / dt) for k in declared]
+    searched = [j for j, k in enumerate(declared) if k.delay is None]
+    for j in searched * min(len(declared), 2):  # twice, as each depends on the others
         one, hold = regression.of_input(j, usual), usual[j].hold
         usual[j] = min((Response(hold, d) for d in _delays(LEVELS.earliest, 0.5)), key=one.loss)
-    ones = [regression.of_input(j, usual) for j in range(len(known))]
-    tried = [_try_all(one, k, dt) for one, k in zip(ones, known, strict=True)]
+    ones = [regression.of_input(j, usual) for j in range(len(declared))]
+    tried = [_try_all(one, k, dt) for one, k in zip(ones, declared, strict=True)]
     is_closed = any(map(_shows_feedback, ones, tried))
     if is_closed:
         tried = [
             hypotheses if k.hold or k.delay is not None else _try_causal(one)
-            for one, k, hypotheses in zip(ones, known, tried, strict=True)
+            for one, k, hypotheses in zip(ones, declared, tried, strict=True)
         ]
     return [
         _decide(one, hypotheses, k, dt, is_closed)
-        for one, hypotheses, k in zip(ones, tried, known, strict=True)
+        for one, hypotheses, k in zip(ones, tried, declared, strict=True)
     ]
 
 
@@ -285,8 +286,12 @@ class _Regression:
         size = np.sqrt(np.mean(lagged**2, 0)).reshape(-1, len(self.lags)).mean(1)
         lagged /= np.repeat(size, len(self.lags)) + 1e-12
         # blocks of as much change of the inputs, not of as many rows: falls would say nothing
-        told = np.cumsum(changes / (changes.mean() + 1e-300) + 0.05)
-        cuts = [0, *np.searchsorted(told, np.linspace(0, told[-1], LEVELS.blocks + 1)[1:-1]), end]
+        information = np.cumsum(changes / (changes.mean() + 1e-300) + 0.05)
+        cuts = [
+            0,
+            *np.searchsorted(information, np.linspace(0, information[-1], LEVELS.blocks + 1)[1:-1]),
+            end,
+        ]
         blocks = [slice(a, b) for a, b in pairwise(cuts)]
         grams, counts = [], []
         for i in range(n_q):
@@ -468,7 +473,7 @@ def _filter(
 
 
 def _robust_deviation(x: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(x))) + 1e-300
+    return TO_DEVIATION * float(np.median(np.abs(x))) + 1e-300
 
 
 def _without(columns: Array, y: Array, weight: Array | None = None) -> Array:
@@ -581,8 +586,8 @@ def _search(
         "fatol": 1e-3,
         "maxiter": 80,
     }
-    found = minimize(lambda p: one.loss(response(p)), start, method="Nelder-Mead", options=options)
-    best = np.array(response(found.x)[1:])[free]
+    result = minimize(lambda p: one.loss(response(p)), start, method="Nelder-Mead", options=options)
+    best = np.array(response(result.x)[1:])[free]
     steps, curvature = _jackknife_steps(one, hold, place @ best, place)
     spread = (LEVELS.blocks - 1) / LEVELS.blocks * np.sum((steps - steps.mean(0)) ** 2, 0)
     formal = 2 * np.abs(np.diag(np.linalg.inv(curvature)))
@@ -614,12 +619,12 @@ def _jackknife_steps(
     return np.clip(steps, -2, 2), curvature.mean(0)
 
 
-def _try_all(one: _OneInput, known: KnownTiming, dt: float) -> "_Hypotheses":
-    """All hypotheses that what is known of an input leaves."""
-    holds = (known.hold,) if known.hold else _HOLDS
-    if known.delay is None:
+def _try_all(one: _OneInput, declared: DeclaredTiming, dt: float) -> "_Hypotheses":
+    """All hypotheses that what is declared of an input leaves."""
+    holds = (declared.hold,) if declared.hold else _HOLDS
+    if declared.delay is None:
         return {key: _search(one, *key) for key in product(holds, _KINDS)}
-    point, none = np.array([known.delay / dt, 0.0]), np.zeros(2)
+    point, none = np.array([declared.delay / dt, 0.0]), np.zeros(2)
     return {
         (hold, "none"): _Hypothesis(point, none, one.held_out(Response(hold, *point)))
         for hold in holds
@@ -661,7 +666,7 @@ def _is_better(losses: Array, others: Array, rows: Array, least: float = LEVELS.
 
 
 def _decide(
-    one: _OneInput, tried: _Hypotheses, known: KnownTiming, dt: float, is_closed: bool
+    one: _OneInput, tried: _Hypotheses, declared: DeclaredTiming, dt: float, is_closed: bool
 ) -> InputTiming:
     """The simplest hypothesis that is not clearly worse than the best, or that none can be told."""
     rows, best = one.rows, _best_by_hold(tried)
@@ -678,8 +683,8 @@ def _decide(
         and tried.get((h, "delay"), other).point[0] > -LEVELS.none
         and not _is_better(top.losses, other.losses, rows, least)
     )
-    if known.delay is not None:
-        delay, lag = Measured(known.delay, 0.0), Measured(0.0, np.inf)
+    if declared.delay is not None:
+        delay, lag = Measured(declared.delay, 0.0), Measured(0.0, np.inf)
         return InputTiming("none", hold, delay, lag, rivals, is_closed, False)
     kinds = _simplest_kinds(tried, hold, top, rows, power)
     lagging = tried.get((hold, "lag")) or tried["zero-order", "lag"]

@@ -23,7 +23,7 @@ _SHORT = 2  # samples
 _AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
 
 _THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
-_TO_DEVIATION = 1.4826  # of the median size of normal numbers
+TO_DEVIATION = 1.4826  # of the median size of normal numbers
 
 
 def white_noise(q: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
@@ -31,7 +31,7 @@ def white_noise(q: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
     if len(q) < 4:
         return np.zeros(q.shape[1])
     size = np.median(np.abs(np.diff(q, 3, axis=0)), axis=0)
-    return size * _TO_DEVIATION / _THIRD_DIFFERENCE
+    return size * TO_DEVIATION / _THIRD_DIFFERENCE
 
 
 def find_jumps(

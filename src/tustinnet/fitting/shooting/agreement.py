@@ -13,7 +13,6 @@ import scipy.special
 from jaxtyping import Float
 
 from tustinnet.fitting.report import Disagreement, Side
-from tustinnet.fitting.residual import TO_DEVIATION
 from tustinnet.fitting.shooting.least_squares import StoppingRule, minimise
 from tustinnet.fitting.shooting.normal import eliminate_initial_states
 from tustinnet.fitting.shooting.problem import Problem, SearchState, make_cost_function
@@ -23,6 +22,7 @@ from tustinnet.fitting.shooting.uncertainty import (
     estimate_uncertainty,
     lag_correlation,
 )
+from tustinnet.signals.outliers import TO_DEVIATION
 
 _LEVEL = 0.01  # of all comparisons of a kind together that differ by chance
 _LEAST = 0.01  # of a value, or of a range: less is no disagreement that matters

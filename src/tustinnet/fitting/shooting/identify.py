@@ -64,8 +64,6 @@ def identify_task(
     member: Member,
     listener: Listener,
     should_stop: ShouldStopSearch = never_stop_search,
-    *,
-    checks_signs: bool = True,
 ) -> FitResult:
     """Identifies the system of a task from the records of a member's fold.
 
@@ -74,8 +72,6 @@ def identify_task(
         member: one of its members.
         listener: functions that are called while the search goes on.
         should_stop: see `tustinnet.identify`.
-        checks_signs: whether reversed signs are searched for, where the equations of motion explain
-            the records poorly.
 
     Raises:
         UnfinishedSearchError: it was stopped before a stage was finished.
@@ -100,9 +96,7 @@ def identify_task(
         state = search(problem, state)
     if state.result is None:
         raise _unfinished_search(problem)
-    reversed_signs = ()
-    if checks_signs:
-        reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
+    reversed_signs = _find_suspect_signs(task, problem, initial_state, state)
     refit_result = refit_to_free_runs(problem, state)
     identification = make_identification(problem, state, reversed_signs, refit_result)
     return _make_fit_result(task, member, identification, start_time)
