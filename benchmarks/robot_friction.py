@@ -59,7 +59,7 @@ def main(seeds: int) -> None:
             model = result.model
             if not (friction or forces):
                 plain = model
-            missing = np.mean([100 * (e.held_out or 0.0) / e.size for e in result.force_errors])
+            missing = np.mean([100 * e.share for e in result.force_errors])
             short, whole = errors_of(model, data)
             errors = f"{missing:.2f} | {short:.2g} | {whole:.2g}"
             print(f"| {seed} | {name} | {errors} | {seconds:.0f} |", flush=True)

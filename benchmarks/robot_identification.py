@@ -38,7 +38,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.inverse_dynamics import cutoff_for, filter_record
+from tustinnet.fitting.inverse_dynamics.along import filter_record
+from tustinnet.fitting.inverse_dynamics.cutoff import cutoff_for
 from tustinnet.models.chains import BodyInertia, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.low_pass import low_pass, occupied_band
@@ -81,7 +82,7 @@ def regressor(system: LagrangianSystem, part: Any) -> np.ndarray:
         return chain.inertial_forces(q, v, a, inertias, chain.gravity)
 
     slopes = jax.jit(jax.vmap(jax.jacfwd(forces), (None, 0, 0, 0)))
-    q, v, a = (part.points[:, k * n : (k + 1) * n] for k in range(3))
+    q, v, a = part.q, part.v, part.a
     inertial = np.asarray(slopes(jnp.zeros(10 * bodies), q, v, a))
     joints = [a, v, np.sign(v), np.ones_like(v)]
     own = np.concatenate([x[:, :, None] * np.eye(n) for x in joints], axis=2)
@@ -108,7 +109,7 @@ def missing_by_least_squares(
     for records in (train, held_out):
         parts = [filter_record(e, cutoff) for e in records]
         rows = np.concatenate([regressor(system, part) for part in parts])
-        regressions.append((rows, np.concatenate([p.compare(p.points[:, 3 * n :]) for p in parts])))
+        regressions.append((rows, np.concatenate([p.compare(p.u) for p in parts])))
     (rows, torques), (held_rows, held_torques) = regressions
     weights = np.ones(n)
     parameters = least_squares(rows, torques, weights)
@@ -122,7 +123,7 @@ def missing_by_least_squares(
 def missing_by_inverse_dynamics(system: LagrangianSystem, data: tn.DataSet) -> np.ndarray:
     """Missing torques on the held-out record by those that it has, (n_q,)."""
     result = tn.identify(data, system, "inverse-dynamics")
-    return np.array([(e.held_out or np.nan) / e.size for e in result.force_errors])
+    return np.array([e.share for e in result.force_errors])
 
 
 def compare_to_least_squares(count: int, friction: Sequence[str]) -> None:

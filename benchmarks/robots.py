@@ -52,8 +52,8 @@ from tustinnet.evaluate.record_design import (
     gather_limits,
     prior_knowledge,
 )
+from tustinnet.fitting.inverse_dynamics.along import filter_record, missing_forces
 from tustinnet.fitting.shooting.equations import system_equations
-from tustinnet.fitting.shooting.inverse_dynamics import filter_record, missing_forces
 from tustinnet.models.chains import INERTIAL, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.store.data_set_folder import write_data_set
@@ -407,7 +407,8 @@ def twins(out: Path, count: int, first: int = 0) -> None:
         inside, combinations = inside + int((np.abs(z) < factor).sum()), combinations + len(z)
         single, singles = single + int(near.sum()), singles + int(decided.sum())
         missing = [
-            100 * row["held_out"] / row["size"] for row in header["identification"]["force_errors"]
+            100 * row["held_out"] / row["size_held_out"]
+            for row in header["identification"]["force_errors"]
         ]
         rows.append([float(np.mean(missing)), seconds, memory])
         print(
@@ -533,7 +534,8 @@ def design(count: int) -> None:
                     record_in_loop(system, truth, 4, 5.0, noise=noise, seed=500 + seed)
                 )
             ]
-            along = np.concatenate([filter_record(e, 5.0).points for e in others])
+            parts = [filter_record(e, 5.0) for e in others]
+            along = np.concatenate([np.hstack([part.q, part.v, part.a]) for part in parts])
             stated: dict[str, np.ndarray] = {}
             for name, motions in (
                 ("designed", [(design.q, design.v)]),

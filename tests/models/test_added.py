@@ -12,6 +12,7 @@ import tustinnet as tn
 from tustinnet.models import forces
 from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.forces import LAWS
+from tustinnet.models.integrate import discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 BARE = LagrangianSystem(
@@ -43,7 +44,9 @@ VALUES = {
     "hysteresis_shape": 0.8,
     "hysteresis_exponent": 2.0,
     "load_friction": 0.2,
-    **{f"curve_{kind}{i}": 0.1 * i for kind in ("odd", "even") for i in (1, 2, 3, 4)},
+    **{f"{law}_{i}": 0.1 * i for law in ("curve", "slip") for i in (1, 2, 3, 4, 5)},
+    "slip_travel": 0.4,
+    "armature": 0.3,
 }
 Z = 0.25  # deflection of a spring that relaxes, or of a friction with memory
 LUGRE_RATE = -1.1 - 1.1 * Z * (0.6 / 0.4) / (0.6 + 0.5 * np.exp(-((1.1 / 0.8) ** 2)))
@@ -51,7 +54,8 @@ AGAINST = {  # what each law does against the motion of the angle
     "coulomb": forces.coulomb(V[1], 0.3, 0.1),
     "stribeck": forces.stribeck(V[1], 0.3, 0.8, 0.8, 0.1),
     "viscous": 0.2 * V[1],
-    "curve": sum(0.1 * i * (s + s**2) for i in (1, 2, 3, 4) for s in [np.tanh(-11.0 / 3.0**i)]),
+    "curve": sum(0.1 * i * np.tanh(-11.0 / w) for i, w in enumerate((1, 1, 3, 10, 30, 100))),
+    "slip": 0.1 + 0.2 + 0.3 * Z / 0.4 + 0.4 * Z / 1.2 + 0.5 * Z / 4.0,
     "load": forces.coulomb(V[1], 0.2 * jnp.sin(X[1]), 0.1),
     "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
     "spring": 1.5 * X[1],
@@ -79,11 +83,11 @@ RUBBING = replace(
         ]
     ),
 )
-WITH_MEMORY = ("maxwell", "dahl", "lugre", "bouc_wen")
+WITH_MEMORY = ("maxwell", "dahl", "lugre", "bouc_wen", "slip")
 
 
 def declared(names: list[str]) -> tuple[Parameter, ...]:
-    return tuple(Parameter(n, "", VALUES[n.partition(".")[2]], 0.0, 9.0) for n in names)
+    return tuple(Parameter(n, "", VALUES[n.rpartition(".")[2]], 0.0, 9.0) for n in names)
 
 
 def added(system: LagrangianSystem, *names: str) -> LagrangianSystem:
@@ -110,12 +114,48 @@ def test_a_force_acts_on_its_coordinate_alone(base, law):
     change = with_it.acceleration(x, u) - without.acceleration(x[:4], u)
     moved = with_it.mass_matrix(X) @ change
     np.testing.assert_allclose(moved, [0.0, -AGAINST[law]], rtol=1e-5, atol=1e-6)
-    assert system.internal == ((f"{law}:angle",) if law in WITH_MEMORY else ())
+    names = [f"slip:angle:{i}" for i in (1, 2, 3, 4, 5)] if law == "slip" else [f"{law}:angle"]
+    assert system.internal == (tuple(names) if law in WITH_MEMORY else ())
     assert system.added_parameters == tuple(f"angle.{p.name}" for p in LAWS[law].parameters)
 
 
 def test_every_law_at_a_coordinate_is_tried():
-    assert set(AGAINST) == {name for name, law in LAWS.items() if not law.is_at_input}
+    at_coordinates = {name for name, law in LAWS.items() if not law.is_at_input}
+    assert {*AGAINST, "armature"} == at_coordinates
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 0.5])
+def test_a_motor_may_turn_with_two_coordinates(factor):
+    channel = {1.0: "x+angle", -1.0: "x-angle", 0.5: "x+0.5*angle"}[factor]
+    system = added(CART, f"armature:{channel}", f"viscous:{channel}")
+    assert system.added_parameters == (f"{channel}.armature", f"{channel}.viscous")
+    both, alone, direction = nominal(system), nominal(CART), np.array([1.0, factor])
+    more = both.mass_matrix(X) - alone.mass_matrix(X)
+    np.testing.assert_allclose(more, 0.3 * np.outer(direction, direction), atol=1e-6)
+    x = jnp.concatenate([X, V])
+    turning = float(direction @ V)
+    energy = float(both.energy(x) - alone.energy(x))
+    assert energy == pytest.approx(0.3 * turning**2 / 2, rel=1e-4)
+    found = both.mass_matrix(X) @ both.acceleration(x, U)
+    wanted = alone.mass_matrix(X) @ alone.acceleration(x, U) - 0.2 * turning * direction
+    np.testing.assert_allclose(found, wanted, rtol=1e-4)
+
+
+def test_what_slips_winds_up_holds_and_is_cut_to_its_travel():
+    """Against the definition by hand: z follows the motion and is cut at each sample."""
+    base = replace(SWING, input_map=None, inputs=(), potential=None)
+    system = added(base, "slip:angle")
+    model = discretise(nominal(system), 0.01)
+    x, z = jnp.array([0.0, 30.0, 0, 0, 0, 0, 0.0]), np.zeros(5)
+    travels = 0.4 * np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+    for _ in range(100):
+        following = model.step(x, jnp.zeros(0))
+        z = np.clip(z, -travels, travels) + float(following[0] - x[0])
+        np.testing.assert_allclose(following[2:], z, atol=1e-4)
+        x = following
+    # it has turned back: the small elements slip one way, the large ones still hold the other
+    assert x[1] < 0
+    assert x[2] < 0 < x[6]
 
 
 def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():
@@ -235,27 +275,28 @@ def test_a_force_that_a_system_has_already_is_refused():
 
 
 def test_friction_adds_to_the_level_that_a_system_has_itself():
-    system = added(RUBBING, "stribeck:x", "curve:x")
-    odd, even = ([f"x.curve_{kind}{i}" for i in (1, 2, 3, 4)] for kind in ("odd", "even"))
-    assert system.added_parameters == ("x.breakaway", "x.stribeck_speed", *odd, *even)
+    system = added(RUBBING, "stribeck:x", "load:x")
+    assert system.added_parameters == ("x.breakaway", "x.stribeck_speed", "x.load_friction")
     assert system.dissipation is not None
+    assert RUBBING.potential is not None
     values = system.nominal()
     for speed in (0.02, -0.3, 2.0):
         v = jnp.array([speed, 0.0])
         stribeck = forces.stribeck(v[0], 0.4, 0.4 + 0.5, 0.8, 0.05)
-        curve = forces.friction_curve(v[0], [values[name] for name in (*odd, *even)], 0.05)
         found = system.dissipation(X, v, values)
-        np.testing.assert_allclose(found, [stribeck + curve, 0.0], rtol=1e-5)
+        load = jax.grad(RUBBING.potential)(X, values)[0]
+        by_load = forces.coulomb_by_load(load, v[0], 0.2, 0.05)
+        np.testing.assert_allclose(found, [stribeck + by_load, 0.0], rtol=1e-5)
     # added to what it has already
-    assert with_forces(RUBBING, system.added, system.parameters[-10:]) is system
+    assert with_forces(RUBBING, system.added, system.parameters[-3:]) is system
     assert parse_forces(system, system.added) == parse_forces(RUBBING, system.added)
 
 
 def test_a_width_alone_is_no_friction_of_the_system():
     width = Parameter("x.coulomb_speed", "m/s", 0.05, 0.01, 1.0, fixed=True)
-    (curve,) = parse_forces(replace(CART, parameters=(*CART.parameters, width)), ["curve:x"])
-    assert curve.parameter_names[-1] == "x.smooth_speed"
-    assert curve.own == ()
+    (load,) = parse_forces(replace(CART, parameters=(*CART.parameters, width)), ["load:x"])
+    assert load.parameter_names[-1] == "x.smooth_speed"
+    assert load.own == ()
 
 
 def test_what_is_called_a_level_and_is_none_is_refused():

@@ -15,13 +15,10 @@ from swinging import CREEPING, SWING, TRUTH
 import tustinnet as tn
 from tustinnet.families.family import family_of
 from tustinnet.fits.in_folder import fit_in_folder
+from tustinnet.fitting.inverse_dynamics.along import find_obstacle
+from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
+from tustinnet.fitting.inverse_dynamics.identification import are_all_driven, unexplained_forces
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.shooting.inverse_dynamics import (
-    are_all_driven,
-    choose_cutoff,
-    find_obstacle,
-    unexplained_forces,
-)
 from tustinnet.fitting.shooting.stages import ESTIMATE
 from tustinnet.fitting.task import Task
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -240,7 +237,7 @@ def test_forces_of_the_true_system_explain_records_and_those_of_another_do_not()
     data = swings()
     records = [e for e in data if e.forced]
     assert find_obstacle(SWING, records) is None
-    cutoff = choose_cutoff(records)
+    cutoff = choose_cutoff(SWING, records)
     true = SWING.model({name: jnp.asarray(x) for name, x in TRUTH.items()})
     other = SWING.model({**true.values, "gravity": jnp.asarray(2 * TRUTH["gravity"])})
     little, much = (unexplained_forces(m, records, cutoff)["angle"] for m in (true, other))

@@ -136,7 +136,7 @@ def _next_state(
     n_p = equations.n_p
     held = ()
     if equations.sampled is not None:
-        held = (equations.sampled.function(x, pieces[0], p[:n_p], p[n_p:]),)
+        x, *held = equations.sampled.function(x, pieces[0], p[:n_p], p[n_p:])
 
     def at(state: Array, part: Array | float) -> Array:
         """The equations at a state and a part of the period."""

@@ -15,12 +15,13 @@ from tustinnet.program.reading import read
 
 @dataclass(frozen=True, eq=False)
 class SampledValues:
-    """Values that are computed at each sample and held until the next, as by a controller.
+    """What happens at each sample: states that settle, and values that are held until the next.
 
     Attributes:
         function: of the state (n_x,), the inputs (n_u,) at the sample, the parameters that
-            derivatives are needed by (n_p,), and all others (n_c,): the values, (size,).
-        size: how many there are.
+            derivatives are needed by (n_p,), and all others (n_c,): the state that goes on, (n_x,),
+            and the values, (size,), as those that a controller computes.
+        size: how many values there are.
     """
 
     function: Callable[..., Any]
@@ -43,8 +44,8 @@ class Equations:
             Runge-Kutta method.
         where: its name in messages.
         matrices: the weights of layers that are given with every run, and their shapes.
-        sampled: values that are held from sample to sample, which the function takes last; None
-            where it takes none.
+        sampled: what happens at each sample; the function takes its values last. None for
+            nothing.
     """
 
     function: Callable[..., Any]
@@ -61,7 +62,7 @@ class Equations:
     def with_sampled_states(self) -> "tuple[Equations, Equations]":
         """Equations of states with the sampled values behind them, and the step at a sample.
 
-        The first hold the values, the second, discrete ones, compute them anew.
+        The first hold the values, the second, discrete ones, compute all anew.
         """
         assert self.sampled is not None
         held, n_x, size = self.sampled, self.n_x, self.n_x + self.sampled.size
@@ -71,7 +72,7 @@ class Equations:
             return jnp.concatenate([rate, jnp.zeros_like(x[n_x:])])
 
         def sample(x: Any, u: Any, p: Any, c: Any) -> Any:
-            return jnp.concatenate([x[:n_x], held.function(x[:n_x], u, p, c)])
+            return jnp.concatenate(held.function(x[:n_x], u, p, c))
 
         return (
             replace(self, function=flow, n_x=size, sampled=None),

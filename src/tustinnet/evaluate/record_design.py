@@ -30,17 +30,15 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
+from tustinnet.fitting.inverse_dynamics.along import missing_forces
+from tustinnet.fitting.inverse_dynamics.cutoff import compared_samples, cutoff_for
+from tustinnet.fitting.inverse_dynamics.solver import Prior
+from tustinnet.fitting.shooting.base_parameters import Combinations, find_combinations, order_of
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.groups import (
     expand_parameters,
     expand_parameters_by_values,
     group_indices,
-)
-from tustinnet.fitting.shooting.inverse_dynamics import (
-    Prior,
-    compared_samples,
-    cutoff_for,
-    missing_forces,
 )
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.contract import require_float64
@@ -56,7 +54,6 @@ _DRAWS = 200  # random motions until one is within the limits
 _BISECTIONS = 30  # until the size of a motion is found
 _RANDOM_POINTS = 300  # by which base parameters are found
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
-_SMALLEST_TERM = 1e-3  # of a base parameter, in standard deviations of the priors
 _USUAL_NOISE = 0.02  # of the force of a motion
 _LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
 _MOST = 10**6  # samples
@@ -510,12 +507,13 @@ def design_record(
         stopped = stopped or is_late
     by_result = [problem.information(x) for x in results]
     best = int(np.argmax([logarithm for logarithm, _ in by_result]))
-    combinations, pivots = _find_combinations(dynamics, shapes, noise, rng)
-    file = _errors(combinations, np.eye(len(prior_information)))
-    before = None if knowledge.covariance is None else _errors(combinations, prior_information)
-    expected = _errors(combinations, by_result[best][1])
+    combinations = _find_combinations(dynamics, shapes, noise, rng)
+    factors = combinations.factors
+    file = _errors(factors, dynamics.prior_information)
+    before = None if knowledge.covariance is None else _errors(factors, prior_information)
+    expected = _errors(factors, by_result[best][1])
     ratios = [
-        np.exp(np.mean(np.log(_errors(combinations, matrix) / expected))) for _, matrix in by_start
+        np.exp(np.mean(np.log(_errors(factors, matrix) / expected))) for _, matrix in by_start
     ]
     motion = shapes.motion(results[best])
     q, v, a = motion.sample(t)
@@ -533,7 +531,7 @@ def design_record(
         u,
         force,
         noise,
-        _base_parameters(dynamics, combinations, pivots, file, before, expected),
+        _base_parameters(dynamics, combinations, file, before, expected),
         float(np.median(ratios)),
         stopped,
     )
@@ -637,6 +635,7 @@ class _Dynamics:
         selection: from derivatives by the parameters of the equations to those by the free ones, in
             standard deviations of their priors, (n_e, n_p).
         units: a standard deviation of each prior, in the parameter's own unit, (n_p,).
+        prior_information: information of the priors, in their standard deviations, (n_p, n_p).
     """
 
     def __init__(
@@ -657,6 +656,8 @@ class _Dynamics:
         self.selection = np.zeros((self._equations.n_p, len(scale)))
         self.selection[self._equations.free_columns(self.space), range(len(scale))] = scale
         self.units = self.space.derivatives(vector) * self.prior.spread
+        spread = self.prior.spread
+        self.prior_information = self.prior.at(self.prior.centre)[2] * np.outer(spread, spread)
 
     def _actuator_formula(self, system: LagrangianSystem) -> Formula:
         """Forces of the inputs at 0, and derivatives by the inputs, by q, v and parameters."""
@@ -987,9 +988,8 @@ def _choose_noise(
 
 def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
     """Information before the record, in standard deviations of the priors."""
-    n = len(dynamics.prior.spread)
     if knowledge.covariance is None:
-        return np.eye(n)
+        return dynamics.prior_information
     covariance = knowledge.covariance / np.outer(dynamics.prior.spread, dynamics.prior.spread)
     values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
     return (axes / np.maximum(values, 1e-14 * values[-1])) @ axes.T
@@ -1000,31 +1000,13 @@ def _find_combinations(
     shapes: _Shapes,
     noise: Float[np.ndarray, " n_q"],
     rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "n_b n_p"], list[int]]:
-    """The base parameters by the parameters, in standard deviations of their priors.
-
-    Each is a parameter, with the factor 1, and what others count beside it. Found by a QR
-    factorisation with pivoting of the derivatives of forces at random points.
-
-    Returns:
-        The base parameters, and the parameter that each is named after: it counts in no other one.
-    """
-    import scipy.linalg
-
+) -> Combinations:
+    """The base parameters by the parameters, in standard deviations of their priors."""
     points = _random_points(shapes, _RANDOM_POINTS, rng)
     u = dynamics.actuation(points)[:, : len(noise)]
     slopes = dynamics.slopes(points, u) @ dynamics.selection
     rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))
-    factors: Any = scipy.linalg.qr(rows, mode="r", pivoting=True)
-    triangle, order = factors
-    sizes = np.abs(np.diag(triangle))
-    rank = int(np.sum(sizes > _NULL * sizes[0]))
-    beside = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
-    combinations = np.zeros((rank, rows.shape[1]))
-    combinations[:, order] = np.concatenate([np.eye(rank), beside], axis=1)
-    # named in the order of the parameters
-    by_name = np.argsort(order[:rank])
-    return combinations[by_name], order[by_name].tolist()
+    return find_combinations(rows, np.ones(len(dynamics.units)), order_of(dynamics.space.names))
 
 
 def _errors(
@@ -1037,20 +1019,18 @@ def _errors(
 
 def _base_parameters(
     dynamics: _Dynamics,
-    combinations: Float[np.ndarray, "n_b n_p"],
-    pivots: Sequence[int],
+    combinations: Combinations,
     file: Float[np.ndarray, " n_b"],
     known: Float[np.ndarray, " n_b"] | None,
     expected: Float[np.ndarray, " n_b"],
 ) -> tuple[BaseParameter, ...]:
     """The base parameters with their errors, the best determined one first."""
     names, parameters = dynamics.space.names, []
-    for b, (i, row) in enumerate(zip(pivots, combinations, strict=True)):
+    for b, (i, row) in enumerate(zip(combinations.pivots, combinations.factors, strict=True)):
         unit = dynamics.units[i]
         terms = {
             names[j]: float(row[j] * unit / dynamics.units[j])
-            for j in np.flatnonzero(np.abs(row) > _SMALLEST_TERM)
-            if j != i
+            for j in combinations.terms(b, np.ones(len(row)))
         }
         parameters.append(
             BaseParameter(

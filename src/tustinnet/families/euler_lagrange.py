@@ -180,16 +180,20 @@ class EulerLagrangeFamily(IdentifiedFamily):
     def with_initial_values(
         self, hyper: EulerLagrangeHyper, origin: Model, system: LagrangianSystem | None
     ) -> EulerLagrangeHyper:
-        """The table in which parameters that both systems have begin at identified values."""
+        """The table with the forces of the origin, and with its values to begin with."""
         self.require_own(origin)
         equations = self.equations(cast(Discretised, origin))
         own = system.parameters if system is not None else ()
         names = {p.name for p in own if p.per is None} | set(hyper.free)
         # forces that a term brings are not there yet when a search begins
+        brought = {force for p in own for force in p.brings}
         added = parse_forces(equations.system, hyper.forces)
-        names |= {name for force in added for name in force.parameter_names}
+        kept = [] if system is None else [*equations.system.added]
+        more = [name for name in kept if name not in {*map(str, added), *brought}]
+        every = (*added, *parse_forces(equations.system, more))
+        names |= {name for force in every for name in force.parameter_names}
         begin = {name: float(x) for name, x in equations.values.items() if name in names}
-        return hyper.model_copy(update={"begin": begin})
+        return hyper.model_copy(update={"begin": begin, "forces": (*hyper.forces, *more)})
 
     def parameters(self, model: Discretised) -> Sequence[tuple[str, str, float]]:
         """Name, unit and value of the system's parameters; of values by group the chosen one."""

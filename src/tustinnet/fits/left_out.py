@@ -11,10 +11,10 @@ from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
 from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, records_without_test
-from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.systems.files import AnySystem

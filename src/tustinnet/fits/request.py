@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
+from tustinnet.fitting.inverse_dynamics.along import require_possible
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import is_published
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import assign_roles
-from tustinnet.fitting.shooting.inverse_dynamics import require_possible
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import AnyRecipe, Member, Origin, Task, make_task
 from tustinnet.models.contract import Model

@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop
 from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike, make_plan
 from tustinnet.fitting.gradient.train import train_plan
+from tustinnet.fitting.identify import identify_task
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.shooting.identify import identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.programs import make_room

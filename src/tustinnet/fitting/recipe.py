@@ -155,8 +155,10 @@ class StageRecipe(Declaration):
         return self.keep.startswith("validation") or watch.startswith("validation")
 
 
-# keys about simulations, which inverse dynamics makes none of
-_SIMULATED = ("initial", "loss", "periodic", "scaled", "robust", "refine")
+# keys of what is simulated, which inverse dynamics has no use for
+_SIMULATED = (
+    *("initial", "loss", "periodic", "scaled", "robust", "refine", "tolerance", "iterations"),
+)
 
 
 class SearchRecipe(Declaration):
@@ -178,7 +180,10 @@ class SearchRecipe(Declaration):
         method: `levenberg-marquardt`, by simulation, or `inverse-dynamics`, by the forces that the
             measured motion needs.
         cutoff: of inverse dynamics, frequency above which records are filtered out [Hz]; none for
-            three times the highest of the motion.
+            that up to which a fit explains half of the power of forces that were left out.
+        candidates: of inverse dynamics, forces beside `model.forces` that are added where they
+            explain forces that were left out clearly better, one after the other; `armature` is the
+            motor that turns with two coordinates.
         tolerance: converged when the next step promises less than this part of the cost.
         iterations: allowed in the last stage.
         horizon: longest segment that is simulated at once [s], also of validation records; none
@@ -197,6 +202,7 @@ class SearchRecipe(Declaration):
     part: Literal["whole", "transients"] = "whole"
     method: Literal["levenberg-marquardt", "inverse-dynamics"] = "levenberg-marquardt"
     cutoff: float | None = Field(default=None, gt=0, le=1e6)
+    candidates: tuple[str, ...] = ()
     tolerance: float = Field(default=1e-5, gt=0, le=1)
     iterations: Count = 50
     horizon: Horizon | None = None
@@ -233,7 +239,7 @@ class SearchRecipe(Declaration):
 
     @model_validator(mode="after")
     def _check_method(self) -> "SearchRecipe":
-        unused = _SIMULATED if self.is_by_forces else ("cutoff",)
+        unused = _SIMULATED if self.is_by_forces else ("cutoff", "candidates")
         defaults = type(self).model_fields
         for name in unused:
             if getattr(self, name) != defaults[name].default:

@@ -131,6 +131,11 @@ class ForceError:
             actuator, of the forces that the motion needs.
         train: root mean square of what is missing on the training records.
         held_out: that of the validation records, None without them.
+        size_held_out: root mean square of the actuators' force there, None without them.
+        moving: share of the actuators' force that is missing while the joint moves, on validation
+            records, else on training records.
+        by_file: the same of all samples by the nominal values, as of a robot's file.
+        by_least_squares: the same by least squares without priors, ranges and added forces.
     """
 
     coordinate: str
@@ -138,6 +143,17 @@ class ForceError:
     size: float
     train: float
     held_out: float | None
+    size_held_out: float | None
+    moving: float
+    by_file: float
+    by_least_squares: float
+
+    @property
+    def share(self) -> float:
+        """Share of the actuators' force that is missing, on validation records where there are."""
+        if self.held_out is None or self.size_held_out is None:
+            return self.train / self.size
+        return self.held_out / self.size_held_out
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
-"""Forces by name, added to a system, each at a coordinate or, as lags of actuators, an input."""
+"""Forces by name, added to a system, each at a coordinate or, as lags of actuators, an input.
 
+A motor or a friction that turns with two coordinates is at their sum, `A+B`, `A-B` or `A+0.5*B`.
+"""
+
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
@@ -18,6 +22,7 @@ from tustinnet.models.forces import (
     OWN_LEVEL,
     OWN_WIDTH,
     ActuatorLag,
+    AddedInertia,
     ForceParameter,
     ForceWithMemory,
     Friction,
@@ -34,23 +39,32 @@ _FAST = 1e6  # speed at which a Coulomb friction has reached its level [rad/s or
 
 @dataclass(frozen=True)
 class PlacedForce:
-    """A force at a coordinate, or at an input.
+    """A force at a coordinate or a sum of two, or at an input.
 
     Attributes:
         law: its law.
-        channel: the name of the coordinate, or of the input.
-        index: the coordinate's place in q, or the input's in u.
+        channel: the name of the coordinate, of the sum, or of the input.
+        places: the coordinates' places in q with their factors in the sum, or the input's in u.
         own: parameters of the system, as it is without the force, that take the place of some of
             its law's.
     """
 
     law: Law
     channel: str
-    index: int
+    places: tuple[tuple[int, float], ...]
     own: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.law.name}:{self.channel}"
+
+    @property
+    def index(self) -> int:
+        """The place of the input, or of the first coordinate."""
+        return self.places[0][0]
+
+    def along(self, x: Any) -> Any:
+        """What the force sees of positions, velocities or forces of all coordinates, (n_q,)."""
+        return sum(factor * x[i] for i, factor in self.places)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -82,19 +96,33 @@ class PlacedForce:
         return [0.0 if need.is_level and name in self.own else p[name] for name, need in named]
 
 
-def place_force(law: Law, channel: str, index: int, of_system: Collection[str]) -> PlacedForce:
-    """A force at a coordinate or at an input of a system.
+def place_force(
+    law: Law, channel: str, places: tuple[tuple[int, float], ...], of_system: Collection[str]
+) -> PlacedForce:
+    """A force at coordinates or at an input of a system.
 
     Args:
         law: its law.
-        channel: the name of the coordinate, or of the input.
-        index: its place in q or in u.
+        channel: the name of the coordinate, of a sum of two, or of the input.
+        places: their places in q or in u, with the factors of the sum.
         of_system: names of the parameters that the system has itself.
     """
     own = (f"{channel}.{p.own}" for p in law.parameters if p.own)
     if f"{channel}.{OWN_LEVEL}" not in of_system:
         own = ()
-    return PlacedForce(law, channel, index, tuple(name for name in own if name in of_system))
+    return PlacedForce(law, channel, places, tuple(name for name in own if name in of_system))
+
+
+def find_places(channel: str, coordinates: Sequence[str]) -> tuple[tuple[int, float], ...]:
+    """Places and factors of a coordinate, or of a sum of two (`A+B`, `A-0.5*B`); else none."""
+    if channel in coordinates:
+        return ((coordinates.index(channel), 1.0),)
+    for i, first in enumerate(coordinates):
+        rest = re.fullmatch(r"([+-])(?:(\d+\.?\d*)\*)?(.+)", channel.removeprefix(first))
+        if channel.startswith(first) and rest and rest[3] in coordinates:
+            factor = float(f"{rest[1]}{rest[2] or 1}")
+            return ((i, 1.0), (coordinates.index(rest[3]), factor))
+    return ()
 
 
 def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[PlacedForce, ...]:
@@ -102,8 +130,8 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
 
     Args:
         system: the system that they are to be added to.
-        names: `LAW` for a force at every coordinate, `LAW:COORDINATE` for one; of a law at inputs
-            `LAW` for every input, `LAW:INPUT` for one.
+        names: `LAW` for a force at every coordinate, `LAW:COORDINATE` for one, `LAW:A+B` for one
+            at a sum of two; of a law at inputs `LAW` for every input, `LAW:INPUT` for one.
 
     Raises:
         InputError: no such force, coordinate or input, or a force twice at one.
@@ -120,12 +148,14 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
         kind, channels = ("input", inputs) if LAWS[law].is_at_input else ("coordinate", coordinates)
         if not channels:
             raise InputError(WHERE, f"'{name}': the system has no inputs", "a system with inputs")
-        if colon and channel not in channels:
-            raise InputError(
-                WHERE, f"'{name}': no {kind} '{channel}'", f"one of {', '.join(channels)}"
-            )
         for place in [channel] if colon else channels:
-            force = place_force(LAWS[law], place, channels.index(place), of_system)
+            own = channels if kind == "input" else ()
+            places = ((own.index(place), 1.0),) if place in own else ()
+            if not (places := places or find_places(place, [] if own else channels)):
+                raise InputError(
+                    WHERE, f"'{name}': no {kind} '{channel}'", f"one of {', '.join(channels)}"
+                )
+            force = place_force(LAWS[law], place, places, of_system)
             if force in forces:
                 raise InputError(WHERE, f"'{force}' twice", "once")
             forces.append(force)
@@ -173,13 +203,14 @@ def with_forces(
         return total + jnp.asarray(system.dissipation(q, v, p)) if system.dissipation else total
 
     def potential(q: Any, p: Values) -> Any:
-        energy = sum(law.energy(q[f.index], *f.values(p)) for f, law in springs)
+        energy = sum(law.energy(f.along(q), *f.values(p)) for f, law in springs)
         return energy + system.potential(q, p) if system.potential else energy
 
-    remembering: dict[str, Any] = {}
+    inertias = [force for force in added if isinstance(force.law, AddedInertia)]
+    changed: dict[str, Any] = _with_inertias(system, inertias) if inertias else {}
     if with_states:
         memory = reduce(Memory.followed_by, map(_memory_of, with_states))
-        remembering = system.inside(memory, reached if lagging else None)
+        changed |= system.inside(memory, reached if lagging else None)
     return replace(
         system,
         parameters=(*system.parameters, *parameters),
@@ -187,8 +218,33 @@ def with_forces(
         potential=potential if springs else system.potential,
         added=(*system.added, *map(str, added)),
         added_parameters=(*system.added_parameters, *(p.name for p in parameters)),
-        **remembering,
+        **changed,
     )
+
+
+def _with_inertias(system: LagrangianSystem, added: Sequence[PlacedForce]) -> dict[str, Any]:
+    """Attributes of a system with further inertias."""
+    directions = np.zeros((len(added), len(system.coordinate_names)))
+    for row, force in zip(directions, added, strict=True):
+        for i, factor in force.places:
+            row[i] += factor
+
+    def matrix(p: Values) -> Any:
+        own = jnp.stack([jnp.asarray(force.values(p)[0]) for force in added])
+        return (directions.T * own) @ directions
+
+    def kinetic(q: Any, v: Any, p: Values) -> Any:
+        return system.kinetic(q, v, p) + v @ matrix(p) @ v / 2
+
+    inertia = system.inertia
+    if inertia is not None:
+        alone, coupled = inertia.mass_matrix, {i for row in directions for i in np.flatnonzero(row)}
+        inertia = replace(
+            inertia,
+            mass_matrix=lambda q, p: alone(q, p) + matrix(p),
+            uncoupled=tuple(i for i in inertia.uncoupled if i not in coupled),
+        )
+    return {"kinetic": kinetic, "inertia": inertia}
 
 
 def _require_additions(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
@@ -270,33 +326,43 @@ def compute_friction(
     if potential is not None and any(law.needs_load for _, law in laws):
         load = jax.grad(potential)(q, p)
     acting = [
-        (f.index, law.force((load if law.needs_load else q)[f.index], v[f.index], *f.values(p)))
+        (f, law.force(f.along(load if law.needs_load else q), f.along(v), *f.values(p)))
         for f, law in laws
     ]
     return _sum_by_coordinate(v, acting)
 
 
-def _sum_by_coordinate(like: Any, acting: Sequence[tuple[int, Any]]) -> Any:
-    """The sum of forces at each coordinate, (n_q,), from pairs of coordinate and force."""
+def _sum_by_coordinate(like: Any, acting: Sequence[tuple[PlacedForce, Any]]) -> Any:
+    """The sum of forces at each coordinate, (n_q,), from the forces and their values."""
     total = [jnp.zeros_like(x) for x in like]
-    for i, force in acting:
-        total[i] = total[i] + force
+    for force, value in acting:
+        for i, factor in force.places:
+            total[i] = total[i] + factor * value
     return jnp.stack(total)
 
 
 def _memory_of(force: PlacedForce) -> Memory:
-    """The internal state of an added force, or of an actuator that lags."""
-    law, i, names = force.law, force.index, (str(force),)
+    """The internal states of an added force, or of an actuator that lags."""
+    law, i = force.law, force.index
     if isinstance(law, ActuatorLag):
         return Memory(
-            names,
+            (str(force),),
             lambda q, v, z, u, p: jnp.stack([law.rate(u[i], z[0], *force.values(p))]),
             initial=lambda q, v, u, p: jnp.stack([law.initial(u[i], *force.values(p))]),
         )
     assert isinstance(law, ForceWithMemory)
+    rate, force_of, initial, settle = law.rate, law.force, law.initial, law.settle
+    names = tuple(f"{force}:{k + 1}" for k in range(law.states or 0)) or (str(force),)
+
+    def given(z: Any) -> Any:
+        return z if law.states else z[0]
+
     return Memory(
         names,
-        lambda q, v, z, p: jnp.stack([law.rate(v[i], z[0], *force.values(p))]),
-        lambda q, v, z, p: _sum_by_coordinate(v, [(i, law.force(v[i], z[0], *force.values(p)))]),
-        lambda q, v, p: jnp.stack([law.initial(q[i], *force.values(p))]),
+        lambda q, v, z, p: jnp.atleast_1d(rate(force.along(v), given(z), *force.values(p))),
+        lambda q, v, z, p: _sum_by_coordinate(
+            v, [(force, force_of(force.along(v), given(z), *force.values(p)))]
+        ),
+        lambda q, v, p: jnp.atleast_1d(initial(force.along(q), *force.values(p))),
+        settle=settle and (lambda z, p: jnp.atleast_1d(settle(given(z), *force.values(p)))),
     )

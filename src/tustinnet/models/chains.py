@@ -356,39 +356,44 @@ def inertial_parameters(
 
 
 def standard_inertia(
-    values: Float[np.ndarray, " 10"],
-) -> tuple[Float[np.ndarray, " 10"], Float[np.ndarray, "10 10"]]:
-    """The standard inertial parameters of a body, in which forces are linear, and derivatives.
+    values: Float[np.ndarray, "b 10"],
+) -> tuple[Float[np.ndarray, "b 10"], Float[np.ndarray, "b 10 10"]]:
+    """The standard inertial parameters of bodies, in which forces are linear, and derivatives.
 
     Args:
-        values: those of `INERTIAL`.
+        values: those of `INERTIAL` of each body.
 
     Returns:
         Mass [kg], first moments [kg m] and the inertia about the origin of the frame in which the
         centre is given [kg m^2], as `STANDARD` names them; their derivatives by `values`.
     """
-    mass, center = float(values[0]), values[1:4]
-    upper = np.zeros((3, 3))
-    for place, value in zip(_PLACES.values(), values[4:], strict=True):
-        upper[place] = value
-    unit = np.eye(3)
-    second = np.outer(center, center) + upper @ upper.T  # by mass
-    columns = [second]
-    columns += [mass * (np.outer(e, center) + np.outer(center, e)) for e in unit]
-    for i, j in _PLACES.values():
-        column = np.outer(unit[i], upper[:, j])
-        columns.append(mass * (column + column.T))
-    derivatives = np.zeros((10, 10))
-    derivatives[0, 0] = 1.0
-    derivatives[1:4, 0], derivatives[1:4, 1:4] = center, mass * unit
-    derivatives[4:] = np.transpose([_inertia_entries(column) for column in columns])
-    return np.concatenate([[mass], mass * center, _inertia_entries(mass * second)]), derivatives
+    mass, center = values[:, 0], values[:, 1:4]
+    upper = np.zeros((len(values), 3, 3))
+    for i, place in enumerate(_PLACES.values()):
+        upper[:, *place] = values[:, 4 + i]
+    # second moments of the mass by the mass, and their derivatives by all ten values
+    second = center[:, :, None] * center[:, None] + upper @ upper.transpose(0, 2, 1)
+    changes = np.zeros((len(values), 10, 3, 3))
+    for i in range(3):
+        changes[:, 1 + i, i] = center
+    for k, (i, j) in enumerate(_PLACES.values()):
+        changes[:, 4 + k, i] = upper[:, :, j]
+    changes = mass[:, None, None, None] * (changes + changes.transpose(0, 1, 3, 2))
+    changes[:, 0] = second
+    derivatives = np.zeros((len(values), 10, 10))
+    derivatives[:, 0, 0] = 1.0
+    derivatives[:, 1:4, 0] = center
+    derivatives[:, range(1, 4), range(1, 4)] = mass[:, None]
+    derivatives[:, 4:] = _inertia_entries(changes).transpose(0, 2, 1)
+    moments = [mass[:, None], mass[:, None] * center]
+    return np.concatenate([*moments, mass[:, None] * _inertia_entries(second)], axis=1), derivatives
 
 
-def _inertia_entries(second: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 6"]:
-    """Inertia xx, yy, zz, xy, xz, yz by the second moment of the mass."""
-    tensor = np.trace(second) * np.eye(3) - second
-    return np.array([*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]])
+def _inertia_entries(second: Float[np.ndarray, "*b 3 3"]) -> Float[np.ndarray, "*b 6"]:
+    """Inertia xx, yy, zz, xy, xz, yz by the second moments of the mass."""
+    xx, yy, zz = (second[..., i, i] for i in range(3))
+    products = [-second[..., i, j] for i, j in ((0, 1), (0, 2), (1, 2))]
+    return np.stack([yy + zz, xx + zz, xx + yy, *products], axis=-1)
 
 
 def _in_parent(inertia: BodyInertia, placement: _Placement) -> BodyInertia:

@@ -224,16 +224,17 @@ class ContinuousModel(Stateful):
     def derivative(self, x: State, u: InputVector) -> State:
         """`dx/dt` at a state under an input."""
 
-    def between_samples(self, x: State, u: InputVector) -> "ContinuousModel":
-        """Model that holds from a sample to the next.
+    def between_samples(self, x: State, u: InputVector) -> "tuple[State, ContinuousModel]":
+        """The state from which a model goes on at a sample, and the model until the next.
 
-        Only a model with something that is sampled, as a controller, is another one there.
+        Only a model with something that is sampled, as a controller, is another one there, and only
+        internal states that settle are others.
 
         Args:
             x: the state at the sample, (n_x,).
             u: the inputs there, (n_u,).
         """
-        return self
+        return x, self
 
 
 AnyModel = TypeVar("AnyModel", bound=Stateful)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Coordinate, Input
@@ -21,7 +22,9 @@ from tustinnet.models.parameters import Parameter
 
 Value = Float[Array, "..."] | float
 
-CURVE_SPEEDS = (3.0, 9.0, 27.0, 81.0)  # of a friction curve, by the width of the smoothed sign
+CURVE_SPEEDS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of a friction curve, by the width of its first term
+SLIP = "slip"  # dry friction with a memory
+SLIP_TRAVELS = (0.1, 0.3, 1.0, 3.0, 10.0)  # after which elements slip, by that of the middle one
 LARGEST_LOAD_SHARE = 0.5  # of a load, as friction
 # level and width of the Coulomb friction that a system has itself at a coordinate, `theta.NAME`
 OWN_LEVEL, OWN_WIDTH = "coulomb", "coulomb_speed"
@@ -100,24 +103,39 @@ def coulomb_by_load(load: Value, v: Value, share: Value, speed: Value) -> Any:
 
 
 def friction_curve(v: Value, weights: Sequence[Value], speed: Value) -> Any:
-    """Friction of any dependence on the speed: `sum a_i tanh(v / w_i) + b_i tanh(v / w_i)^2`.
+    """Friction that grows with the speed and ever less so: `sum a_i tanh(v / w_i)` [N m or N].
 
-    A network with one hidden layer whose hidden weights are fixed, so that forces are linear in
-    its parameters. The even terms are friction that differs between directions.
+    Linear in its weights. Of weights that are not negative it takes energy at every speed.
 
     Args:
         v: velocity [rad/s or m/s].
-        weights: a_i, then b_i [N m or N].
-        speed: w, width of the smoothed sign of a Coulomb friction; w_i are `CURVE_SPEEDS` times it
-            [rad/s or m/s].
+        weights: a_i [N m or N].
+        speed: w, the width of the first term; w_i are `CURVE_SPEEDS` times it [rad/s or m/s].
     """
-    return sum(a * term for a, term in zip(weights, curve_terms(v, speed), strict=True))
+    terms = (jnp.tanh(v / (by_width * speed)) for by_width in CURVE_SPEEDS)
+    return sum(a * term for a, term in zip(weights, terms, strict=True))
 
 
-def curve_terms(v: Value, speed: Value) -> list[Any]:
-    """The terms of a friction curve, of which each has a weight, see `friction_curve`."""
-    odd = [jnp.tanh(v / (by_width * speed)) for by_width in CURVE_SPEEDS]
-    return [*odd, *(term**2 for term in odd)]
+def slip_force(z: Array, levels: Sequence[Value], travel: Value) -> Any:
+    """Force of Maxwell-slip elements on their coordinate: `-sum c_i sat(z_i / d_i)` [N m or N].
+
+    Each is a spring that slips at its level. Its deflection follows the motion and is cut to its
+    travel, so it holds at rest what it held before, and winds up anew where the motion turns back.
+
+    Args:
+        z: the internal states, deflections of the elements, (5, ...) [rad or m].
+        levels: c_i, at which they slip [N m or N].
+        travel: d, of the middle element; d_i are `SLIP_TRAVELS` times it [rad or m].
+
+    References:
+        Lampaert, Al-Bender, Swevers (2003), A generalized Maxwell-slip friction model appropriate
+        for control purposes, International Conference on Physics and Control; here without the
+        Stribeck curve of an element.
+    """
+    return -sum(
+        level * jnp.clip(z[i] / (SLIP_TRAVELS[i] * travel), -1.0, 1.0)
+        for i, level in enumerate(levels)
+    )
 
 
 def linear_spring(q: Value, stiffness: Value) -> Any:
@@ -434,6 +452,8 @@ class Law:
             is not added at those that turn around, which have none.
         joins_springs: whether a spring of the system `mechanism` brings it along.
         is_at_input: whether its place is an input instead of a coordinate.
+        is_linear: whether it is the sum of what each of its free parameters multiplies, and follows
+            from the motion alone.
     """
 
     name: str
@@ -442,6 +462,7 @@ class Law:
     needs_limited_travel: bool = False
     joins_springs: bool = False
     is_at_input: bool = False
+    is_linear: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -472,17 +493,26 @@ class Spring(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class ForceWithMemory(Law):
-    """A force with an internal state z.
+    """A force with internal states z: a number, or of several an array.
 
     Attributes:
         rate: the derivative of z, `rate(v, z, *values)`.
         initial: z as it is expected at the beginning of a record, `initial(q, *values)`.
         force: the force on the coordinate, `force(v, z, *values)` [N m or N].
+        states: how many there are; None for z as a number.
+        settle: z as it goes on at a sample, `settle(z, *values)`; None for z itself.
     """
 
     rate: Callable[..., Any]
     initial: Callable[..., Any]
     force: Callable[..., Any]
+    states: int | None = None
+    settle: Callable[..., Any] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedInertia(Law):
+    """An inertia beside those that a system has; its parameter is the inertia."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -570,16 +600,24 @@ _STICKING = ForceParameter("sticking", "c", "{force}", _sticking_forces)
 _PRESLIDING = ForceParameter("presliding", "d", "{position}", _presliding_deflections)
 
 
-_CURVE_WEIGHTS = tuple(
-    ForceParameter(
-        f"curve_{kind}{i}",
-        f"{letter}_{i}",
-        "{force}",
-        _either_sign(lambda m: m.largest_force),
-        prior=lambda m: m.force,
+_CURVE_WEIGHTS, _SLIP_LEVELS = (
+    tuple(
+        ForceParameter(
+            f"{name}_{i}", f"{letter}_{i}", "{force}", _from_zero(lambda m: m.largest_force)
+        )
+        for i in range(1, len(widths) + 1)
     )
-    for kind, letter in (("odd", "a"), ("even", "b"))
-    for i in range(1, len(CURVE_SPEEDS) + 1)
+    for name, letter, widths in (("curve", "a", CURVE_SPEEDS), (SLIP, "c", SLIP_TRAVELS))
+)
+# presliding behind gears and in bearings, whatever the motion [rad or m]
+_SLIP_TRAVEL = ForceParameter(
+    f"{SLIP}_travel", "d", "{position}", lambda m: (1e-3, 1e-5, 1e-1), fixed=True
+)
+_ARMATURE = ForceParameter(
+    "armature",
+    "J",
+    "{force} s^2/{position}",
+    _from_zero(lambda m: m.largest_force * m.travel / m.speed**2),
 )
 _LOAD_SHARE = ForceParameter(
     "load_friction",
@@ -630,6 +668,7 @@ _LAWS: tuple[Law, ...] = (
     ),
     Friction(
         name="stribeck",
+        is_linear=False,
         help="Stribeck friction, `(c + b exp(-(v / v_s)²)) tanh(v / w)` against the motion",
         parameters=(
             _OWN_COULOMB,
@@ -643,10 +682,9 @@ _LAWS: tuple[Law, ...] = (
     ),
     Friction(
         name="curve",
-        help="friction of any dependence on the speed, the sum of `a_i tanh(v / w_i)` and "
-        f"`b_i tanh(v / w_i)²` with `w_i` = {', '.join(f'{x:g}' for x in CURVE_SPEEDS)} times w; "
-        "b_i where it differs by direction",
-        parameters=(*_CURVE_WEIGHTS, _OWN_SMOOTH_SPEED),
+        help="friction that grows with the speed and ever less so, the sum of `a_i tanh(v / w_i)` "
+        f"with `w_i` = {', '.join(f'{x:g}' for x in CURVE_SPEEDS)} times w",
+        parameters=(*_CURVE_WEIGHTS, _SMOOTH_SPEED),
         force=lambda q, v, *values: friction_curve(v, values[:-1], values[-1]),
     ),
     Friction(
@@ -712,6 +750,7 @@ _LAWS: tuple[Law, ...] = (
     ),
     ForceWithMemory(
         name="maxwell",
+        is_linear=False,
         help="spring that relaxes (Maxwell element), `k z` against its deflection z, an internal "
         "state: `dz/dt = v - r z`. At the beginning of a record z is `s q`: s is 0 after a long "
         "rest, 1 where the coordinate was deflected just now",
@@ -733,7 +772,23 @@ _LAWS: tuple[Law, ...] = (
         force=lambda v, z, stiffness, relaxation, share: maxwell_force(z, stiffness),
     ),
     ForceWithMemory(
+        name=SLIP,
+        help="dry friction with a memory (Maxwell-slip), the sum of `c_i sat(z_i / d_i)` against "
+        "the motion: springs that slip, with `d_i` = "
+        f"{', '.join(f'{x:g}' for x in SLIP_TRAVELS)} times d; z_i are their deflections, internal "
+        "states that follow the motion and are cut to d_i",
+        parameters=(*_SLIP_LEVELS, _SLIP_TRAVEL),
+        states=len(SLIP_TRAVELS),
+        rate=lambda v, z, *values: jnp.full_like(z, 1.0) * v,
+        initial=lambda q, *values: jnp.zeros(len(SLIP_TRAVELS), jnp.result_type(q)),
+        force=lambda v, z, *values: slip_force(z, values[:-1], values[-1]),
+        settle=lambda z, *values: jnp.clip(
+            z, *(sign * np.array(SLIP_TRAVELS) * values[-1] for sign in (-1, 1))
+        ),
+    ),
+    ForceWithMemory(
         name="dahl",
+        is_linear=False,
         help="Dahl friction, `c z / d` against the motion; z is the deflection of the surfaces "
         "before they slip, an internal state: `dz/dt = v - abs(v) z / d`",
         parameters=(_STICKING, _PRESLIDING),
@@ -743,6 +798,7 @@ _LAWS: tuple[Law, ...] = (
     ),
     ForceWithMemory(
         name="lugre",
+        is_linear=False,
         help="LuGre friction, `c z / d + e dz/dt` against the motion; z is the deflection of "
         "bristles, an internal state: `dz/dt = v - c abs(v) z / (d g)` with the Stribeck curve "
         "`g = c + b exp(-(v / v_s)²)`",
@@ -769,6 +825,7 @@ _LAWS: tuple[Law, ...] = (
     ),
     ForceWithMemory(
         name="bouc_wen",
+        is_linear=False,
         help="hysteresis (Bouc-Wen), `c z / d` against the motion; z is an internal state, with "
         "`w = z / d`: `dz/dt = v - a abs(v) abs(w)^(n-1) w + (a - 1) v abs(w)^n`",
         parameters=(
@@ -784,8 +841,15 @@ _LAWS: tuple[Law, ...] = (
         initial=_undeflected,
         force=lambda v, z, level, deflection, shape, exponent: bouc_wen_force(z, deflection, level),
     ),
+    AddedInertia(
+        name="armature",
+        help="inertia of a motor, `J a`: of use where a motor turns with several coordinates, as "
+        "`armature:A+B`",
+        parameters=(_ARMATURE,),
+    ),
     ActuatorLag(
         name="lag",
+        is_linear=False,
         help="lag of an actuator: the system is driven by w in the place of the input u, an "
         "internal state: `dw/dt = (u - w) / T`. At the beginning of a record w is `s u`: s is 1 "
         "where the input was there for long, 0 where the actuator begins at rest",

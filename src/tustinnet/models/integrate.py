@@ -78,7 +78,7 @@ class Discretised(FromContinuous):
     def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
         n, h = self.substeps, period / self.substeps
-        model = self.continuous.between_samples(x, input_at(u, 0.0))
+        x, model = self.continuous.between_samples(x, input_at(u, 0.0))
         if self.unrolled:
             for i in range(n):
                 x = runge_kutta_4(model, x, stage_inputs(u, i, n), h)

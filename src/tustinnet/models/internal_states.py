@@ -63,6 +63,7 @@ class Memory:
             `initial(q, v, u, p)`, (n_z,): the effect of the time before. None for 0.
         spread: `spread(p)`, standard deviations from the expected ones, (n_z,). None for 1.
         searched: names of those that an identification searches for where a record begins.
+        settle: `settle(z, p)`, the states as they go on at a sample, (n_z,). None for `z` itself.
     """
 
     names: tuple[str, ...]
@@ -71,6 +72,7 @@ class Memory:
     initial: Callable[..., Any] | None = None
     spread: Callable[[Values], Any] | None = None
     searched: tuple[str, ...] = ()
+    settle: Callable[[Internal, Values], Any] | None = None
 
     def __post_init__(self) -> None:
         for name in self.searched:
@@ -108,6 +110,10 @@ class Memory:
             return jnp.zeros(len(self.names), q.dtype)
         return _call(self.initial, (q, v), u, p).astype(q.dtype)
 
+    def compute_settled(self, z: Internal, p: Values) -> Internal:
+        """The states as they go on at a sample, (n_z,)."""
+        return z if self.settle is None else jnp.asarray(self.settle(z, p), z.dtype)
+
     def compute_spread(self, p: Values) -> Internal:
         """The standard deviations, (n_z,)."""
         return jnp.asarray(self.spread(p) if self.spread else np.ones(len(self.names)))
@@ -138,6 +144,11 @@ class Memory:
             own = self.compute_initial(q, v, given(q, v, others, u, p), p)
             return jnp.concatenate([own, others])
 
+        def settle(z: Any, p: Values) -> Any:
+            return jnp.concatenate(
+                [self.compute_settled(z[:n], p), outer.compute_settled(z[n:], p)]
+            )
+
         both = (self, outer)
         return Memory(
             (*self.names, *outer.names),
@@ -148,6 +159,7 @@ class Memory:
             else None,
             lambda p: jnp.concatenate([memory.compute_spread(p) for memory in both]),
             (*self.searched, *outer.searched),
+            settle if any(memory.settle for memory in both) else None,
         )
 
 

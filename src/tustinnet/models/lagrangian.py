@@ -339,6 +339,7 @@ class LagrangianSystem:
             ("memory force", memory.force, "qvzp", (n,)),
             ("memory initial", memory.initial, "qvp", (n_z,)),
             ("memory spread", memory.spread, "p", (n_z,)),
+            ("memory settle", memory.settle, "zp", (n_z,)),
             ("unmeasured follow", hidden.follow, "xp", (n_h // 2,)),
             ("unmeasured initial", hidden.initial, "xxup", (n_h,)),
             ("unmeasured spread", hidden.spread, "p", (n_h,)),
@@ -542,11 +543,19 @@ class LagrangianModel(ContinuousModel):
                 )
         return _derivative(self, x, u)
 
-    def between_samples(self, x: State, u: InputVector) -> ContinuousModel:
-        """The equations of motion until the next sample: what is sampled is held."""
-        feedback = self.system.feedback
+    def between_samples(self, x: State, u: InputVector) -> tuple[State, ContinuousModel]:
+        """The settled state, and the equations until the next sample: what is sampled is held."""
+        feedback, x = self.system.feedback, self.settled(x)
         is_held = feedback is not None and feedback.is_sampled
-        return _Held(self, self.computed(x, u)) if is_held else self
+        return x, _Held(self, self.computed(x, u)) if is_held else self
+
+    def settled(self, x: State) -> State:
+        """The state as it goes on at a sample, (n_x,): of memory that settles."""
+        memory = self.system.states.memory
+        if memory.settle is None:
+            return x
+        first = len(x) - len(memory.names)
+        return jnp.concatenate([x[:first], memory.compute_settled(x[first:], self.values)])
 
     def computed(self, x: State, w: InputVector) -> Float[Array, " computed"]:
         """What the controller in the loop computes, see `PDFeedback.compute`.

@@ -1,13 +1,18 @@
 """Candidates of a plan that can take part in a selection, and why the others cannot."""
 
 import math
+from collections.abc import Sequence
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.fits.timing import LAG
+from tustinnet.fitting.inverse_dynamics.along import find_obstacle
+from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
+from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
 from tustinnet.fitting.roles import records_without_test
-from tustinnet.fitting.shooting.inverse_dynamics import are_all_driven, find_obstacle
 from tustinnet.fitting.task import resolve_system
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.systems.files import SystemTemplate
@@ -100,13 +105,31 @@ def _inverse_dynamics_problem(context: RunContext) -> str:
     system, records = context.loaded_system, records_without_test(context.data)
     if system is None or isinstance(system, SystemTemplate):
         return "without equations of motion"
-    first = records[0].without_controller()
-    where = f"record '{first.name}'"
     try:
-        system = system.plant.for_channels(first.coordinates, first.inputs, where)
-        system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
+        system = _arranged(system, records)
     except InputError:
         return ""  # what does not fit together is said by every candidate of the system
     if (obstacle := find_obstacle(system, records)) is not None:
         return obstacle.problem
     return "" if are_all_driven(system, records) else "as inputs do not drive every coordinate"
+
+
+def force_cutoff(context: RunContext) -> float | None:
+    """The frequency up to which forces along records are compared [Hz]; None without a system."""
+    system, records = context.loaded_system, records_without_test(context.data)
+    if system is None or isinstance(system, SystemTemplate):
+        return None
+    alone = [e.without_controller() for e in records]
+    return choose_cutoff(_arranged(system, records), alone)
+
+
+def _arranged(system: LagrangianSystem, records: Sequence[Experiment]) -> LagrangianSystem:
+    """The system alone in the channels of records.
+
+    Raises:
+        InputError: records of another system.
+    """
+    first = records[0].without_controller()
+    system = system.plant.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
+    system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
+    return system

@@ -14,8 +14,8 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener
+from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.roles import Roles, records_without_test
-from tustinnet.fitting.shooting.identify import UnfinishedSearchError
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, combine, member_weights
 from tustinnet.selection.folds import FoldSplit

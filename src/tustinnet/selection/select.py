@@ -17,9 +17,8 @@ from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.roles import records_without_test
-from tustinnet.fitting.shooting.inverse_dynamics import choose_cutoff
 from tustinnet.models.contract import require_float64
-from tustinnet.selection.applicability import adds_lag, applicable_candidates
+from tustinnet.selection.applicability import adds_lag, applicable_candidates, force_cutoff
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
@@ -187,7 +186,7 @@ def select_model(
     by_forces = any(c.is_by_forces for c in candidates)
     context = context.with_changes(
         scoring=replace(context.scoring, folds=folds),
-        cutoff=choose_cutoff(records_without_test(context.data)) if by_forces else None,
+        cutoff=force_cutoff(context) if by_forces else None,
     )
     notes = (*prepared.sentences, *before)
     with lock_folder(folder):

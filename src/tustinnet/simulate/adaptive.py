@@ -35,7 +35,7 @@ class Adaptive(FromContinuous):
         """The state a period later, in as many steps as the tolerance needs, see `Discretised`."""
         import diffrax
 
-        model = self.continuous.between_samples(x, input_at(u, 0.0))
+        x, model = self.continuous.between_samples(x, input_at(u, 0.0))
 
         def derivative(t: Any, state: State, model: ContinuousModel) -> State:
             return model.derivative(state, input_at(u, t / period))

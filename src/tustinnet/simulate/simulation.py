@@ -65,15 +65,23 @@ def system_motion(
             u = u[:n_u] + u[n_u:] * delay_changes(system, equations.values, c[n_others:])
         return equations.derivative(x, u)
 
+    is_held = feedback is not None and feedback.is_sampled
     sampled = None
-    if feedback is not None and feedback.is_sampled:
-        sampled = SampledValues(
-            lambda x, u, p, c: model(p, c).computed(x, u), feedback.size + len(feedback.states)
-        )
+    if is_held or system.states.memory.settle is not None:
+
+        def at_sample(x: Array, u: Array, p: Array, c: Array) -> tuple[Array, Array]:
+            equations = model(p, c)
+            x = equations.settled(x)
+            return x, equations.computed(x, u) if is_held else x[:0]
+
+        size = feedback.size + len(feedback.states) if feedback and is_held else 0
+        sampled = SampledValues(at_sample, size)
+
+    def until_next(x: Array, u: Array, p: Array, c: Array, computed: Array) -> Array:
+        return model(p, c).held_derivative(x, u, computed) if is_held else derivative(x, u, p, c)
+
     return Equations(
-        derivative
-        if sampled is None
-        else lambda x, u, p, c, computed: model(p, c).held_derivative(x, u, computed),
+        derivative if sampled is None else until_next,
         n_x=system.channels.measured.stop + len(system.internal),
         n_u=2 * n_u if delays else n_u,
         n_p=len(searched),

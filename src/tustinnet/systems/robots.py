@@ -65,7 +65,6 @@ _STRIBECK_RANGE = 5.0  # factor by which it may differ
 _GEAR = 10.0  # factor by which the stiffness and the play of a gear may differ from what is said
 _LIGHTLY = 0.1  # damping of a gear by that of an oscillation without overshoot, to begin with
 _USUAL_SPEED = 0.99  # share of the samples of a record below its largest speed
-_LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
 
 
 @dataclass(frozen=True)
@@ -895,7 +894,7 @@ class _Assembly:
         ]
         inertia, force = self._scale(k)
         speed = joint.speed
-        width = _SPEED if speed is None else _LARGEST_SPEED_SHARE * speed
+        width = _SPEED
         armature = sum(j.armature * ratio**2 for j, ratio in own)
         viscous = sum(j.viscous * ratio**2 for j, ratio in own)
         coulomb = sum(j.coulomb * ratio for j, ratio in own)
@@ -958,10 +957,10 @@ class _Assembly:
         if "load" in self.friction:
             parameters.append(_weak(f"{name}.load_friction", "1", 0.0, LARGEST_LOAD_SHARE))
         if "curve" in self.friction:
-            parameters += [
-                Parameter(weight, kind, 0.0, -effort, effort, prior=_SHARE * effort)
-                for weight in self._place(LAWS["curve"], k).brought
-            ]
+            *weights, slowest = self._place(LAWS["curve"], k).brought
+            parameters += [Parameter(weight, kind, 0.0, 0.0, effort) for weight in weights]
+            ends = width / 100, 100 * width
+            parameters.append(Parameter(slowest, speed_unit, width, *ends, fixed=True))
         if (stiffness := self.elastic.get(name)) is not None:
             damping = _LIGHTLY * float(np.sqrt(stiffness * parameters[0].nominal))
             parameters += [
@@ -1071,7 +1070,7 @@ class _Assembly:
     def _place(self, law: Law, k: int) -> PlacedForce:
         """A friction at a coordinate."""
         own = (f"{self.free[k]}.coulomb", f"{self.free[k]}.coulomb_speed")
-        return place_force(law, self.free[k], k, own)
+        return place_force(law, self.free[k], ((k, 1.0),), own)
 
     def _springs(self) -> tuple[Spring, ...]:
         return tuple(

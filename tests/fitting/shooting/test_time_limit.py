@@ -9,9 +9,9 @@ from swinging import FAR, SWING, data_set, read_by_encoder, records
 from test_refit import SYSTEM, creeping, recipe
 
 import tustinnet as tn
+from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.listener import Iteration, Listener, SearchProgress, StageResult
 from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.shooting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
 from tustinnet.fitting.task import Member, Task, make_task
 

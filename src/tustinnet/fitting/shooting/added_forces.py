@@ -12,7 +12,7 @@ from tustinnet.data.inspection import rotating_coordinates
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.models.added import WHERE, parse_forces, with_forces
+from tustinnet.models.added import WHERE, PlacedForce, parse_forces, with_forces
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.forces import LAWS, Motion
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -48,11 +48,22 @@ def with_added(
     added = parse_forces(system, _with_coordinates(system, names, experiments))
     if not added:
         return system
+    parameters = force_parameters(system, added, experiments, known)
+    return with_forces(system, tuple(map(str, added)), parameters)
+
+
+def force_parameters(
+    system: LagrangianSystem,
+    added: Sequence[PlacedForce],
+    experiments: Sequence[Experiment],
+    known: Mapping[str, float],
+) -> tuple[Parameter, ...]:
+    """The parameters that forces bring to a system, with ranges by the motion, see `with_added`."""
     values = system.nominal()
     values |= {name: x for name, x in known.items() if name in values}
-    motions = _motions(system, experiments, values)
+    motions = _motions(system, added, experiments, values)
     parameters: dict[str, Parameter] = {}
-    for force in added:
+    for force, motion in zip(added, motions, strict=True):
         if force.law.is_at_input:
             channel = system.inputs[force.index]
             if all(np.ptp(e.u[:, force.index]) == 0 for e in experiments):
@@ -62,10 +73,9 @@ def with_added(
                     "an input that changes",
                     "name those that do, as LAW:INPUT",
                 )
-            made = [need.for_input(channel, motions[0]) for need in force.law.parameters]
+            made = [need.for_input(channel, motion) for need in force.law.parameters]
             parameters |= {p.name: p for p in made}
             continue
-        motion = motions[force.index]
         if not (motion.travel > 0 and motion.speed > 0 and motion.force > 0):
             raise InputError(
                 WHERE,
@@ -74,12 +84,11 @@ def with_added(
                 "name those that do, as LAW:COORDINATE",
             )
         motion = replace(motion, width=values.get(force.own_width))
-        coordinate = system.coordinates[force.index]
+        coordinate = replace(system.coordinates[force.index], name=force.channel)
         every = [need.for_coordinate(coordinate, motion) for need in force.brought.values()]
         parameters |= {p.name: p for p in every}
     # frictions that were added before share some
-    new = tuple(p for name, p in parameters.items() if name not in system.added_parameters)
-    return with_forces(system, tuple(map(str, added)), new)
+    return tuple(p for name, p in parameters.items() if name not in system.added_parameters)
 
 
 def _with_coordinates(
@@ -105,11 +114,15 @@ def _with_coordinates(
 
 
 def _motions(
-    system: LagrangianSystem, experiments: Sequence[Experiment], values: Mapping[str, float]
+    system: LagrangianSystem,
+    added: Sequence[PlacedForce],
+    experiments: Sequence[Experiment],
+    values: Mapping[str, float],
 ) -> list[Motion]:
-    """The motion of every coordinate, and the forces along it.
+    """The motion at the place of every force, and the forces along it.
 
-    These are inertia, the forces of the energies, and the actuators at standstill.
+    These are inertia, the forces of the energies, and the actuators at standstill; of a force at an
+    input those at the first coordinate.
     """
     velocities = [e.velocities() for e in experiments]
     a = [np.gradient(v, e.dt, axis=0) for v, e in zip(velocities, experiments, strict=True)]
@@ -127,12 +140,20 @@ def _motions(
 
     formula = Formula(forces, samples.shape[1], where=f"system '{system.name}'")
     acting = np.split(evaluate(formula, samples), 3, axis=1)
-    force = np.max([_size(x) for x in acting], axis=0)
+    size = np.max([_size(x) for x in acting], axis=0)
     dt, longest = experiments[0].dt, max(e.seconds for e in experiments)
-    sizes = zip(force, _size(q), np.std(q, axis=0), _size(v), strict=True)
-    return [Motion(*map(float, size), dt=dt, longest=longest) for size in sizes]
+    motions = []
+    for force in added:
+        places = ((0, 1.0),) if force.law.is_at_input else force.places
+        along = np.zeros(q.shape[1])
+        for i, factor in places:
+            along[i] = factor
+        of_force = max(float(size[i]) for i, _ in places)
+        position, speed = (float(_size(x @ along)) for x in (q, v))
+        motions.append(Motion(of_force, position, float(np.std(q @ along)), speed, dt, longest))
+    return motions
 
 
-def _size(signal: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
-    """The root mean square of each column."""
+def _size(signal: Float[np.ndarray, "n *c"]) -> Float[np.ndarray | np.float64, " *c"]:
+    """The root mean square of a signal, or of each column."""
     return np.sqrt(np.mean(signal**2, axis=0))

@@ -12,7 +12,7 @@ References:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -91,28 +91,37 @@ class LinearCoordinates:
         values: values of the parameters by name.
 
     Attributes:
-        names: names of the coordinates, (n_p,).
-        units: their units, (n_p,).
-        values: their values, (n_p,).
+        values: values of the coordinates, (n_p,).
         derivatives: derivatives by the free parameters, (n_p, n_p).
     """
 
     def __init__(self, space: SearchSpace, values: Mapping[str, float]) -> None:
-        self.names, self.units = list(space.names), [p.unit for p in space.free_parameters]
+        self._space = space
         self.values = np.array([values[name] for name in space.names])
-        self.derivatives = np.eye(len(self.names))
-        places = {name: i for i, name in enumerate(space.names)}
-        for name in space.names:
-            body, is_mass, group = name.partition(f".{INERTIAL[0]}")
-            own = [places.get(f"{body}.{kind}{group}") for kind in INERTIAL]
-            if not is_mass or None in own:
-                continue
-            columns = [i for i in own if i is not None]
-            standard, derivatives = standard_inertia(self.values[columns])
-            self.values[columns] = standard
-            self.derivatives[np.ix_(columns, columns)] = derivatives
-            for i, (kind, unit) in zip(columns, STANDARD.items(), strict=True):
-                self.names[i], self.units[i] = f"{body}.{kind}{group}", unit
+        self.derivatives = np.eye(len(self.values))
+        if bodies := bodies_of(space.names):
+            columns = np.array([own for _, own in bodies])
+            self.values[columns], derivatives = standard_inertia(self.values[columns])
+            self.derivatives[columns[:, :, None], columns[:, None]] = derivatives
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the coordinates, (n_p,)."""
+        names = list(self._space.names)
+        for group, columns in bodies_of(self._space.names):
+            body = names[columns[0]].partition(f".{INERTIAL[0]}")[0]
+            for i, kind in zip(columns, STANDARD, strict=True):
+                names[i] = f"{body}.{kind}{group}"
+        return names
+
+    @cached_property
+    def units(self) -> list[str]:
+        """Their units, (n_p,)."""
+        units = [p.unit for p in self._space.free_parameters]
+        for _, columns in bodies_of(self._space.names):
+            for i, unit in zip(columns, STANDARD.values(), strict=True):
+                units[i] = unit
+        return units
 
     @cached_property
     def inverse(self) -> Float[np.ndarray, "n_p n_p"]:
@@ -122,6 +131,23 @@ class LinearCoordinates:
     def spread(self, deviations: Float[np.ndarray, " n_p"]) -> Float[np.ndarray, " n_p"]:
         """Standard deviations of the coordinates by independent ones of the free parameters."""
         return np.sqrt(np.sum((self.derivatives * deviations) ** 2, axis=1))
+
+
+@lru_cache(maxsize=64)  # a search asks for those of its parameters at each step
+def bodies_of(names: tuple[str, ...]) -> list[tuple[str, list[int]]]:
+    """Bodies all of whose inertial parameters are among some names.
+
+    Returns:
+        Of each the group of records whose own it is, as `[1kg]`, "" where it is the same in all;
+        and the indices of its parameters, in the order of `INERTIAL`.
+    """
+    places, bodies = {name: i for i, name in enumerate(names)}, []
+    for name in names:
+        body, is_mass, group = name.partition(f".{INERTIAL[0]}")
+        own = [places.get(f"{body}.{kind}{group}") for kind in INERTIAL]
+        if is_mass and None not in own:
+            bodies.append((group, [i for i in own if i is not None]))
+    return bodies
 
 
 def order_of(names: Sequence[str]) -> list[int]:

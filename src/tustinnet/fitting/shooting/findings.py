@@ -4,7 +4,6 @@ Each function describes one thing: why the search ended, signs, horizons, disagr
 corrupted samples, condition, errors. `results` puts them together.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,7 +20,6 @@ from tustinnet.fitting.report import (
 )
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
-from tustinnet.models.added import PlacedForce
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.wording import counted
 
@@ -248,28 +246,40 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
         cutoff: the frequency up to which forces were compared [Hz].
     """
     is_held_out = all(e.held_out is not None for e in errors)
-    shares = [(e.held_out if e.held_out is not None else e.train) / e.size for e in errors]
     listed = ", ".join(
-        f"{e.coordinate} {100 * share:.3g} % ({share * e.size:.3g} {e.unit})"
-        for e, share in zip(errors, shares, strict=True)
+        f"{e.coordinate} {100 * e.share:.3g} % "
+        f"({e.held_out if e.held_out is not None else e.train:.3g} {e.unit})"
+        for e in errors
     )
     where = "the validation records" if is_held_out else "the training records"
-    return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}"
+    means = (
+        f"{100 * np.mean([getattr(e, name) for e in errors]):.3g} % {words}"
+        for name, words in (
+            ("share", "on the mean"),
+            ("moving", "while they move"),
+            ("by_least_squares", "by least squares alone"),
+            ("by_file", "by the first values"),
+        )
+    )
+    return (
+        f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}; {', '.join(means)}"
+    )
 
 
-def describe_curves(curves: Sequence[PlacedForce], added: Sequence[str]) -> list[str]:
-    """Sentence on the coordinates whose missing forces depend on their speeds.
+def describe_trials(trials: Sequence[tuple[str, float, float, bool]]) -> list[str]:
+    """Sentence on forces that were tried, by what they explain of forces that were left out.
 
     Args:
-        curves: friction curves that explain them.
-        added: the names of the forces that were added to the system, which the recipe keeps.
+        trials: of each its name, the share that was missing before and with it, and whether it is
+            kept.
     """
-    names = ", ".join(curve.channel for curve in curves)
-    forces = json.dumps([*added, *map(str, curves)])
-    return [
-        f"most of the force that is missing at {names} depends on the speed there: friction of "
-        f"another form; it is found with `changes=` 'model.forces={forces}'"
-    ]
+    if not trials:
+        return []
+    listed = (
+        f"{name} {'kept' if is_kept else 'not kept'} ({100 * before:.3g} % to {100 * after:.3g} %)"
+        for name, before, after, is_kept in trials
+    )
+    return [f"forces tried, by what is missing of those that were left out: {', '.join(listed)}"]
 
 
 def describe_informed(

@@ -64,6 +64,11 @@ class SearchSpace:
         """Upper bounds of the vector."""
         return self.to_vector({p.name: p.upper for p in self.free_parameters})
 
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Nominal values of the free parameters by name."""
+        return {p.name: p.nominal for p in self.free_parameters}
+
     def to_vector(self, values: Mapping[str, float]) -> ParameterVector:
         """Vector that stands for values by name; names of other parameters are ignored."""
         return np.array(

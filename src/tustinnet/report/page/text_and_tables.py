@@ -263,13 +263,14 @@ def forces_table(results: Sequence[ModelResult]) -> Table | None:
     for result in results:
         identification = result.reported.header.get("identification") or {}
         for e in identification.get("force_errors", ()):
-            shares = [
-                None if e[k] is None else 100 * e[k] / e["size"] for k in ("train", "held_out")
-            ]
-            cells = ["–" if share is None else number(share) for share in shares]
+            held_out = e["held_out"] and e["held_out"] / e["size_held_out"]
+            shares = (e["train"] / e["size"], held_out, e["moving"])
+            shares = (*shares, e["by_least_squares"], e["by_file"])
+            cells = ["–" if share is None else number(100 * share) for share in shares]
             size, unit = number(e["size"]), e["unit"]
             rows.append([result.reported.label, e["coordinate"], f"{size} {unit}", *cells])
     columns = ["model", "coordinate", "actuator's force", "missing, train [%]", "validation [%]"]
+    columns += ["while it moves [%]", "by least squares alone [%]", "by first values [%]"]
     title = "Root mean square of the forces that a motion needs and the actuators do not give"
     return Table(columns, rows, title) if rows else None
 

@@ -17,21 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.engines import evaluate
-from tustinnet.engine.equations import Formula
-from tustinnet.fitting.report import ForceError, Identification
-from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
-from tustinnet.fitting.shooting.inverse_dynamics import (
-    Prior,
-    choose_cutoff,
-    filter_record,
-    force_slopes,
-    forces_along,
-    missing_forces,
-    with_parameters,
-    without_gains,
-)
-from tustinnet.fitting.shooting.problem import Problem, SearchState
+from tustinnet.fitting.inverse_dynamics.along import filter_record
+from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
+from tustinnet.fitting.inverse_dynamics.solver import Prior, solve_in_box
+from tustinnet.fitting.report import ForceError
+from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
+from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -50,27 +41,6 @@ _SAME_UNIT = 0.3  # relative; a factor this near to one of a unit
 _FAR_ANGLE, _FAR_LENGTH = 3.0, 8.0
 _MISTAKES = 3  # that are looked for one after the other
 _RECORDS, _SECONDS = 4, 20.0  # that are enough to tell, and their length
-_PASSES = 30  # of the search for parameters within their bounds
-
-
-class _Geometry(NamedTuple):
-    """Sums along the records whose positions have a change: what the forces there need.
-
-    The missing force of joint k is `constant + derivatives by the parameters - columns of forces`.
-
-    Attributes:
-        matrices: products of derivatives of each joint, (n, n_p, n_p).
-        by_constant: derivatives times the constant part, (n, n_p).
-        by_column: derivatives times each column of forces, (n, n, n_p).
-        constant: sums of squares of the constant part, (n,).
-        cross: constant part times each column, (n, n).
-    """
-
-    matrices: Float[np.ndarray, "n n_p n_p"]
-    by_constant: Float[np.ndarray, "n n_p"]
-    by_column: Float[np.ndarray, "n n n_p"]
-    constant: Float[np.ndarray, " n"]
-    cross: Float[np.ndarray, "n n"]
 
 
 @dataclass(frozen=True)
@@ -116,30 +86,25 @@ class _Outcome(NamedTuple):
         return float(np.mean(np.minimum(self.shares, 2.0) ** 2))
 
 
-def with_column_mistakes(
-    identification: Identification, problem: Problem, state: SearchState
-) -> Identification:
-    """An identification whose findings name columns that are probably mistaken.
-
-    Nothing is added where forces are explained.
+def describe_column_mistakes(
+    problem: Problem, space: SearchSpace, errors: Sequence[ForceError], cutoff: float
+) -> list[str]:
+    """Sentences on columns that are probably mistaken; none where forces are explained.
 
     Args:
-        identification: the result of `identify_by_inverse_dynamics`.
-        problem: the problem.
-        state: the state before the search.
+        problem: the problem of the system alone.
+        space: the parameters.
+        errors: what is missing of the forces.
+        cutoff: frequency up to which forces are compared [Hz].
     """
-    poor = [e for e in identification.force_errors if e.size and e.train > _MUCH * e.size]
-    if not poor:
-        return identification
-    if _describe_far_positions(problem.plant.system, problem.plant.records):
-        return identification  # which says it already
-    state = without_gains(problem, state)
-    comparison = _Comparison(problem.plant, state.space)
-    sentences = comparison.find_mistakes()
-    if not sentences:
-        driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
-        sentences = _describe_poor([e for e in poor if e.coordinate in driven])
-    return replace(identification, findings=(*identification.findings, *sentences))
+    poor = [e for e in errors if e.size and e.train > _MUCH * e.size]
+    if not poor or _describe_far_positions(problem.system, problem.records):
+        return []  # the latter says it already
+    comparison = _Comparison(problem, space, cutoff)
+    if sentences := comparison.find_mistakes():
+        return sentences
+    driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
+    return _describe_poor([e for e in poor if e.coordinate in driven])
 
 
 def describe_beyond_limits(
@@ -230,33 +195,25 @@ class _Comparison:
     Args:
         problem: the problem of the system alone.
         space: the parameters.
+        cutoff: frequency up to which forces are compared [Hz].
     """
 
-    def __init__(self, problem: Problem, space: SearchSpace) -> None:
+    def __init__(self, problem: Problem, space: SearchSpace, cutoff: float) -> None:
         self.problem, self.space, self.prior = problem, space, Prior(space)
         self.names = [c.name for c in problem.system.coordinates]
         self.kinds = [c.kind for c in problem.system.coordinates]
         self.n = len(self.names)
-        cutoff = problem.search.cutoff or choose_cutoff(problem.records)
         records = sorted(problem.records, key=len, reverse=True)[:_RECORDS]
         records = [e[: max(2, int(_SECONDS / len(records) / e.dt))] for e in records]
-        self.parts = [filter_record(e, cutoff) for e in records]
-        self.equations: SystemEquations = system_equations(problem.system, space.names)
-        self.formula: Formula = missing_forces(self.equations)
-        self.values = space.to_values(self.prior.centre)
+        self.parts = tuple(filter_record(e, cutoff) for e in records)
+        recorded = LinearForces(problem.system, space, self.parts).columns(self.prior.centre)
         # what the recorded inputs put on the coordinates
-        self.forces = [
-            forces_along(self.formula, self.equations, [part], self.values).applied
-            for part in self.parts
-        ]
-        products = [part.weight * f.T @ f for part, f in zip(self.parts, self.forces, strict=True)]
-        self.products = np.sum(products, axis=0)
-        self.weight = sum(
-            part.weight * len(f) for part, f in zip(self.parts, self.forces, strict=True)
-        )
+        self.forces = [own.applied for own in recorded]
+        self.products = sum(own.weight * own.applied.T @ own.applied for own in recorded)
+        self.weight = sum(own.weight * len(own.applied) for own in recorded)
         self.driven = np.diag(self.products) > 0
         self.spans = np.ptp(np.concatenate([e.q for e in records]), axis=0)
-        self.geometries: dict[object, _Geometry] = {}
+        self.products_by_geometry: dict[object, Float[np.ndarray, "n m m"]] = {}
 
     def find_mistakes(self) -> list[str]:
         """Sentences on mistakes, one after the other as long as each explains clearly more."""
@@ -335,87 +292,61 @@ class _Comparison:
             yield replace(current, kind="positions", joints=(i, j), order=tuple(order))
             yield replace(current, kind="both", joints=(i, j), order=tuple(order), columns=rows)
 
-    def _geometry(self, change: _Change) -> _Geometry:
-        """The sums along the records with their positions changed, computed once for each."""
-        if (computed := self.geometries.get(change.geometry)) is not None:
+    def _products(self, change: _Change) -> Float[np.ndarray, "n m m"]:
+        """Products of the columns of each joint with its positions changed, once for each.
+
+        The columns are the derivatives of its missing force, the recorded forces, and what the
+        motion needs with the nominal values.
+        """
+        if (computed := self.products_by_geometry.get(change.geometry)) is not None:
             return computed
-        centre, n, n_p = self.prior.centre, self.n, len(self.prior.centre)
-        sums = _Geometry(
-            np.zeros((n, n_p, n_p)),
-            np.zeros((n, n_p)),
-            np.zeros((n, n, n_p)),
-            np.zeros(n),
-            np.zeros((n, n)),
-        )
-        for part, forces in zip(self.parts, self.forces, strict=True):
-            moved = part.points.copy()
-            for block in range(3):
-                own = part.points[:, block * n : (block + 1) * n]
-                moved[:, block * n : (block + 1) * n] = own[:, change.order] * change.factors
-            changed = part._replace(points=moved)
-            points = with_parameters(self.equations, changed, self.values)
-            points[:, 3 * n : 3 * n + len(self.problem.system.inputs)] = 0.0
-            constant, w = part.compare(evaluate(self.formula, points)), part.weight
-            slopes = force_slopes(
-                self.formula, self.equations, self.problem, self.space, part, points, centre
+        centre, order = self.prior.centre, [*change.order]
+        changed = tuple(
+            part._replace(
+                **{name: getattr(part, name)[:, order] * change.factors for name in ("q", "v", "a")}
             )
-            sums.matrices[:] += w * np.einsum("tkp,tkq->kpq", slopes, slopes, optimize=True)
-            sums.by_constant[:] += w * np.einsum("tkp,tk->kp", slopes, constant)
-            sums.by_column[:] += w * np.einsum("tkp,tj->kjp", slopes, forces, optimize=True)
-            sums.constant[:] += w * np.sum(constant**2, axis=0)
-            sums.cross[:] += w * constant.T @ forces
-        self.geometries[change.geometry] = sums
-        return sums
+            for part in self.parts
+        )
+        point = LinearCoordinates(self.space, self.space.to_values(centre))
+        by_vector = point.derivatives * self.space.derivatives(centre)
+        columns = LinearForces(self.problem.system, self.space, changed).columns(centre)
+        products = 0.0
+        for own, forces in zip(columns, self.forces, strict=True):
+            needed = own.slopes @ point.values + own.rest + own.applied
+            every = np.broadcast_to(forces[:, None], (len(forces), self.n, self.n))
+            rows = np.concatenate([own.slopes @ by_vector, every, needed[..., None]], axis=2)
+            products = products + own.weight * np.einsum("tki,tkj->kij", rows, rows, optimize=True)
+        self.products_by_geometry[change.geometry] = products = np.asarray(products)
+        return products
 
     def _explain(self, change: _Change) -> _Outcome:
         """The missing forces under a change, with the parameters and the factor that suit it."""
-        sums, n_p = self._geometry(change), len(self.prior.centre)
-        columns, free = np.array(change.columns), [*change.free]
-        is_free = np.zeros(self.n, bool)
-        is_free[free] = True
-        # residual of joint k: constant + slopes x - own - gain factor
-        own, factor = (np.where(mask[:, None], columns, 0.0) for mask in (~is_free, is_free))
-        unit = self._units(sums, columns, is_free)
-        gradient = np.concatenate(
-            [
-                np.einsum(
-                    "k,kp->p", unit, sums.by_constant - np.einsum("kj,kjp->kp", own, sums.by_column)
-                ),
-                [-float(unit @ np.sum(factor * sums.cross, axis=1))] if free else [],
-            ]
-        )
-        matrix = np.zeros((len(gradient), len(gradient)))
-        matrix[:n_p, :n_p] = np.einsum("k,kpq->pq", unit, sums.matrices)
-        matrix[:n_p, :n_p] += np.diag(1 / self.prior.spread**2)
-        if free:
-            edge = -np.einsum("k,kj,kjp->p", unit, factor, sums.by_column)
-            matrix[:n_p, -1] = matrix[-1, :n_p] = edge
-            matrix[-1, -1] = float(unit @ np.einsum("ki,ij,kj->k", factor, self.products, factor))
+        products, n, n_p = self._products(change), self.n, len(self.prior.centre)
+        columns, is_free = np.array(change.columns), np.zeros(n, bool)
+        is_free[[*change.free]] = True
+        n_x = n_p + bool(change.free)
+        # from parameters, the factor and 1 to what multiplies the columns of each joint
+        used = np.zeros((n, n_p + n + 1, n_x + 1))
+        used[:, range(n_p), range(n_p)] = used[:, -1, -1] = 1.0
+        for k in range(n):
+            used[k, n_p:-1, n_p if is_free[k] else -1] -= columns[k]
+        by_joint = used.transpose(0, 2, 1) @ products @ used
+        recorded = np.einsum("ki,ij,kj->k", columns, self.products, columns)
+        # joints weigh by the actuators' forces, of an unknown factor by what the file says
+        size = np.where(is_free | ~self.driven, products[:, -1, -1], recorded)
+        matrix = np.einsum("k,kij->ij", self.weight / np.maximum(size, 1e-12), by_joint)
+        curvature = matrix[:-1, :-1].copy()
+        curvature[:n_p, :n_p] += self.prior.at(self.prior.centre)[2]
         lower, upper = (
-            np.append(ends - self.prior.centre, [end] * (len(gradient) - n_p))
+            np.append(ends - self.prior.centre, [end] * (n_x - n_p))
             for ends, end in ((self.space.lower, -np.inf), (self.space.upper, np.inf))
         )
-        x = _solve_in_box(matrix, gradient, lower, upper)
-        gain = float(x[-1]) if free else 1.0
-        used, x = own + gain * factor, x[:n_p]
-        squares = (
-            sums.constant
-            + 2 * sums.by_constant @ x
-            + np.einsum("p,kpq,q->k", x, sums.matrices, x)
-            - 2 * np.sum(used * (sums.cross + np.einsum("kjp,p->kj", sums.by_column, x)), axis=1)
-            + np.einsum("ki,ij,kj->k", used, self.products, used)
-        )
-        sizes = np.einsum("ki,ij,kj->k", used, self.products, used)
-        shares = np.sqrt(np.maximum(squares, 0.0) / np.maximum(sizes, 1e-300))
+        x = solve_in_box(curvature, matrix[:-1, -1], lower, upper)
+        gain = float(x[-1]) if change.free else 1.0
+        point = np.append(x, 1.0)
+        squares = np.maximum(np.einsum("i,kij,j->k", point, by_joint, point), 0.0)
+        shares = np.sqrt(squares / np.maximum(recorded * np.where(is_free, gain**2, 1), 1e-300))
         return _Outcome(np.where(self.driven, shares, 0.0), gain)
-
-    def _units(
-        self, sums: _Geometry, columns: Float[np.ndarray, "n n"], is_free: np.ndarray
-    ) -> Float[np.ndarray, " n"]:
-        """Weights of the joints' squares: by the actuators' forces, of unknown ones by the file."""
-        recorded = np.einsum("ki,ij,kj->k", columns, self.products, columns)
-        size = np.where(is_free | ~self.driven, sums.constant, recorded)
-        return self.weight / np.maximum(size, 1e-12)
 
     def _describe(
         self, best: _Change, alike: Sequence[_Change], before: _Outcome, after: _Outcome
@@ -479,32 +410,3 @@ def _unit_of(gain: float) -> str:
     if gain > 1:
         return "the torque of a motor before a gear, or a current? scale in the card"
     return "another unit, or a gear? scale in the card"
-
-
-def _solve_in_box(
-    matrix: Float[np.ndarray, "m m"],
-    gradient: Float[np.ndarray, " m"],
-    lower: Float[np.ndarray, " m"],
-    upper: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"]:
-    """The least of a quadratic form within bounds, by active sets.
-
-    Args:
-        matrix: second derivatives, positive definite.
-        gradient: first derivatives at 0.
-        lower: lower bounds.
-        upper: upper bounds.
-    """
-    x, at_bound = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
-    for _ in range(_PASSES):
-        free = ~at_bound
-        target = -gradient[free] - matrix[np.ix_(free, at_bound)] @ x[at_bound]
-        x[free] = np.linalg.solve(matrix[np.ix_(free, free)], target)
-        beyond = (x < lower) | (x > upper)
-        x = np.clip(x, lower, upper)
-        slope = matrix @ x + gradient
-        inwards = at_bound & (((x <= lower) & (slope < 0)) | ((x >= upper) & (slope > 0)))
-        if not beyond.any() and not inwards.any():
-            break
-        at_bound = (at_bound & ~inwards) | beyond
-    return x

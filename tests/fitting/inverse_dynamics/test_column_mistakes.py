@@ -9,7 +9,7 @@ import pytest
 from robot_twins import record_in_loop, true_values
 
 import tustinnet as tn
-from tustinnet.fitting.shooting.column_mistakes import describe_beyond_limits
+from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_beyond_limits
 from tustinnet.models.lagrangian import LagrangianSystem
 
 LINK = """<link name="{0}"><inertial><origin xyz="{1} 0 0.01"/><mass value="{2}"/>
@@ -54,8 +54,7 @@ def mistaken(
 
 def sentences(data: tn.DataSet, system: LagrangianSystem) -> list[str]:
     """The findings about columns of a fit."""
-    recipe = tn.read_recipe("inverse-dynamics", ["search.iterations=4"])
-    findings = tn.identify(data, system, recipe).findings
+    findings = tn.identify(data, system, "inverse-dynamics").findings
     words = ("reversed", "exchanged", "times what", "look at the columns", "as degrees")
     return [s for s in findings if any(word in s for word in words)]
 

@@ -11,9 +11,9 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
-from tustinnet.fitting.shooting.inverse_dynamics import filter_record
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.forces import LAWS
 from tustinnet.signals.low_pass import low_pass
@@ -98,34 +98,20 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich = tn.identify(data, robot, "inverse-dynamics")
     plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
-    # it is suggested where it helps, as the command has it
-    (sentence,) = [s for s in plain.findings if "depends on the speed" in s]
-    assert "missing at shoulder" in sentence
-    (forces,) = re.findall("`changes=` '(.*)'", sentence)
-    assert forces.startswith('model.forces=["curve:shoulder", "curve:')
-    by_recipe = tn.read_recipe("inverse-dynamics", [forces])
-    curve = tn.identify(data, tn.load_system(SCARA), by_recipe)
-    assert not [s for s in curve.findings if "depends on the speed" in s]
-    assert curve.system.parameter("shoulder.curve_odd1").prior is not None
-    by_option = tn.identify(data, tn.load_robot(SCARA, friction=("curve",)), "inverse-dynamics")
-    assert not [s for s in by_option.findings if "depends on the speed" in s]
     # friction that is missing casts no doubt on columns
     assert not [s for s in plain.findings if "probably" in s or "explain the motion" in s]
-    intervals = {e.name: e.interval for e in rich.estimates}
+    intervals, inside = {e.name: e.interval for e in rich.estimates}, []
     for joint in ("shoulder", "elbow"):
-        missing, by_curve, without = (
-            next(e.held_out for e in result.force_errors if e.coordinate == joint)
-            for result in (rich, curve, plain)
+        missing, without = (
+            next(e.share for e in result.force_errors if e.coordinate == joint)
+            for result in (rich, plain)
         )
-        assert missing is not None
-        assert by_curve is not None
-        assert without is not None
         assert missing < 0.67 * without
-        assert by_curve < 0.67 * without
         for kind in ("coulomb", "breakaway", "stribeck_speed"):
             interval = intervals[name := f"{joint}.{kind}"]
             assert interval is not None
-            assert interval[0] < true[name] < interval[1]
+            inside.append(interval[0] < true[name] < interval[1])
+    assert sum(inside) >= 5  # of six, at 95 %
     # gravity acts along the slide alone, where it does not change: nothing tells it from Coulomb's
     for joint in ("shoulder", "elbow", "roll"):
         assert intervals[f"{joint}.load_friction"] is None
@@ -139,9 +125,9 @@ def test_a_model_that_was_stopped_on_its_way_is_none(system, twin):
             system,
             "inverse-dynamics",
             on_iteration=steps.append,
-            should_stop=lambda: len(steps) == 2,
+            should_stop=lambda: True,
         )
-    assert len(steps) == 2
+    assert not steps
 
 
 def test_no_record_is_kept_from_the_fit_to_choose_something():
@@ -167,8 +153,8 @@ def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, t
     assert result.horizon == pytest.approx(6 * 0.05)
 
 
-def test_friction_that_is_explained_needs_no_curve(result):
-    assert not [s for s in result.findings if "depends on the speed" in s]
+def test_friction_that_is_explained_needs_no_other(result):
+    assert not result.system.added
 
 
 def test_a_held_input_is_compared_as_the_steps_that_it_is():
@@ -185,7 +171,7 @@ def test_a_held_input_is_compared_as_the_steps_that_it_is():
     steps = low_pass(np.repeat(u, fine, axis=0), dt / fine, cutoff)
     # a sample is where one step ends and the next begins
     between = (steps[fine::fine] + steps[fine - 1 : -1 : fine]) / 2
-    filtered = low_pass(part.points[:, 3:], dt, cutoff)[1:]
+    filtered = low_pass(part.u, dt, cutoff)[1:]
     middle = slice(20, -20)
     error = np.std((filtered - between)[middle]) / np.std(between[middle])
     assert error < 0.003
@@ -193,8 +179,8 @@ def test_a_held_input_is_compared_as_the_steps_that_it_is():
 
 def test_a_filtered_sample_counts_by_the_band_that_is_left(twin):
     part = filter_record(twin[0], 5.0)
-    compared = part.compare(np.random.default_rng(0).normal(size=(len(part.points), 1)))
-    independent = 2 * 0.9 * 5.0 * len(part.points) * part.dt
+    compared = part.compare(np.random.default_rng(0).normal(size=(len(part.q), 1)))
+    independent = 2 * 0.9 * 5.0 * len(part.q) * part.dt
     assert part.weight * len(compared) == pytest.approx(independent, rel=0.15)
 
 
@@ -239,22 +225,25 @@ def test_what_records_know_nothing_of_stays_at_the_files_value(result, system):
     kept = system.nominal()
     for name in ("inner_arm.center_z", "inner_arm.spread_xz", "spindle.spread_xy"):
         assert result.values[name] == pytest.approx(kept[name], abs=1e-6)
-    assert "22 combinations of the 56 parameters change the forces" in result.findings[1]
-    assert "inner_arm.spread_z" in result.findings[1]
+    (count,) = [s for s in result.findings if "combinations" in s]
+    assert "22 combinations of the 56 parameters change the forces" in count
+    assert "inner_arm.spread_z" in count
 
 
 def test_a_search_by_simulation_begins_at_its_values(result, twin, system):
     """Over short horizons, as the robot was held by its controller."""
     assert result.horizons
-    assert result.validation_rmse is not None
-    assert result.validation_rmse < 0.005
+    assert result.validation_rmse is None  # nothing was simulated
     nominal = system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
     as_in_the_file = replace(result.model, continuous=nominal)
     horizon = min(result.horizons.values())
-    scores = tn.evaluate(
-        as_in_the_file, list(twin.split("validation")), result.start, horizon=horizon
+    records = list(twin.split("validation"))
+    identified, before = (
+        tn.mean_rmse(tn.evaluate(model, records, result.start, horizon=horizon))
+        for model in (result.model, as_in_the_file)
     )
-    assert tn.mean_rmse(scores) > 3 * result.validation_rmse
+    assert identified < 0.005
+    assert before > 3 * identified
 
 
 def test_keys_without_an_effect_are_refused(twin, system):
@@ -266,6 +255,8 @@ def test_keys_without_an_effect_are_refused(twin, system):
             tn.read_recipe("inverse-dynamics", [change])
     with pytest.raises(InputError, match="`cutoff` does nothing with method 'levenberg-marquardt'"):
         tn.read_recipe("grey", ["search.cutoff=5"])
+    with pytest.raises(InputError, match="`candidates` does nothing with method 'levenberg-"):
+        tn.read_recipe("grey", ['search.candidates=["slip"]'])
     with pytest.raises(InputError, match=r"record 'run0': 800 samples, .* leaves"):
         tn.identify(twin, system, tn.read_recipe("inverse-dynamics", ["search.cutoff=0.1"]))
     assert "maxwell" in LAWS

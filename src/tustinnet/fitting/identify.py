@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from tustinnet.channels import Channels, Input
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
+from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_beyond_limits
+from tustinnet.fitting.inverse_dynamics.identification import identify_by_inverse_dynamics
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
@@ -22,17 +24,12 @@ from tustinnet.fitting.shooting.checks import (
     require_mass_matrix,
     require_refit_possible,
 )
-from tustinnet.fitting.shooting.column_mistakes import (
-    describe_beyond_limits,
-    with_column_mistakes,
-)
 from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
     estimate_by_equation_error,
     find_reversed_signs,
 )
 from tustinnet.fitting.shooting.groups import expand_values
-from tustinnet.fitting.shooting.inverse_dynamics import identify_by_inverse_dynamics
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
@@ -88,7 +85,6 @@ def identify_task(
         identification = identify_by_inverse_dynamics(problem, initial_state)
         if identification is None:
             raise _unfinished_search(problem)
-        identification = with_column_mistakes(identification, problem, initial_state)
         return _make_fit_result(task, member, identification, start_time)
     kept, state = drop_unneeded_terms(problem, initial_state)
     problem = replace(problem, system=kept.system)
@@ -229,7 +225,8 @@ def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> Searc
     values = {name: jnp.asarray(x, jnp.float64) for name, x in space.to_values(vector).items()}
     for model, rows in batches(system.model(values), problem.records):
         batch = [problem.records[i] for i in rows]
-        require_mass_matrix(model, batch)
+        if not problem.search.is_by_forces:  # which may find the inertia that a file lacks
+            require_mass_matrix(model, batch)
         require_finite_terms(model, batch)
     horizons = problem.recipe_horizons or {}
     return SearchState(space, vector, horizons=horizons, remarks=problem.remarks)

@@ -1,0 +1,1 @@
+"""Parameters by the forces along a measured motion; nothing is simulated."""

@@ -1,0 +1,124 @@
+"""The frequency up to which forces along records are compared.
+
+It is that up to which a fit explains half of the power of the actuators' forces in records that it
+was not fitted to. Statistics of positions alone are fooled by stamps that jitter, whose noise is
+not white.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.fitting.inverse_dynamics.along import HIGHEST, SAMPLES, filter_record
+from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
+from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of, solve
+from tustinnet.fitting.inverse_dynamics.sums import fold_pieces, sum_up
+from tustinnet.fitting.shooting.groups import expand_parameters
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace, make_search_space
+from tustinnet.models.lagrangian import LagrangianSystem
+
+_POWER = 0.99  # of the positions, within the band of the motion
+_BANDS = 10.0  # of it, with which the search begins
+_ROUNDS = 3
+_FURTHER = 4.0  # times the cut-off so far, up to which each looks
+_BINS = 24
+_EXPLAINED = 0.5  # share of the power that must be
+_BAND = 3.0  # cut-off frequency by the highest frequency of a designed motion
+
+
+def choose_cutoff(
+    system: LagrangianSystem,
+    records: Sequence[Experiment],
+    space: SearchSpace | None = None,
+    vector: ParameterVector | None = None,
+) -> float:
+    """The frequency up to which forces along records are compared [Hz].
+
+    Args:
+        system: the system, without a controller in the loop.
+        records: the records.
+        space: the search space; by default that of all parameters that are not fixed.
+        vector: values about which forces are linear; by default the nominal ones.
+    """
+    if space is None:
+        space = make_search_space(system, {}, {}, expand_parameters(system, records))
+    if vector is None:
+        vector = space.to_vector(space.nominal)
+    cutoff, prior = _BANDS * _motion_band(records), Prior(space)
+    limit = HIGHEST / records[0].dt
+    for _ in range(_ROUNDS):
+        highest = min(_FURTHER * cutoff, limit)
+        parts = tuple(filter_record(e, highest) for e in records)
+        columns = LinearForces(system, space, parts).columns(vector)
+        pieces = [
+            (own[piece], part.step * part.dt)
+            for own, part in zip(columns, parts, strict=True)
+            for piece in fold_pieces(own, len(columns))
+        ]
+        edges = np.linspace(0.0, highest, _BINS + 1)
+        power = np.zeros((2, len(system.coordinates), _BINS))
+        for half in (0, 1):
+            sums = sum_up([piece for piece, _ in pieces[1 - half :: 2]])
+            found = coordinates_of(space, solve(sums, prior, vector).vector)
+            for piece, period in pieces[half::2]:
+                missing = piece.slopes @ found + piece.rest
+                power = power + _power(np.stack([missing, piece.applied]), period, edges)
+        missing, applied = power
+        share = np.median(missing / np.maximum(applied, 1e-300), axis=0)
+        smooth = np.convolve(share, np.ones(3) / 3, mode="valid")
+        beyond = np.flatnonzero(smooth > 1 - _EXPLAINED) + 1
+        cutoff = max(float(edges[beyond[0]]) if len(beyond) else highest, cutoff / 2)
+    return min(cutoff, limit)
+
+
+def cutoff_for(band: float, dt: float) -> float:
+    """The frequency up to which forces of a designed motion can be compared [Hz].
+
+    Args:
+        band: highest frequency of the motion [Hz].
+        dt: sampling period [s].
+    """
+    return min(_BAND * band, HIGHEST / dt)
+
+
+def compared_samples(seconds: float, cutoff: float) -> float:
+    """The number of nearly independent samples of forces that a record has.
+
+    Args:
+        seconds: length of the record [s].
+        cutoff: frequency up to which forces are compared [Hz].
+    """
+    return SAMPLES * cutoff * seconds
+
+
+def _motion_band(records: Sequence[Experiment]) -> float:
+    """The frequency below which positions have most of their power, in the middle of joints [Hz].
+
+    Of records of several lengths the highest counts.
+    """
+    bands = []
+    for e in records:
+        spread = e.q.std(axis=0)
+        moving = spread > 0
+        if not moving.any():
+            continue
+        scaled = (e.q[:, moving] - e.q[:, moving].mean(axis=0)) / spread[moving]
+        power = np.cumsum(np.abs(np.fft.rfft(scaled, axis=0)) ** 2, axis=0)
+        bins = [np.searchsorted(p, _POWER * p[-1]) for p in power.T]
+        bands.append(float(np.median(bins)) / (len(e) * e.dt))
+    return max(bands)
+
+
+def _power(
+    signals: Float[np.ndarray, "2 k n_q"], dt: float, edges: Float[np.ndarray, " e"]
+) -> Float[np.ndarray, "2 n_q b"]:
+    """Power of signals by bands of frequency."""
+    window = np.hanning(signals.shape[1])[:, None]
+    spectrum = np.abs(np.fft.rfft(window * (signals - signals.mean(axis=1, keepdims=True)), axis=1))
+    bins = np.digitize(np.fft.rfftfreq(signals.shape[1], dt), edges) - 1
+    power = np.zeros((2, signals.shape[2], len(edges)))
+    for b in range(len(edges)):
+        power[:, :, b] = np.sum(spectrum[:, bins == b] ** 2, axis=1)
+    return power[..., :-1]

@@ -1,0 +1,659 @@
+"""Identification by inverse dynamics: parameters by least squares on the forces of a motion.
+
+Nothing is simulated, so feedback in the loop does not matter: positions are filtered and
+differentiated, and the parameters are those whose equations of motion ask for the measured forces.
+`identify_by_inverse_dynamics` takes the problem and the state to start from, and returns the
+`Identification`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import scipy.special
+from jaxtyping import Bool, Float
+
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.fitting.inverse_dynamics.along import ForcesAlong, filter_record, require_possible
+from tustinnet.fitting.inverse_dynamics.candidates import Choice, Trial, choose_forces
+from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_column_mistakes
+from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
+from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces, levels_of
+from tustinnet.fitting.inverse_dynamics.solver import (
+    Prior,
+    Solution,
+    force_matrix,
+    solve,
+)
+from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, rest_speeds, sum_up
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
+from tustinnet.fitting.shooting import findings
+from tustinnet.fitting.shooting.base_parameters import (
+    LinearCoordinates,
+    find_combinations,
+    order_of,
+)
+from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.shooting.problem import (
+    Problem,
+    SearchState,
+    make_model,
+    report_step,
+)
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
+from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS, INFORMED
+from tustinnet.models.added import PlacedForce, with_forces
+from tustinnet.models.chains import CENTER, INERTIAL
+from tustinnet.models.forces import SLIP, SLIP_TRAVELS
+from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+
+STAGE = "inverse dynamics"
+
+_LINEARISED = 10  # times that forces are made linear anew, at most
+_CONVERGED = 1e-2  # decrease of the cost, in squares of standard deviations
+_HALVINGS = 10  # of a step
+_QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
+_POSES = 3  # in which it is looked which coordinates the inputs drive
+_RANK = 1e-6  # of inputs' directions, below which one is a combination of others
+_LEAST_SQUARES = 1e-12  # of the largest singular value, below which nothing is told
+_TOLD = 1e-9  # of what all folds tell of a parameter, below which one knows nothing of it
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Forces with the parameters that explain them best.
+
+    Attributes:
+        forces: the forces.
+        solution: the parameters.
+        columns: the forces of each record, linear about these parameters.
+        sums: their sums of squares.
+        is_converged: whether forces made linear anew would change nothing.
+    """
+
+    forces: LinearForces
+    solution: Solution
+    columns: list[Columns]
+    sums: ForceSums
+    is_converged: bool
+
+
+class _Errors(NamedTuple):
+    """Errors of the estimates, NaN of those at a bound.
+
+    Intervals are the larger of two: of the noise of the residuals, and of how records disagree.
+
+    Attributes:
+        noise: covariance by the noise of the residuals, (n_p, n_p).
+        between: covariance by how the records disagree, as wide as normal errors whose intervals
+            are those of so many records; None where too few can be left out.
+    """
+
+    noise: Float[np.ndarray, "n_p n_p"]
+    between: Float[np.ndarray, "n_p n_p"] | None
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "n_p n_p"]:
+        """Covariance of normal errors with these intervals."""
+        if self.between is None:
+            return self.noise
+        with np.errstate(invalid="ignore"):
+            # rank is at most the number of records: in other directions the noise has to say it
+            scale = np.sqrt(np.maximum(np.diag(self.between) / np.diag(self.noise), 1.0))
+        return self.noise * np.outer(scale, scale)
+
+    def deviation(self, row: Float[np.ndarray, " n_p"]) -> float:
+        """Standard deviation of a combination of the estimates."""
+        some = np.flatnonzero(row)
+        kept, place = row[some], np.ix_(some, some)
+        matrices = [m for m in (self.noise, self.between) if m is not None]
+        return float(np.sqrt(max(kept @ matrix[place] @ kept for matrix in matrices)))
+
+
+def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification | None:
+    """Identifies the parameters of a problem by the forces along the records' motion.
+
+    Every joint is weighed by what it leaves at the end, moving and at rest apart. The file's
+    inertia of a link counts as ten measurements, the prior of any other parameter as one, so
+    directions that the records know nothing of stay there. Of a closed loop the system alone is
+    identified, by what its controller computed as recorded.
+
+    Args:
+        problem: the problem.
+        state: the initial values.
+
+    Returns:
+        None where it was stopped before it had values.
+
+    Raises:
+        InputError: what `find_obstacle` finds, a record that is too short, or a force that is not
+            finite.
+
+    References:
+        Gautier, Khalil (1990), Direct calculation of minimum set of inertial parameters of serial
+        robots. Swevers, Verdonck, De Schutter (2007), Dynamic model identification for industrial
+        robots, IEEE Control Systems 27(5).
+    """
+    closed_loop, problem = problem, problem.plant
+    require_possible(problem.system, closed_loop.records)
+    state = without_gains(closed_loop, state)
+    if problem.should_stop():
+        return None
+    cutoff = problem.search.cutoff or choose_cutoff(
+        problem.system, problem.records, state.space, state.vector
+    )
+    parts = tuple(filter_record(e, cutoff) for e in problem.records)
+    number = 0
+
+    def report(fit: _Fit) -> None:
+        nonlocal number
+        number += fit.solution.steps
+        report_step(problem, state, STAGE, "", number, fit.solution.cost, 0.0, True)
+
+    plain = LinearForces(problem.system, state.space, parts)
+    fit = plain_fit = _fit(plain, state.vector, None, problem.should_stop, report)
+    trials, is_stopped = (), not fit.is_converged and problem.should_stop()
+    if problem.search.candidates and not problem.should_stop():
+        choice = choose_forces(
+            plain,
+            fit.solution.vector,
+            fit.columns,
+            problem.search.candidates,
+            problem.should_stop,
+        )
+        trials, is_stopped = choice.trials, problem.should_stop()
+        if choice.forces.beside:
+            forces, vector = _without_idle(choice)
+            alone = fit.columns if fit.is_converged else None
+            fit = _fit(forces, vector, alone, problem.should_stop, report)
+    forces = fit.forces
+    names = tuple(map(str, forces.beside))
+    closed_loop = replace(
+        closed_loop, system=with_forces(closed_loop.system, names, forces.brought)
+    )
+    state = replace(state, space=forces.space, vector=fit.solution.vector)
+    return _make_identification(
+        closed_loop, state, _Result(fit, plain_fit, trials, number, is_stopped)
+    )
+
+
+class _Result(NamedTuple):
+    """What a search has found.
+
+    Attributes:
+        fit: the forces with what was added to them.
+        plain: the forces of the system itself.
+        trials: forces that were tried.
+        steps: Newton steps.
+        is_stopped: whether the time ended before the search did.
+    """
+
+    fit: _Fit
+    plain: _Fit
+    trials: tuple[Trial, ...]
+    steps: int
+    is_stopped: bool
+
+
+def _fit(
+    forces: LinearForces,
+    vector: ParameterVector,
+    alone: Sequence[Columns] | None,
+    should_stop: Callable[[], bool],
+    report: Callable[[_Fit], None],
+) -> _Fit:
+    """Forces fitted to the records, made linear anew until that changes nothing.
+
+    Args:
+        forces: the forces.
+        vector: first values.
+        alone: the forces of the system alone about these, where they are known.
+        should_stop: asked before forces are made linear anew.
+        report: called with each fit.
+    """
+    prior, missing = Prior(forces.space), forces.missing(vector)
+    for number in range(1, _LINEARISED + 1):
+        columns = forces.columns(vector, alone)
+        if not all(
+            np.isfinite(own.rest).all() and np.isfinite(own.slopes).all() for own in columns
+        ):
+            where, found = f"system '{forces.system.name}'", "forces that are not finite"
+            raise InputError(where, f"{found} along the records", "numbers")
+        sums = sum_up(columns)
+        solution = solve(sums, prior, vector)
+        unit = np.sqrt(solution.variances.mean(axis=1))
+        before, after = _cost(missing, unit, prior, vector), np.inf
+        found = solution.vector
+        # where forces are far from linear a whole step may go too far
+        for _ in range(_HALVINGS):
+            missing = forces.missing(found)
+            if (after := _cost(missing, unit, prior, found)) < before + _CONVERGED:
+                break
+            found = vector + (found - vector) / 2
+        is_converged = bool(before - after < _CONVERGED)
+        fit = _Fit(forces, solution._replace(vector=found), columns, sums, is_converged)
+        report(fit)
+        if is_converged or number == _LINEARISED or should_stop():
+            return fit
+        vector = found
+    raise AssertionError
+
+
+def _cost(
+    missing: Sequence[Float[np.ndarray, "k n_q"]],
+    unit: Float[np.ndarray, " n_q"],
+    prior: Prior,
+    vector: ParameterVector,
+) -> float:
+    """Half the sum of squares of missing forces by their sizes, and the prior's."""
+    return sum(float(np.sum((own / unit) ** 2)) for own in missing) / 2 + prior.at(vector)[0]
+
+
+def _without_idle(choice: Choice) -> tuple[LinearForces, ParameterVector]:
+    """The forces of a choice without those that give nothing, and their parameters."""
+    forces, values = choice.forces, choice.forces.space.to_values_in_range(choice.vector)
+    idle = [f for f in forces.beside if not any(values[name] for name in levels_of(f))]
+    kept = forces.without(idle)
+    places = [forces.space.names.index(name) for name in kept.space.names]
+    return kept, choice.vector[places]
+
+
+def without_gains(problem: Problem, state: SearchState) -> SearchState:
+    """A state in which the gains of a controller are fixed: no force of the system tells them."""
+    if problem.system.feedback is None:
+        return state
+    values = state.space.to_values(state.vector)
+    gains = problem.system.nominal().keys() - problem.system.plant.nominal().keys()
+    space = state.space.fixing({n: values[n] for n in state.space.names if n in gains})
+    return replace(state, space=space, vector=space.to_vector(values))
+
+
+def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> bool:
+    """Whether the inputs of a system drive all of its coordinates, each by itself.
+
+    With its nominal values, at rest where records begin.
+
+    Args:
+        system: the system, without a controller in the loop.
+        records: records of it.
+    """
+    n, n_u = len(system.coordinates), len(system.inputs)
+    if system.input_map is None or n_u < n:
+        return False
+    drive, values = jax.jacobian(system.input_map, argnums=2), system.nominal()
+    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u), values) for e in records[:_POSES]])
+    if not np.isfinite(gains).all():
+        return False
+    # their units differ: compared are the directions of the inputs' forces
+    sizes = np.linalg.norm(gains, axis=1, keepdims=True)
+    ranks = np.linalg.matrix_rank(gains / np.where(sizes > 0, sizes, 1.0), tol=_RANK)
+    return int(ranks.max()) == n
+
+
+def unexplained_forces(
+    model: LagrangianModel, records: Sequence[Experiment], cutoff: float
+) -> dict[str, float]:
+    """The force at each coordinate that a model does not explain, as a share of the inputs' force.
+
+    Both are root mean squares along the records. Without an actuator at a coordinate it is a share
+    of the force that the motion needs.
+
+    Args:
+        model: equations of motion to which `find_obstacle` finds no obstacle.
+        records: records that were not fitted to.
+        cutoff: frequency up to which forces are compared [Hz].
+
+    Raises:
+        InputError: a record that is too short.
+    """
+    system = model.system.plant
+    values = {name: float(x) for name, x in model.values.items()}
+    equations = system_equations(system)
+    along = [
+        ForcesAlong(equations, filter_record(e.without_controller(), cutoff), values)
+        for e in records
+    ]
+    missing = np.concatenate([own.missing(values) for own in along])
+    needed = np.concatenate([own.needed(values) for own in along])
+    applied = root_mean_square(needed - missing)
+    size = np.where(applied > 0, applied, np.maximum(root_mean_square(needed), 1e-12))
+    shares = root_mean_square(missing) / size
+    return {c.name: float(x) for c, x in zip(system.coordinates, shares, strict=True)}
+
+
+def root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
+    """The root mean square of each column."""
+    return np.sqrt(np.mean(forces**2, axis=0))
+
+
+def _make_identification(
+    closed_loop: Problem, state: SearchState, result: _Result
+) -> Identification:
+    """The result, with errors of parameters and of forces.
+
+    Forces are those of the system alone; simulated is the closed loop, if there is one.
+    """
+    problem, fit, space = closed_loop.plant, result.fit, state.space
+    records, prior, vector = problem.records, Prior(space), state.vector
+    cutoff = fit.forces.parts[0].cutoff
+    parameter_errors = _errors(fit, prior)
+    covariance = parameter_errors.covariance
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(deviations, deviations)
+    # values in range that a simulation can begin with, and its period's steps
+    # nothing is searched for by simulation, so nothing is differentiated
+    fixed = space.fixing(space.to_values_in_range(vector))
+    state = replace(state, space=fixed, vector=fixed.to_vector({}))
+    state = choose_substeps(closed_loop, update_horizons(closed_loop, state))
+    model = make_model(closed_loop, state)
+    horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
+    errors = _force_errors(result, problem.validation)
+    informed = deviations < INFORMED * prior.spread
+    estimates = _estimates(vector, space, deviations, informed)
+    base_parameters = _estimate_base_parameters(fit, prior, parameter_errors)
+    sentences = [
+        *state.remarks,
+        findings.describe_forces(errors, cutoff),
+        *findings.describe_trials(result.trials),
+        *findings.describe_informed(space.names, informed, len(base_parameters)),
+        *_describe_slip(fit.forces.beside, space.to_values_in_range(vector), problem.system),
+        *findings.describe_bounds(
+            [e for e in estimates if e.name not in {p.name for p in fit.forces.brought}],
+            np.inf,
+            problem.system,
+        ),
+        *_describe_carried(space, vector, parameter_errors),
+        *describe_column_mistakes(
+            replace(problem, system=result.plain.forces.system),
+            result.plain.forces.space,
+            errors,
+            cutoff,
+        ),
+    ]
+    matrix = _matrices(fit)[1].sum(axis=0) + prior.at(vector)[2]
+    eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
+    size = np.array([e.size for e in errors])
+    missing = fit.forces.missing(vector)
+    by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in missing]
+    outcome = f"{result.steps} steps of inverse dynamics"
+    return Identification(
+        system=closed_loop.system,
+        model=model,
+        estimates=estimates,
+        fixed=dict(space.fixed_values),
+        correlation=correlation,
+        condition=float(np.sqrt(eigenvalues[-1] / eigenvalues[0])),
+        converged=fit.is_converged,
+        outcome=(
+            findings.describe_stop(replace(state, is_stopped=True))
+            if result.is_stopped
+            else f"{'converged' if fit.is_converged else 'not converged'} after {outcome}"
+        ),
+        reversed_signs=(),
+        findings=tuple(sentences),
+        trust="residuals" if parameter_errors.between is None else "records",
+        rmse={e.name: x for e, x in zip(records, by_record, strict=True)},
+        autocorrelation=(),
+        disagreements=(),
+        initial="not simulated",
+        initial_states={},
+        start=closed_loop.default_start.name,
+        horizons=horizons,
+        validation_rmse=None,
+        substeps=model.substeps,
+        iterations=result.steps,
+        force_errors=tuple(errors),
+        base_parameters=base_parameters,
+    )
+
+
+def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[ForceError]:
+    """The force that is missing at each coordinate, beside that of trivial references."""
+    fit, plain = result.fit, result.plain
+    columns, vector = fit.columns, fit.solution.vector
+    slow, missing = rest_speeds(columns), fit.forces.missing(vector)
+    train, size = root_mean_square(np.concatenate(missing)), _sizes(columns)
+    judged, references, held_out, size_held_out = columns, plain.forces, None, None
+    if validation:
+        own = fit.forces.of_records(validation)
+        references, missing = plain.forces.of_records(validation), own.missing(vector)
+        judged = references.columns(plain.solution.vector)
+        held_out, size_held_out = root_mean_square(np.concatenate(missing)), _sizes(judged)
+    applied, left = (np.concatenate(x) for x in ([own.applied for own in judged], missing))
+    moving = np.concatenate([own.speed for own in judged]) >= slow
+    nominal = references.space.to_vector(references.space.nominal)
+    by_file = np.concatenate(references.missing(nominal))
+    found = _least_squares(plain)
+    by_least_squares = np.concatenate(
+        [own.slopes[:, :, : len(found)] @ found + own.rest for own in judged]
+    )
+
+    def share(missing: np.ndarray, k: int, kept: np.ndarray | slice = slice(None)) -> float:
+        of = applied if applied[:, k].any() else applied + left
+        return float(np.linalg.norm(missing[kept, k]) / max(np.linalg.norm(of[kept, k]), 1e-300))
+
+    return [
+        ForceError(
+            coordinate=c.name,
+            unit="N m" if c.kind == "angular" else "N",
+            size=float(size[k]),
+            train=float(train[k]),
+            held_out=None if held_out is None else float(held_out[k]),
+            size_held_out=None if size_held_out is None else float(size_held_out[k]),
+            moving=share(left, k, moving[:, k]),
+            by_file=share(by_file, k),
+            by_least_squares=share(by_least_squares, k),
+        )
+        for k, c in enumerate(fit.forces.system.coordinates)
+    ]
+
+
+def _least_squares(plain: _Fit) -> Float[np.ndarray, " n_c"]:
+    """The linear coordinates of a system by least squares alone: no prior, no ranges."""
+    (matrices,), variances = plain.sums.total.matrices, plain.solution.variances
+    weights = 1 / variances.mean(axis=1, keepdims=True)
+    matrix = np.einsum("jr,jrkl->kl", np.broadcast_to(weights, variances.shape), matrices)
+    size = np.sqrt(np.diag(matrix)[:-1])
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _LEAST_SQUARES, True)
+    return -scale * (inverse @ (scale * matrix[:-1, -1]))
+
+
+def _sizes(columns: Sequence[Columns]) -> Float[np.ndarray, " n_q"]:
+    """Root mean square of the actuators' forces; without an actuator that of the needed ones."""
+    applied, rest = (
+        root_mean_square(np.concatenate(x))
+        for x in ([c.applied for c in columns], [c.rest for c in columns])
+    )
+    return np.where(applied > 0, applied, np.maximum(rest, 1e-12))
+
+
+def _matrices(
+    fit: _Fit,
+) -> tuple[Float[np.ndarray, "f n_p"], Float[np.ndarray, "f n_p n_p"]]:
+    """Derivatives of half the weighted squares of each fold by the vector, first and second."""
+    weights, space, vector = 1 / fit.solution.variances, fit.forces.space, fit.solution.vector
+    by_fold = np.einsum("jr,fjrkl->fkl", weights, fit.sums.matrices)
+    point = LinearCoordinates(space, space.to_values(vector))
+    parts = [force_matrix(matrix, space, vector, point)[1:] for matrix in by_fold]
+    gradients, matrices = zip(*parts, strict=True)
+    return np.stack(gradients), np.stack(matrices)
+
+
+def _errors(fit: _Fit, prior: Prior) -> _Errors:
+    """Errors of the estimates by the noise, and by the jackknife over folds.
+
+    A fold that alone tells something of a parameter, as the only record of a group does, is not
+    left out.
+    """
+    space, vector = fit.forces.space, fit.solution.vector
+    inside, n_p = space.inside(vector), len(vector)
+    both = np.ix_(inside, inside)
+    gradients, matrices = _matrices(fit)
+    precision = prior.at(vector)[2][both]
+    whole = matrices.sum(axis=0)[both]
+    noise = np.full((n_p, n_p), np.nan)
+    noise[both] = inverse = np.linalg.inv(whole + precision)
+    told = np.diag(whole)
+    left_out = [
+        k for k, own in enumerate(matrices) if np.all(told - np.diag(own[both]) >= _TOLD * told)
+    ]
+    if (n := len(left_out)) < FEWEST_RECORDS:
+        return _Errors(noise, None)
+    steps = np.stack(
+        [
+            np.linalg.solve(whole + precision - matrices[k][both], gradients[k][inside])
+            for k in left_out
+        ]
+    )
+    steps -= steps.mean(axis=0)
+    clustered = (n - 1) / n * steps.T @ steps + inverse @ precision @ inverse
+    wider = scipy.special.stdtrit(n - 1, (1 + CONFIDENCE) / 2) / _QUANTILE
+    between = np.full((n_p, n_p), np.nan)
+    between[both] = wider**2 * clustered
+    return _Errors(noise, between)
+
+
+def _estimate_base_parameters(
+    fit: _Fit, prior: Prior, errors: _Errors
+) -> tuple[BaseParameterEstimate, ...]:
+    """Estimates of the base parameters, in the order of the parameters that they are named after.
+
+    Args:
+        fit: the estimates.
+        prior: the priors.
+        errors: their errors; parameters at a bound count as exact.
+    """
+    space, vector = fit.forces.space, fit.solution.vector
+    scale, inside = space.derivatives(vector), space.inside(vector)
+    coordinates = LinearCoordinates(space, space.to_values_in_range(vector))
+    names, spread = coordinates.names, coordinates.spread(scale * prior.spread)
+    by_coordinate = (
+        np.concatenate([own.slopes for own in fit.columns]) / _sizes(fit.columns)[:, None]
+    )
+    by_coordinate = by_coordinate.reshape(-1, len(names))
+    combinations = find_combinations(by_coordinate, spread, order_of(names))
+    estimates = []
+    for row, pivot in sorted(enumerate(combinations.pivots), key=lambda pair: pair[1]):
+        terms = combinations.terms(row, spread)
+        factors = np.zeros(len(names))
+        factors[[pivot, *terms]] = combinations.factors[row, [pivot, *terms]]
+        value = float(factors @ coordinates.values)
+        gradient = np.where(inside, factors @ coordinates.derivatives * scale, 0.0)
+        half = _QUANTILE * errors.deviation(gradient)
+        estimates.append(
+            BaseParameterEstimate(
+                names[pivot],
+                coordinates.units[pivot],
+                {names[i]: float(factors[i]) for i in terms},
+                value,
+                (value - half, value + half) if gradient.any() else None,
+            )
+        )
+    return tuple(estimates)
+
+
+def _describe_slip(
+    beside: Sequence[PlacedForce], values: Mapping[str, float], system: LagrangianSystem
+) -> list[str]:
+    """Sentence on dry friction with a memory: what it holds, and how far it winds up."""
+    listed = []
+    for force in beside:
+        if force.law.name != SLIP:
+            continue
+        levels = np.array([values[name] for name in levels_of(force)])
+        travels = values[f"{force.channel}.{SLIP}_travel"] * np.array(SLIP_TRAVELS)
+        is_linear = system.coordinates[force.index].kind == "linear"
+        listed.append(
+            f"{force.channel} up to {levels.sum():.3g} {'N' if is_linear else 'N m'}, within "
+            f"{1e3 * travels[levels > 0].max():.3g} {'mm' if is_linear else 'mrad'}"
+        )
+    return [f"dry friction holds at rest: {'; '.join(listed)}"] if listed else []
+
+
+def _describe_carried(space: SearchSpace, vector: ParameterVector, errors: _Errors) -> list[str]:
+    """Sentences on what links carry in groups of records beside what they do in the lightest one.
+
+    The error of a mass is that of the difference: most of what is not known of a link is the same
+    in all groups.
+    """
+    values = space.to_values_in_range(vector)
+    slopes = np.abs(space.derivatives(vector))
+    groups: dict[str, list[str]] = {}  # by link, the ends of its names: "[1kg]"
+    for name in space.names:
+        link, is_mass, group = name.partition(f".{INERTIAL[0]}[")
+        if is_mass:
+            groups.setdefault(link, []).append(f"[{group}")
+    sentences = []
+    for link, ends in groups.items():
+        lightest = min(ends, key=lambda end: values[f"{link}.mass{end}"])
+        less = values[f"{link}.mass{lightest}"]
+        for end in ends:
+            if end == lightest:
+                continue
+            own = values[f"{link}.mass{end}"]
+            mass = own - less
+
+            def half(slope: Mapping[str, float]) -> float:
+                """Half the interval of a quantity with these derivatives."""
+                row = np.zeros(len(space.names))
+                for name, value in slope.items():
+                    row[space.names.index(name)] = value
+                return _QUANTILE * errors.deviation(row * slopes)
+
+            width = half({f"{link}.mass{end}": 1.0, f"{link}.mass{lightest}": -1.0})
+            centers = []
+            for c in CENTER:
+                there, here = values[f"{link}.{c}{end}"], values[f"{link}.{c}{lightest}"]
+                center = (own * there - less * here) / mass
+                error = half(
+                    {
+                        f"{link}.mass{end}": (there - center) / mass,
+                        f"{link}.{c}{end}": own / mass,
+                        f"{link}.mass{lightest}": (center - here) / mass,
+                        f"{link}.{c}{lightest}": -less / mass,
+                    }
+                )
+                centers.append(f"{center:.3g} ± {error:.2g}")
+            sentences.append(
+                f"'{link}' carries {mass:.4g} ± {width:.2g} kg (95 %) more in records of "
+                f"{end[1:-1]} than in those of {lightest[1:-1]}, centre at {', '.join(centers)} m"
+            )
+    return sentences
+
+
+def _estimates(
+    vector: ParameterVector,
+    space: SearchSpace,
+    deviations: Float[np.ndarray, " n_p"],
+    informed: Bool[np.ndarray, " n_p"],
+) -> tuple[Estimate, ...]:
+    """Estimates of the free parameters, with errors and intervals of those not at a bound."""
+    bounds, values = space.active_bounds(vector), space.to_values_in_range(vector)
+    derivatives, lower, upper = space.derivatives(vector), space.lower, space.upper
+    estimates = []
+    for i, p in enumerate(space.free_parameters):
+        has_error = p.name not in bounds and bool(np.isfinite(deviations[i]))
+        error, half = deviations[i] * abs(derivatives[i]), _QUANTILE * deviations[i]
+        edges = np.clip([vector[i] - half, vector[i] + half], lower[i], upper[i])
+        interval = np.exp(edges) if p.positive else edges * derivatives[i]
+        estimates.append(
+            Estimate(
+                name=p.name,
+                unit=p.unit,
+                value=values[p.name],
+                error=float(error) if has_error else None,
+                naive_error=float(error) if has_error else None,
+                interval=(float(interval[0]), float(interval[1])) if has_error else None,
+                lower=p.lower,
+                upper=p.upper,
+                bound=bounds.get(p.name, ""),
+                is_informed=bool(informed[i]) or p.name in bounds,
+            )
+        )
+    return tuple(estimates)

@@ -1,0 +1,229 @@
+"""The least-squares problem of forces: convex in inertias, with a prior, within ranges.
+
+`solve` weighs the joints by what they leave, moving and at rest apart, and for each set of weights
+takes Newton steps within the ranges of the parameters.
+
+References:
+    Lee, Wensing, Park (2020), Geometric robot dynamic identification: a convex programming
+    approach, IEEE Transactions on Robotics 36(2): the log-det divergence of pseudo-inertias.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Float
+
+from tustinnet.fitting.inverse_dynamics.sums import ForceSums
+from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+
+_REWEIGHTINGS = 4
+_STEPS = 50  # of Newton's method for each set of weights, at most
+_CONVERGED = 1e-6  # decrease of the cost, in squares of standard deviations
+_HALVINGS = 30
+_PASSES = 30  # of the search for the parameters that are at a bound
+_MEASUREMENTS = 10.0  # that the file's inertia of a link counts as
+_REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
+_LEAST = 1e-9  # of a force, below which nothing is told apart
+
+
+class Prior:
+    """Priors in the coordinates of a search, about the nominal values.
+
+    A link whose ten inertial parameters are free is kept near the file's by the log-det divergence
+    of its pseudo-inertia, so it stays one that can be built. Any other parameter has its own
+    standard deviation; without one half of its range.
+
+    Args:
+        space: the search space.
+    """
+
+    def __init__(self, space: SearchSpace) -> None:
+        self.space, free = space, space.free_parameters
+        self.centre = space.to_vector({p.name: p.nominal for p in free})
+        priors = np.array([p.prior or np.inf for p in free]) / space.derivatives(self.centre)
+        self.precision = 1 / np.minimum(priors, (space.upper - space.lower) / 2) ** 2
+        # what is carried in groups of records is not what the file says
+        self.bodies = [c for group, c in bodies_of(space.names) if not group]
+        for columns in self.bodies:
+            self.precision[columns] = 0.0
+        nominal = LinearCoordinates(space, space.to_values(self.centre)).values
+        self._nominal = [np.linalg.inv(_pseudo_inertia(nominal[c])) for c in self.bodies]
+        self.spread = np.sqrt(np.diag(np.linalg.inv(self.at(self.centre)[2])))
+
+    def at(
+        self, vector: ParameterVector, point: LinearCoordinates | None = None
+    ) -> tuple[float, ParameterVector, Float[np.ndarray, "n_p n_p"]]:
+        """Half the sum of squares at a vector, its derivative and second derivatives.
+
+        Args:
+            vector: the vector.
+            point: its linear coordinates, where they are known.
+        """
+        away = vector - self.centre
+        cost, gradient = float(away @ (self.precision * away)) / 2, self.precision * away
+        matrix = np.diag(self.precision)
+        if not self.bodies:
+            return cost, gradient, matrix
+        point = point or LinearCoordinates(self.space, self.space.to_values(vector))
+        by_vector = point.derivatives * self.space.derivatives(vector)
+        for columns, nominal in zip(self.bodies, self._nominal, strict=True):
+            inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
+            ratio = nominal @ _pseudo_inertia(point.values[columns])
+            cost += _MEASUREMENTS * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
+            own, turned = by_vector[np.ix_(columns, columns)], inverse @ _BASIS
+            slope = np.einsum("ab,kba->k", nominal - inverse, _BASIS)
+            gradient[columns] += _MEASUREMENTS * own.T @ slope
+            curvature = np.einsum("kab,lba->kl", turned, turned)
+            matrix[np.ix_(columns, columns)] += _MEASUREMENTS * own.T @ curvature @ own
+        return cost, gradient, matrix
+
+
+class Solution(NamedTuple):
+    """The parameters that explain forces best, and how well each joint is explained.
+
+    Attributes:
+        vector: the parameters.
+        variances: mean squares of what is missing at each joint, moving and at rest, by which the
+            joints were weighed, (n_q, 2).
+        steps: Newton steps.
+        cost: half the sum of squares by these, the prior's included.
+    """
+
+    vector: ParameterVector
+    variances: Float[np.ndarray, "n_q 2"]
+    steps: int
+    cost: float
+
+
+def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
+    """The parameters that explain the forces of all folds best.
+
+    Args:
+        sums: sums of squares in the linear coordinates of the prior's space.
+        prior: the priors.
+        start: first values.
+    """
+    total, space = sums.total, prior.space
+    (matrices,), (counts,), (applied,) = total.matrices, total.counts, total.applied
+    size = applied.sum(axis=1) + matrices[..., -1, -1].sum(axis=1)
+    least = _LEAST**2 * size / np.maximum(counts.sum(axis=1), 1)
+    vector, steps, cost, variances = start, 0, 0.0, np.zeros_like(counts)
+    for _ in range(_REWEIGHTINGS):
+        (left,) = total.squares(coordinates_of(space, vector))
+        mean = np.maximum(left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1), least)
+        variances = np.maximum(left / np.maximum(counts, 1), _REST_SHARE * mean[:, None])
+        matrix = np.einsum("jr,jrkl->kl", 1 / variances, matrices)
+        vector, cost, more = _minimise(matrix, prior, vector)
+        steps += more
+    return Solution(vector, variances, steps, cost)
+
+
+def left_out_squares(
+    sums: ForceSums, prior: Prior, start: ParameterVector
+) -> Float[np.ndarray, "f n_q"]:
+    """Sums of squares of the missing forces of each fold by a fit to the others."""
+    folds, squares = np.arange(len(sums.counts)), []
+    for f in folds:
+        vector = solve(sums.of_folds(folds != f), prior, start).vector
+        own = sums.of_folds(folds == f).squares(coordinates_of(prior.space, vector))
+        squares.append(own[0].sum(axis=1))
+    return np.stack(squares)
+
+
+def coordinates_of(space: SearchSpace, vector: ParameterVector) -> Float[np.ndarray, " n_c"]:
+    """The linear coordinates of a vector."""
+    return LinearCoordinates(space, space.to_values(vector)).values
+
+
+def force_matrix(
+    matrix: Float[np.ndarray, "n n"],
+    space: SearchSpace,
+    vector: ParameterVector,
+    point: LinearCoordinates,
+) -> tuple[float, ParameterVector, Float[np.ndarray, "n_p n_p"]]:
+    """Half of a quadratic form of the coordinates and 1, with derivatives by a vector.
+
+    The second derivatives are those of Gauss and Newton.
+    """
+    y = np.append(point.values, 1.0)
+    slope, by_vector = matrix @ y, point.derivatives * space.derivatives(vector)
+    return (
+        float(y @ slope) / 2,
+        by_vector.T @ slope[:-1],
+        by_vector.T @ matrix[:-1, :-1] @ by_vector,
+    )
+
+
+def _minimise(
+    matrix: Float[np.ndarray, "n n"], prior: Prior, vector: ParameterVector
+) -> tuple[ParameterVector, float, int]:
+    """The vector of the lowest cost within the ranges, the cost, and the number of steps."""
+    space = prior.space
+
+    def at(vector: ParameterVector) -> tuple[float, ParameterVector, np.ndarray]:
+        point = LinearCoordinates(space, space.to_values(vector))
+        of_forces, of_prior = force_matrix(matrix, space, vector, point), prior.at(vector, point)
+        return tuple(a + b for a, b in zip(of_forces, of_prior, strict=True))  # pyright: ignore
+
+    lower, upper = space.lower, space.upper
+    cost, gradient, curvature = at(vector)
+    for number in range(_STEPS):
+        step = solve_in_box(curvature, gradient, lower - vector, upper - vector)
+        if -(gradient @ step + step @ curvature @ step / 2) < _CONVERGED:
+            return vector, cost, number
+        for _ in range(_HALVINGS):
+            trial = np.clip(vector + step, lower, upper)
+            if (reached := at(trial))[0] <= cost:
+                break
+            step = step / 2
+        else:
+            return vector, cost, number
+        vector, (cost, gradient, curvature) = trial, reached
+    return vector, cost, _STEPS
+
+
+def solve_in_box(
+    matrix: Float[np.ndarray, "m m"],
+    gradient: Float[np.ndarray, " m"],
+    lower: Float[np.ndarray, " m"],
+    upper: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """The least of a quadratic form within bounds, by exchanging those that are at a bound.
+
+    Args:
+        matrix: second derivatives, positive definite.
+        gradient: first derivatives at 0.
+        lower: lower bounds.
+        upper: upper bounds.
+    """
+    x, at_bound = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
+    for _ in range(_PASSES):
+        free = ~at_bound
+        target = -gradient[free] - matrix[np.ix_(free, at_bound)] @ x[at_bound]
+        x[free] = np.linalg.solve(matrix[np.ix_(free, free)], target)
+        beyond = (x < lower) | (x > upper)
+        x = np.clip(x, lower, upper)
+        slope = matrix @ x + gradient
+        inwards = at_bound & (((x <= lower) & (slope < 0)) | ((x >= upper) & (slope > 0)))
+        if not beyond.any() and not inwards.any():
+            return x
+        at_bound = (at_bound & ~inwards) | beyond
+    # exchanging several at a time may go round in a circle; one at a time never does
+    scale = np.sqrt(np.diag(matrix))
+    triangle = np.linalg.cholesky(matrix / np.outer(scale, scale)).T
+    right = -np.linalg.solve(triangle.T, gradient / scale)
+    ends = lower * scale, upper * scale
+    return np.asarray(scipy.optimize.lsq_linear(triangle, right, ends, method="bvls").x) / scale
+
+
+def _pseudo_inertia(p: Float[np.ndarray, " 10"]) -> Float[np.ndarray, "4 4"]:
+    """Second moments of the mass of a body by its standard parameters, see `STANDARD`."""
+    mass, moment, (xx, yy, zz, xy, xz, yz) = p[0], p[1:4], p[4:]
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    second = np.trace(tensor) / 2 * np.eye(3) - tensor
+    return np.block([[second, moment[:, None]], [moment[None], mass]])
+
+
+_BASIS = np.stack([_pseudo_inertia(row) for row in np.eye(10)])
