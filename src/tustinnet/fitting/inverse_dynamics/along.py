@@ -175,7 +175,7 @@ def _follows_motion(system: LagrangianSystem) -> bool:
 def remember(
     memory: Memory, values: Mapping[str, float], part: FilteredRecord
 ) -> Float[np.ndarray, "n n_z"]:
-    """Internal states along a motion from 0 on, those that follow from it alone, (n, n_z)."""
+    """Internal states along a motion, those that follow from it alone, 0 at first, (n, n_z)."""
     if not memory.names:
         return np.zeros((len(part.q), 0))
 
@@ -184,8 +184,9 @@ def remember(
         z = memory.compute_settled(z, values)
         return z, z
 
-    start = jnp.zeros(len(memory.names), part.q.dtype)
-    return np.asarray(jax.lax.scan(follow, start, (jnp.asarray(part.q), jnp.asarray(part.v)))[1])
+    start = np.zeros(len(memory.names))
+    motion = jnp.asarray(part.q[1:]), jnp.asarray(part.v[1:])
+    return np.vstack([start, jax.lax.scan(follow, jnp.asarray(start), motion)[1]])
 
 
 @lru_cache(maxsize=64)  # so that it is compiled once

@@ -76,11 +76,8 @@ class Choice:
     @property
     def share(self) -> float:
         """Left-out forces that are missing by those of the actuators, the mean of the joints."""
-        sums = sum_up(self.columns)
-        applied, needed = (x.sum(axis=(0, 2)) for x in (sums.applied, sums.matrices[..., -1, -1]))
-        return float(
-            np.mean(np.sqrt(self.squares.sum(axis=0) / np.where(applied > 0, applied, needed)))
-        )
+        size = sum(own.weight * np.sum(own.sizes**2, axis=0) for own in self.columns)
+        return float(np.mean(np.sqrt(self.squares.sum(axis=0) / size)))
 
     def fall_from(self, before: "Choice") -> Float[np.ndarray, " n_q"]:
         """Share by which the forces that are missing at each joint fall from another choice."""

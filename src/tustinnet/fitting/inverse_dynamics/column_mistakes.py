@@ -260,7 +260,8 @@ class _Comparison:
 
     def _changes(self, current: _Change) -> Iterator[_Change]:
         """Changes beside those that are made already: signs, factors, columns exchanged."""
-        driven = [k for k in range(self.n) if self.driven[k]]
+        recorded = np.einsum("ki,ij,kj->k", current.columns, self.products, current.columns)
+        driven = [k for k in range(self.n) if recorded[k] > 0]
         for k in driven:
             yield replace(current, kind="gain", joints=(k,), free=(k,))
         if len(driven) > 1:
@@ -312,9 +313,8 @@ class _Comparison:
         columns = LinearForces(self.problem.system, self.space, changed).columns(centre)
         products = 0.0
         for own, forces in zip(columns, self.forces, strict=True):
-            needed = own.slopes @ point.values + own.rest + own.applied
             every = np.broadcast_to(forces[:, None], (len(forces), self.n, self.n))
-            rows = np.concatenate([own.slopes @ by_vector, every, needed[..., None]], axis=2)
+            rows = np.concatenate([own.slopes @ by_vector, every, own.needed[..., None]], axis=2)
             products = products + own.weight * np.einsum("tki,tkj->kij", rows, rows, optimize=True)
         self.products_by_geometry[change.geometry] = products = np.asarray(products)
         return products

@@ -424,7 +424,7 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[For
         references, missing = plain.forces.of_records(validation), own.missing(vector)
         judged = references.columns(plain.solution.vector)
         held_out, size_held_out = root_mean_square(np.concatenate(missing)), _sizes(judged)
-    applied, left = (np.concatenate(x) for x in ([own.applied for own in judged], missing))
+    sizes, left = (np.concatenate(x) for x in ([own.sizes for own in judged], missing))
     moving = np.concatenate([own.speed for own in judged]) >= slow
     nominal = references.space.to_vector(references.space.nominal)
     by_file = np.concatenate(references.missing(nominal))
@@ -434,8 +434,8 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[For
     )
 
     def share(missing: np.ndarray, k: int, kept: np.ndarray | slice = slice(None)) -> float:
-        of = applied if applied[:, k].any() else applied + left
-        return float(np.linalg.norm(missing[kept, k]) / max(np.linalg.norm(of[kept, k]), 1e-300))
+        size = np.linalg.norm(sizes[kept, k])
+        return float(np.linalg.norm(missing[kept, k]) / size) if size > 0 else 0.0
 
     return [
         ForceError(
@@ -466,11 +466,8 @@ def _least_squares(plain: _Fit) -> Float[np.ndarray, " n_c"]:
 
 def _sizes(columns: Sequence[Columns]) -> Float[np.ndarray, " n_q"]:
     """Root mean square of the actuators' forces; without an actuator that of the needed ones."""
-    applied, rest = (
-        root_mean_square(np.concatenate(x))
-        for x in ([c.applied for c in columns], [c.rest for c in columns])
-    )
-    return np.where(applied > 0, applied, np.maximum(rest, 1e-12))
+    sizes = root_mean_square(np.concatenate([own.sizes for own in columns]))
+    return np.maximum(sizes, 1e-12)
 
 
 def _matrices(

@@ -118,11 +118,12 @@ class LinearForces:
         columns = []
         for along, part in zip(self.along, self.parts, strict=True):
             slopes = along.slopes(values, free) @ point.inverse
-            missing = along.missing(values)
+            missing, needed = along.missing(values), along.needed(values)
             own = Columns(
                 slopes,
                 missing - slopes @ point.values,
-                along.needed(values) - missing,
+                needed - missing,
+                needed,
                 part.compare(np.abs(part.v)),
                 part.weight,
             )

@@ -24,6 +24,7 @@ class Columns:
         slopes: derivatives by the coordinates, (k, n_q, n_c).
         rest: what is there without any, (k, n_q) [N m or N].
         applied: forces of the actuators, (k, n_q) [N m or N].
+        needed: forces that the motion needs with the values about which they are linear, (k, n_q).
         speed: size of the velocities, (k, n_q) [rad/s or m/s].
         weight: independent measurements by sample.
     """
@@ -31,15 +32,20 @@ class Columns:
     slopes: Float[np.ndarray, "k n_q n_c"]
     rest: Float[np.ndarray, "k n_q"]
     applied: Float[np.ndarray, "k n_q"]
+    needed: Float[np.ndarray, "k n_q"]
     speed: Float[np.ndarray, "k n_q"]
     weight: float
 
+    @property
+    def sizes(self) -> Float[np.ndarray, "k n_q"]:
+        """Forces of the actuators, where a joint has none those that its motion needs."""
+        return np.where(self.applied.any(axis=0), self.applied, self.needed)
+
     def __getitem__(self, samples: np.ndarray) -> "Columns":
         """The columns at some samples."""
-        slopes, rest, applied, speed = (
-            x[samples] for x in (self.slopes, self.rest, self.applied, self.speed)
-        )
-        return Columns(slopes, rest, applied, speed, self.weight)
+        parts = (self.slopes, self.rest, self.applied, self.needed, self.speed)
+        slopes, rest, applied, needed, speed = (x[samples] for x in parts)
+        return Columns(slopes, rest, applied, needed, speed, self.weight)
 
     def followed_by(self, slopes: Float[np.ndarray, "k n_q more"]) -> "Columns":
         """The columns, then those of further coordinates."""

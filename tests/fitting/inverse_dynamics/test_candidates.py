@@ -1,0 +1,119 @@
+"""Forces that a system lacks are found by what left-out records ask for, and no others."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_twins import record_in_loop, true_values
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.fitting.inverse_dynamics.along import filter_record, find_obstacle
+from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
+from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
+from tustinnet.fitting.shooting.added_forces import with_added
+from tustinnet.fitting.shooting.space import make_search_space
+from tustinnet.models.added import parse_forces
+
+PENDULUM = Path(__file__).parents[3] / "examples" / "robots" / "double_pendulum.urdf"
+
+
+@pytest.fixture(scope="module")
+def system() -> tn.LagrangianSystem:
+    return tn.load_system(PENDULUM)
+
+
+def twin(system: tn.LagrangianSystem, *names: str, **values: float) -> tn.DataSet:
+    """Records of the pendulum with further forces, of some values by the ends of their names."""
+    plain = record_in_loop(system, system.nominal(), 2, 2.0)
+    richer = with_added(system, names, list(plain), {})
+    truth = true_values(system, 4) | {
+        name: richer.nominal()[name] for name in richer.nominal() if name not in system.nominal()
+    }
+    truth |= {name: values.get(name.rpartition(".")[2], x) for name, x in truth.items()}
+    return record_in_loop(richer, truth, 4, 5.0)
+
+
+def test_dry_friction_with_a_memory_is_found_and_simulated(system):
+    data = twin(system, "slip:upper_joint", slip_2=0.3, slip_4=0.4)
+    result = tn.identify(data, system, "inverse-dynamics")
+    assert "slip:upper_joint" in result.system.added
+    (sentence,) = [s for s in result.findings if s.startswith("dry friction holds at rest")]
+    assert "upper_joint up to 0." in sentence
+    levels = sum(result.values[f"upper_joint.slip_{i}"] for i in range(1, 6))
+    assert levels + result.values["upper_joint.coulomb"] == pytest.approx(
+        0.7 + true_values(system, 4)["upper_joint.coulomb"], rel=0.1
+    )
+    without = tn.identify(
+        data, system, tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    )
+    with_it, alone = (r.force_errors[0].share for r in (result, without))
+    assert with_it < 0.8 * alone
+    # it stands in the model, whose free runs are better for it
+    records = list(data.split("validation"))
+    better, worse = (
+        tn.mean_rmse(tn.evaluate(r.model, records, "model-20", horizon=0.5))
+        for r in (result, without)
+    )
+    assert better < worse
+
+
+def test_a_motor_that_turns_with_two_joints_is_found(system):
+    channel = "upper_joint+lower_joint"
+    data = twin(system, f"armature:{channel}", f"viscous:{channel}", armature=0.15, viscous=0.3)
+    result = tn.identify(data, system, "inverse-dynamics")
+    assert f"armature:{channel}" in result.system.added
+    assert result.values[f"{channel}.armature"] == pytest.approx(0.15, rel=0.1)
+    (sentence,) = [s for s in result.findings if s.startswith("forces tried")]
+    assert f"armature:{channel} kept" in sentence
+
+
+def test_the_forces_of_the_model_are_those_that_were_fitted(system):
+    """Columns beside a system, and the same forces within one, which remember."""
+    data = twin(system, "slip", slip_1=0.2, slip_5=0.3)
+    parts = tuple(filter_record(e.without_controller(), 8.0) for e in data[:2])
+    richer = with_added(system, ["slip", "armature:upper_joint-lower_joint"], list(data), {})
+    space = make_search_space(system, {}, {})
+    beside = parse_forces(system, richer.added)
+    brought = [richer.parameter(name) for name in richer.added_parameters]
+    forces = LinearForces(system, space, parts).with_forces(beside, brought)
+    assert find_obstacle(richer, [e.without_controller() for e in data]) is None
+    within = LinearForces(richer, forces.space, parts)
+    values = forces.space.nominal | {p.name: 0.3 * p.upper for p in brought if not p.fixed}
+    vector = forces.space.to_vector(values)
+    for one, other in zip(forces.missing(vector), within.missing(vector), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9 * np.abs(other).max())
+    for one, other in zip(forces.columns(vector), within.columns(vector), strict=True):
+        np.testing.assert_allclose(one.slopes, other.slopes, atol=1e-7 * np.abs(other.slopes).max())
+
+
+def test_what_is_not_linear_in_its_levels_is_no_candidate(system):
+    data = record_in_loop(system, system.nominal(), 2, 2.0)
+    recipe = tn.read_recipe("inverse-dynamics", ['search.candidates=["stribeck"]'])
+    with pytest.raises(InputError, match="whose parameters do not all multiply a force"):
+        tn.identify(data, system, recipe)
+
+
+def test_the_cutoff_is_not_fooled_by_noise_of_positions(system):
+    """At 1 kHz with counts of an encoder and stamps that jitter, of a motion of 1 Hz."""
+    data = record_in_loop(system, true_values(system, 1), 2, 4.0, dt=0.001)
+    rng = np.random.default_rng(0)
+    records = [
+        replace(e.without_controller(), q=e.q + 0.0003 * rng.normal(size=e.q.shape)) for e in data
+    ]
+    assert 3.0 < choose_cutoff(system, records) < 40.0
+
+
+@pytest.mark.real
+def test_the_wrist_of_a_measured_arm_is_found(real_data):
+    """Staubli TX40: the motor of joint 5 turns joint 6, too; 60 % of its torque was missing."""
+    folder = real_data.parent / "measured" / "tx40"
+    if not folder.is_dir():
+        pytest.skip("the records of a measured arm are not at hand (measured/tx40)")
+    data, system = tn.load(folder), tn.load_system(folder / "tx40.urdf")
+    result = tn.identify(data, system, "inverse-dynamics")
+    assert "armature:joint_5+joint_6" in result.system.added
+    pairs = [name for name in result.system.added if name.startswith("armature:")]
+    assert len(pairs) == 1
+    assert np.mean([e.share for e in result.force_errors]) < 0.15
