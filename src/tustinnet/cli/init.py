@@ -105,10 +105,15 @@ def _load_system(which: str | None, default_density: float | None) -> "Lagrangia
 
 
 def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:
-    """Prints what of a system has no column, a line each, and what a fit would then refuse."""
+    """Prints what of a system's file counts otherwise, and what has no column; a line each.
+
+    Then what a fit would refuse.
+    """
     from tustinnet.channels import Coordinate, Input
 
     console = terminal.messages()
+    for sentence in () if system.source is None else system.source.remarks:
+        console.print(sentence, highlight=False, soft_wrap=True)
     for sentence in draft.choice.missing:
         console.print(f"not matched: {sentence}", highlight=False, soft_wrap=True)
     coordinates = [Coordinate(c.name, c.kind) for c in draft.choice.coordinates]

@@ -17,8 +17,10 @@ import numpy as np
 from tustinnet.data.reading_process import call
 from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.systems.robot import (
+    Lead,
     LinkInertia,
     Mimic,
+    Remarks,
     Robot,
     RobotActuator,
     RobotJoint,
@@ -143,13 +145,56 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
                 _EXPECTED,
                 "write its content into the file",
             )
+    spec, model = _compile(text, where)
+    has_shape = {body.name for body in spec.bodies if body.geoms}
+    return asdict(_robot_of(import_module("mujoco"), model, has_shape, where)), []
+
+
+def joint_forces(
+    text: str, where: object, lead: Lead
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """A function of positions and velocities of coordinates: what MuJoCo makes of a file.
+
+    It gives the mass matrix, and the forces of gravity, motion, dampers and springs [N m or N];
+    without actuators, dry friction and contacts.
+
+    Args:
+        text: the text of a file that has been read.
+        where: the file, for messages.
+        lead: the motion of its joints by the coordinates.
+
+    Raises:
+        InputError: MuJoCo refuses it.
+    """
+    mujoco = import_module("mujoco")
+    _, model = _compile(text, where)
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    joints = [model.joint(name) for name in lead.joints]
+    positions, places = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
+
+    def forces(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        data.qpos[positions], data.qvel[places] = lead.ratios @ q + lead.offsets, lead.ratios @ v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        mass = lead.ratios.T @ full[np.ix_(places, places)] @ lead.ratios
+        return mass, lead.ratios.T @ (data.qfrc_passive - data.qfrc_bias)[places]
+
+    return forces
+
+
+def _compile(text: str, where: object) -> tuple[Any, Any]:
+    """The specification of a text without what is only seen or touched, and its compiled model.
+
+    Raises:
+        InputError: MuJoCo refuses it.
+    """
     mujoco = import_module("mujoco")  # no types are known
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         spec = mujoco.MjSpec.from_string(text)
     _remove_seen(mujoco, spec, where)
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         try:
-            model = spec.compile()
+            return spec, spec.compile()
         except ValueError as error:
             if (massless := _MASSLESS.search(str(error))) is None:
                 raise
@@ -159,8 +204,6 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
                 "mass, centre and inertia",
                 f"{_ADD_INERTIA}, or shapes (<geom>)",
             ) from None
-    has_shape = {body.name for body in spec.bodies if body.geoms}
-    return asdict(_robot_of(mujoco, model, has_shape, where)), []
 
 
 def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
@@ -205,7 +248,7 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
     """The description of a compiled model."""
     _require_supported(mujoco, model, where)
     require_few_joints(model.njnt, where)
-    links, joints = [], []
+    links, joints, remarks = [], [], Remarks()
     for i in range(model.nbody):
         body = model.body(i)
         is_frame = body.name not in has_shape
@@ -215,6 +258,9 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         parent = model.body(model.body_parentid[i]).name
         rotation, position = _matrix(mujoco, model.body_quat[i]), model.body_pos[i].copy()
         first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+        if count and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
+            remarks["stands where the file has it, and does not move freely"].append(body.name)
+            count = 0
         if not count:
             joints.append(
                 RobotJoint(
@@ -244,6 +290,7 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         tuple(joints),
         _actuators_of(model, where),
         (x, y, z),
+        remarks.sentences(),
     )
 
 
@@ -294,13 +341,9 @@ def _joint_of(
     """The joint of index k."""
     name, kind = model.joint(k).name, mujoco.mjtJoint(model.jnt_type[k])
     place = f"{where}, joint '{name}'"
-    if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-        is_free = kind == mujoco.mjtJoint.mjJNT_FREE
+    if kind == mujoco.mjtJoint.mjJNT_BALL:
         raise InputError(
-            place,
-            "a free joint: the base floats" if is_free else "a ball joint",
-            "a base that stands, joints of the types hinge and slide",
-            "leave it out" if is_free else "write it as three hinges",
+            place, "a ball joint", "joints of the types hinge and slide", "write it as three hinges"
         )
     if not name:
         raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")

@@ -1,8 +1,9 @@
 """A robot as its file describes it: links, joints and actuators, whatever the file's format."""
 
 import xml.etree.ElementTree as ET
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 from xml.parsers import expat
 
@@ -13,6 +14,9 @@ from tustinnet.errors import InputError, describe_error
 if TYPE_CHECKING:
     from tustinnet.models.chains import Vector3
 
+_MOST_NAMES = 6  # in a sentence
+_ROUNDING, _THIN = 1e-6, 1e-6  # of inertias, and thickness [m], by which a body is none yet
+_MISSING = 0.01  # share of the largest inertia by which rounded ones of public files miss it
 MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
 JointKind = Literal["angular", "linear", "fixed"]
 
@@ -141,6 +145,7 @@ class Robot:
         joints: the joints, each after those between its parent and the base.
         actuators: the actuators; None where the file says nothing about them.
         gravity: acceleration of gravity in the frame of the base [m/s^2].
+        remarks: sentences on what counts otherwise than the file says it.
     """
 
     name: str
@@ -148,6 +153,62 @@ class Robot:
     joints: tuple[RobotJoint, ...]
     actuators: tuple[RobotActuator, ...] | None
     gravity: "Vector3"
+    remarks: tuple[str, ...] = ()
+
+
+class Remarks(defaultdict[str, list[str]]):
+    """Names of joints, links and transmissions by what of them counts otherwise than it says."""
+
+    def __init__(self) -> None:
+        super().__init__(list)
+
+    def sentences(self) -> tuple[str, ...]:
+        """A sentence for each kind, with the first names."""
+        return tuple(
+            f"{', '.join(names[:_MOST_NAMES])}"
+            + (f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else "")
+            + f": {what}"
+            for what, names in self.items()
+        )
+
+
+@dataclass(frozen=True)
+class Lead:
+    """How the joints of a robot that move do so with its coordinates: `ratios q + offsets`.
+
+    Attributes:
+        joints: names of the joints.
+        ratios: of each by the coordinates, (n, n_q).
+        offsets: where all coordinates are 0, (n,) [rad or m].
+    """
+
+    joints: tuple[str, ...]
+    ratios: np.ndarray
+    offsets: np.ndarray
+
+
+def find_lead(
+    robot: Robot, coordinates: Sequence[str], locked: Mapping[str, float] | None = None
+) -> Lead:
+    """The motion of all joints of a robot by its coordinates.
+
+    Args:
+        robot: the robot.
+        coordinates: names of the joints that are coordinates.
+        locked: positions of joints that do not move [rad or m].
+    """
+    joints = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
+    ratios, offsets = np.zeros((len(joints), len(coordinates))), np.zeros(len(joints))
+    for k, name in enumerate(joints):
+        ratio = 1.0
+        while name not in (locked or {}) and (mimic := joints[name].mimic) is not None:
+            offsets[k] += ratio * mimic.offset
+            ratio, name = ratio * mimic.ratio, mimic.joint
+        if locked and name in locked:
+            offsets[k] += ratio * locked[name]
+        else:
+            ratios[k, coordinates.index(name)] = ratio
+    return Lead(tuple(joints), ratios, offsets)
 
 
 def restore_robot(plain: Mapping[str, Any]) -> Robot:
@@ -169,7 +230,8 @@ def restore_robot(plain: Mapping[str, Any]) -> Robot:
     joints = [joint(values) for values in plain["joints"]]
     x, y, z = plain["gravity"]
     actuators = tuple(RobotActuator(**values) for values in plain["actuators"])
-    return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z))
+    remarks = tuple(plain["remarks"])
+    return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z), remarks)
 
 
 def require_few_joints(count: int, where: object) -> None:
@@ -215,12 +277,29 @@ def parse_xml(text: str, where: object, expected: str) -> ET.Element:
     parser.StartElementHandler, parser.EndElementHandler = tree.start, tree.end
     parser.CharacterDataHandler = tree.data
     try:
-        parser.Parse(text, True)
+        parser.Parse(text.lstrip(), True)  # a declaration is not always at the start
         return tree.close()
     except InputError:
         raise
     except Exception as error:
         raise InputError(where, f"no well-formed XML ({describe_error(error)})", expected) from None
+
+
+def place_inertia(inertia: LinkInertia, rotation: np.ndarray, position: np.ndarray) -> LinkInertia:
+    """An inertia of an inner frame in an outer one.
+
+    Args:
+        inertia: the inertia.
+        rotation: from the inner frame to the outer one, (3, 3).
+        position: origin of the inner frame in the outer one, (3,) [m].
+    """
+    center = position + rotation @ inertia.center
+    return LinkInertia(inertia.mass, center, rotation @ inertia.tensor @ rotation.T)
+
+
+def force_name(joint: RobotJoint) -> str:
+    """The name of the input at a joint whose actuator has none."""
+    return f"{joint.name}_{'force' if joint.kind == 'linear' else 'torque'}"
 
 
 def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
@@ -232,6 +311,41 @@ def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
         r = part.center - center
         tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
     return LinkInertia(mass, center, tensor)
+
+
+def repair_inertia(
+    inertia: LinkInertia, name: str, where: object
+) -> tuple[LinkInertia, tuple[str, ...]]:
+    """An inertia that a body has, near to that of a file, and a sentence if it is another one.
+
+    No principal inertia is above the sum of the others. Rounded numbers of a thin body miss that
+    by up to a hundredth; both smaller ones then get half of what is missing.
+
+    Args:
+        inertia: the inertia.
+        name: name of its link.
+        where: the file, for messages.
+
+    Raises:
+        InputError: more is missing.
+    """
+    (a, b, c), axes = np.linalg.eigh(inertia.tensor)
+    missing = c - a - b
+    if missing <= max(_ROUNDING * c, 2 * _THIN**2 * inertia.mass):
+        return inertia, ()
+    if missing > _MISSING * c:
+        raise InputError(
+            f"{where}, link '{name}'",
+            f"an inertia that no body has, {a:.3g}, {b:.3g}, {c:.3g} kg m^2",
+            f"principal inertias of which none is above the sum of the others, as {c:.3g} "
+            f"of at most {a + b:.3g}",
+        )
+    across = np.eye(3) - np.outer(axes[:, 2], axes[:, 2])
+    sentence = (
+        f"{name}: its largest inertia is {100 * missing / c:.2g} % above the sum of the others, "
+        "which become so much larger"
+    )
+    return replace(inertia, tensor=inertia.tensor + missing / 2 * across), (sentence,)
 
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:

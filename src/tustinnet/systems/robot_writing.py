@@ -9,10 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from tustinnet.errors import InputError
 from tustinnet.systems.robot import LinkInertia
 
 _TAG_END = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""")  # quoted texts may have a >
+_DIGITS = 14  # of written numbers: 0.55, where sums and products make 0.55000000000000004 of it
 # other ways in which MuJoCo's format says where the axes of an inertia are
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
 
@@ -57,7 +61,7 @@ class _Text:
     """
 
     def __init__(self, text: str) -> None:
-        self._text = text.encode()
+        self._text = text.lstrip().encode()
         self._edits: list[tuple[int, int, bytes]] = []
         self.elements: list[_Element] = []
         path: list[_Element] = []
@@ -133,8 +137,39 @@ class _Text:
         return text.decode()
 
 
-def _numbers(*values: float) -> str:
-    return " ".join(f"{value:.17g}" for value in values)
+def numbers_text(values: ArrayLike) -> str:
+    """Numbers of one attribute, in digits that the rounding of sums and products leaves true."""
+    return " ".join(_digits(values))
+
+
+def _digits(values: ArrayLike) -> list[str]:
+    """The text of each number of a vector or a tensor, to 14 digits of the largest one."""
+    numbers = np.ravel(values).astype(float)
+    largest = np.abs(numbers).max()
+    places = _DIGITS - 1 - int(np.floor(np.log10(largest))) if largest else 0
+    rounded = [round(float(x), places) + 0.0 for x in numbers]
+    return [repr(int(x)) if x.is_integer() and abs(x) < 1e6 else repr(x) for x in rounded]
+
+
+def inertial_attributes(inertia: LinkInertia) -> dict[str, str]:
+    """The attributes of an <inertial> in MuJoCo's format."""
+    t = inertia.tensor
+    return {
+        "pos": numbers_text(inertia.center),
+        "mass": numbers_text(inertia.mass),
+        "fullinertia": numbers_text([t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]]),
+    }
+
+
+def joint_attributes(values: JointValues) -> dict[str, str]:
+    """The attributes of a <joint> in MuJoCo's format, of the values that are known."""
+    given = {
+        "damping": values.viscous,
+        "frictionloss": values.coulomb,
+        "armature": values.armature,
+        "stiffness": values.stiffness,
+    }
+    return {key: numbers_text(x) for key, x in given.items() if x is not None}
 
 
 def write_urdf(
@@ -155,12 +190,10 @@ def write_urdf(
             written.remove(element.child("inertial"))
             continue
         tensor = inertia.tensor
-        origin = {"xyz": _numbers(*inertia.center), "rpy": "0 0 0"}
-        mass = {"value": _numbers(inertia.mass)}
-        moments = {
-            f"i{a}{b}": _numbers(tensor["xyz".index(a), "xyz".index(b)])
-            for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
-        }
+        origin = {"xyz": numbers_text(inertia.center), "rpy": "0 0 0"}
+        mass = {"value": numbers_text(inertia.mass)}
+        axes = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        moments = dict(zip(axes, _digits(tensor[np.triu_indices(3)]), strict=True))
         parts = {"origin": origin, "mass": mass, "inertia": moments}
         if (inertial := element.child("inertial")) is None:
             inner = "".join(_tag(tag, values) for tag, values in parts.items())
@@ -175,7 +208,7 @@ def write_urdf(
         element = written.named("joint", name)
         assert element is not None
         friction = {"damping": values.viscous, "friction": values.coulomb}
-        known = {key: _numbers(x) for key, x in friction.items() if x is not None}
+        known = {key: numbers_text(x) for key, x in friction.items() if x is not None}
         if not known:
             continue
         if (dynamics := element.child("dynamics")) is None:
@@ -221,12 +254,7 @@ def write_mjcf(
                 "bodies that weigh less",
                 "give it its true inertia, and identify again",
             )
-        t = inertia.tensor
-        values = {
-            "pos": _numbers(*inertia.center),
-            "mass": _numbers(inertia.mass),
-            "fullinertia": _numbers(t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]),
-        }
+        values = inertial_attributes(inertia)
         if (inertial := element.child("inertial")) is None:
             written.add(element, _tag("inertial", values))
         else:
@@ -234,14 +262,7 @@ def write_mjcf(
     for name, joint in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        given = {
-            "damping": joint.viscous,
-            "frictionloss": joint.coulomb,
-            "armature": joint.armature,
-            "stiffness": joint.stiffness,
-        }
-        known = {key: _numbers(x) for key, x in given.items() if x is not None}
-        if known:
+        if known := joint_attributes(joint):
             written.set(element, known)
     return written.written()
 

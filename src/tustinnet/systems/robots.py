@@ -3,7 +3,6 @@
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,12 +37,16 @@ from tustinnet.models.lagrangian import (
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.models.physical_values import equations_in
 from tustinnet.systems.files import find_robot_path, find_system
+from tustinnet.systems.mjcf_text import mjcf_text
 from tustinnet.systems.robot import (
     LinkInertia,
     Mimic,
     Robot,
     RobotJoint,
+    force_name,
     join_inertias,
+    place_inertia,
+    repair_inertia,
     rotation_about,
 )
 from tustinnet.systems.robot_equations import Drive, RobotEquations, Spring
@@ -81,9 +84,7 @@ class _Pose:
 
     def place(self, inertia: LinkInertia) -> LinkInertia:
         """An inertia of the inner frame in the outer one."""
-        center = self.position + self.rotation @ inertia.center
-        tensor = self.rotation @ inertia.tensor @ self.rotation.T
-        return LinkInertia(inertia.mass, center, tensor)
+        return place_inertia(inertia, self.rotation, self.position)
 
 
 def load_robot(
@@ -257,6 +258,11 @@ class RobotFile(ChannelSource):
         assembly.observe(records)
         return assembly.system(self)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what counts otherwise than the file says it."""
+        return tuple(f"{self.path.name}, {remark}" for remark in self._assembly().remarks)
+
     def input_joints(self) -> dict[str, str]:
         """Of each input the coordinate on which it acts, by name."""
         assembly = self._assembly()
@@ -294,22 +300,28 @@ class RobotFile(ChannelSource):
         written = "".join(f", {name}={value!r}" for name, value in options.items() if value)
         return f"SYSTEM = tn.load_robot('{self.path.name}'{written})"
 
-    def with_values(self, values: Mapping[str, float]) -> tuple[str, tuple[str, ...]]:
+    def with_values(
+        self, values: Mapping[str, float], ending: str = ""
+    ) -> tuple[str, tuple[str, ...]]:
         """The file's text with values of parameters in it, and the names of those that it lacks.
 
         Args:
             values: the parameters of the system by name. Where some have a value for each group of
                 records, the one without a group is written.
+            ending: the ending of the file to write; that of the file by default. A URDF is also
+                written in MuJoCo's format.
 
         Raises:
             InputError: a file whose inertias do not count.
         """
         assembly = self._assembly()
-        is_urdf = self.path.suffix == ".urdf"
+        is_urdf = (ending or self.path.suffix) == ".urdf"
         links = assembly.link_inertias(values)
         joints = assembly.joint_values(values)
         if is_urdf:
             text = write_urdf(self.text, links, joints)
+        elif self.path.suffix == ".urdf":
+            text = mjcf_text(assembly.robot, links, joints)
         else:
             text = write_mjcf(self.text, links, joints, self.path)
         parameters = {f"{body}.{name}" for body in links for name in INERTIAL}
@@ -407,6 +419,7 @@ class _Assembly:
         at_motor: tuple[str, ...],
     ) -> None:
         self.robot, self.path, self.per, self.friction = robot, path, per, friction
+        self.remarks = robot.remarks
         self.elastic, self.backlash, self.at_motor = elastic, backlash, at_motor
         self.joints = {joint.name: joint for joint in robot.joints}
         moving = [joint.name for joint in robot.joints if joint.kind != "fixed"]
@@ -659,14 +672,6 @@ class _Assembly:
                 )
                 inertias.append([])
                 self.carried.append([])
-                if link.inertia is None and not link.is_frame:
-                    raise InputError(
-                        f"{self.path}, link '{link.name}'",
-                        f"moves by the joint '{joint.name}' and has no inertia",
-                        "mass, centre and inertia",
-                        "give it an <inertial>, or all such links that of their shapes by "
-                        "`default_density=`",
-                    )
             elif joint.name in self.locked:
                 frame = frame @ _motion(joint, self.locked[joint.name])
             places[joint.child] = owner, frame
@@ -679,29 +684,24 @@ class _Assembly:
         for i, parts in enumerate(inertias):
             body = self.bodies[i]
             if not parts:
-                self._require_carried_mass(i, inertias)
                 self.bodies[i] = replace(body, has_mass=False)
                 continue
-            whole = join_inertias(parts)
-            try:
-                values = inertial_parameters(
-                    whole.mass, whole.center + np.array(body.anchor), whole.tensor
-                )
-            except ValueError as error:
-                a, b, c = np.linalg.eigvalsh(whole.tensor)
-                raise InputError(
-                    f"{self.path}, link '{body.name}'",
-                    f"an inertia that no body has: {error}; {a:.3g}, {b:.3g}, {c:.3g} kg m^2",
-                    f"principal inertias of which none is above the sum of the others, as {c:.3g} "
-                    f"of at most {a + b:.3g}",
-                ) from None
+            whole, remarks = repair_inertia(join_inertias(parts), body.name, self.path)
+            self.remarks += remarks
+            values = inertial_parameters(
+                whole.mass, whole.center + np.array(body.anchor), whole.tensor
+            )
             self.nominal |= {f"{body.name}.{name}": x for name, x in values.items()}
-        if not any(part.tensor.any() or part.center.any() for part in chain(*inertias)):
+        if not any(
+            part.tensor.any() or part.center.any() or body.kind == "linear"
+            for body, parts in zip(self.bodies, inertias, strict=True)
+            for part in parts
+        ):
             raise InputError(
                 self.path,
-                "links that move have masses, but all their inertias and centres are 0",
+                "links that move have no masses, or all their inertias and centres are 0",
                 "mass, centre and inertia",
-                "give them an <inertial> with these",
+                "give them an <inertial> with these, or that of their shapes by `default_density=`",
             )
 
     def link_inertias(self, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
@@ -779,20 +779,6 @@ class _Assembly:
                     f"position {position:g}, limits {low:g} to {high:g}",
                     "the smaller limit first, and a position between them where it is locked",
                 )
-
-    def _require_carried_mass(self, i: int, inertias: list[list[LinkInertia]]) -> None:
-        """Raises unless some body that a body without mass carries has one."""
-        carried = {i}
-        for j, body in enumerate(self.bodies):
-            if body.parent in carried:
-                carried.add(j)
-        if not any(inertias[j] for j in carried):
-            raise InputError(
-                f"{self.path}, link '{self.bodies[i].name}'",
-                "moves, and neither it nor what it carries has an inertia",
-                "mass, centre and inertia",
-                "give it an <inertial>",
-            )
 
     def system(self, source: RobotFile) -> LagrangianSystem:
         """The system with all that the file says.
@@ -1060,6 +1046,9 @@ class _Assembly:
             is_linear = self.coordinates[k].kind == "linear"
             inertia += mass if is_linear else mass * (lever**2 + float(spread @ spread))
             force += mass * _G * (1.0 if is_linear else lever + float(spread.max()))
+        if not inertia:  # nothing with a mass moves, but what the motor turns
+            inertia = self.joints[self.free[k]].armature
+            force = _G * inertia
         return inertia, force
 
     def _frictions(self) -> tuple[PlacedForce, ...]:
@@ -1089,7 +1078,6 @@ class _Assembly:
             actuators = [(a, a.joint) for a in self.robot.actuators if a.joint in self.moved_by]
         for actuator, name in actuators:
             joint, mover = self.joints[name], self.moved_by[name]
-            word = "torque" if joint.kind == "angular" else "force"
             unit, gain = _force_unit(joint), 1.0
             terms, largest = (0.0, 0.0, 0.0), None
             if actuator is not None:
@@ -1100,7 +1088,7 @@ class _Assembly:
                     unit = ANY_UNIT
             if has_motor := name in self.motor_constants:
                 unit = "A"
-            inputs.append(Input(actuator.name if actuator else f"{name}_{word}", unit))
+            inputs.append(Input(actuator.name if actuator else force_name(joint), unit))
             constant = f"{name}.motor_constant" if has_motor else None
             drives.append(
                 Drive(
