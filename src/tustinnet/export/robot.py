@@ -5,6 +5,7 @@ forces that MuJoCo computes, of a URDF those by the numbers in it. What a format
 out on both sides, and said with the accelerations that it makes of the same torques.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -102,7 +103,7 @@ class RobotTarget(Target):
         names, n = [c.name for c in system.coordinates], len(system.coordinates)
         lead = find_lead(read_robot(text, path), names, dict(file.locked))
         forces = joint_forces(text, path, lead)
-        dry = system.model(values | {f"{name}.viscous": 0.0 for name in names})
+        dry = _model(system, values | {f"{name}.viscous": 0.0 for name in names})
 
         def applied(x: Any, u: Any) -> dict[str, Any]:
             w = _plant_inputs(source, system, u)
@@ -133,8 +134,10 @@ class RobotTarget(Target):
         plant = equations.system.plant
         plain = RobotFile(file.text, file.path, file.locked, file.motor_constants)
         system = plain.for_channels(plant.coordinates, plant.inputs, file.path)
+        # files have torques and forces as inputs, of whatever motor
+        unheld = {name for name in lacking if not name.endswith(".motor_constant")}
         values = {
-            name: x if name in lacking else float(equations.values.get(name, x))
+            name: x if name in unheld else float(equations.values.get(name, x))
             for name, x in system.nominal().items()
         }
         return system, values
@@ -143,13 +146,17 @@ class RobotTarget(Target):
         """Accelerations by the file and with what it lacks, where they differ most."""
         (equations, _), (system, held) = self._robot(source), self._held(source)
         missing = {k: float(equations.values[k]) for k in lacking if k in held}
+        missing = {k: x for k, x in missing.items() if x != held[k]}
+        if not missing:
+            return ""
+        kinds = " and ".join(dict.fromkeys(name.rpartition(".")[2] for name in missing))
         states, inputs = source.samples(_COMPARED)
         n_x, n_w, n = source.n_x, source.n_w, len(system.coordinates)
 
         def accelerations(point: Any) -> Any:
             values = {**held, **dict(zip(missing, point[n_x + n_w :], strict=True))}
             w = _plant_inputs(source, system, point[n_x : n_x + n_w])
-            return system.model(values).acceleration(point[: 2 * n], w)
+            return _model(system, values).acceleration(point[: 2 * n], w)
 
         formula = Formula(accelerations, n_x + n_w + len(missing))
         by_file, with_all = (
@@ -161,7 +168,7 @@ class RobotTarget(Target):
         coordinate = system.coordinates[k]
         return (
             f"; the same torques give {coordinate.name} {by_file[at, k]:.4g} "
-            f"{coordinate.unit}/s^2 by the file and {with_all[at, k]:.4g} with them"
+            f"{coordinate.unit}/s^2 by the file and {with_all[at, k]:.4g} with {kinds}"
         )
 
     def _robot(self, source: Source) -> tuple[LagrangianModel, RobotFile]:
@@ -182,15 +189,22 @@ class RobotTarget(Target):
         return robot
 
 
-def _velocities(source: Source, system: LagrangianSystem, values: dict[str, float]) -> StepFunction:
+def _velocities(
+    source: Source, system: LagrangianSystem, values: Mapping[str, float]
+) -> StepFunction:
     """Velocities after a sampling period at constant acceleration, of states and inputs."""
-    n, model = len(system.coordinates), system.model(values)
+    n, model = len(system.coordinates), _model(system, values)
 
     def step(x: Any, u: Any) -> Any:
         acceleration = model.acceleration(x[: 2 * n], _plant_inputs(source, system, u))
         return x[n : 2 * n] + source.channels.dt * acceleration
 
     return step
+
+
+def _model(system: LagrangianSystem, values: Mapping[str, Any]) -> LagrangianModel:
+    """The equations with values that may be plain numbers."""
+    return system.model({name: jnp.asarray(x) for name, x in values.items()})
 
 
 def _plant_inputs(source: Source, system: LagrangianSystem, samples: Any) -> Any:

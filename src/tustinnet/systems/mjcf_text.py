@@ -18,6 +18,7 @@ from tustinnet.systems.robot_writing import (
     JointValues,
     inertial_attributes,
     joint_attributes,
+    no_rest_error,
     numbers_text,
 )
 
@@ -26,7 +27,10 @@ _LEAST = 1e-12  # kg and kg m^2, of a link that moves and has no mass; MuJoCo re
 
 
 def mjcf_text(
-    robot: Robot, links: Mapping[str, LinkInertia | None], joints: Mapping[str, JointValues]
+    robot: Robot,
+    links: Mapping[str, LinkInertia | None],
+    joints: Mapping[str, JointValues],
+    where: object,
 ) -> str:
     """The text of a file in MuJoCo's format, of links, joints and actuators.
 
@@ -37,13 +41,12 @@ def mjcf_text(
         links: inertias by link in place of those of the robot, in the frame of the link; None for a
             link that is to have none.
         joints: values by joint in place of those of the robot.
+        where: its file, for messages.
+
+    Raises:
+        InputError: a link that is to have none moves, as that of a locked joint does there.
     """
-    inertias = {link.name: links.get(link.name, link.inertia) for link in robot.links}
-    for joint in reversed(robot.joints):
-        own, carried = inertias[joint.parent], inertias[joint.child]
-        if joint.kind == "fixed" and carried is not None:
-            carried = place_inertia(carried, joint.rotation, joint.position)
-            inertias[joint.parent] = carried if own is None else join_inertias([own, carried])
+    inertias = _with_fixed_links(robot, links)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
     ET.SubElement(root, "option", gravity=numbers_text(robot.gravity))
@@ -58,6 +61,8 @@ def mjcf_text(
         body = bodies[joint.child] = ET.SubElement(bodies[joint.parent], "body", attributes)
         if joint.kind == "fixed":
             continue
+        if joint.child in links and links[joint.child] is None:
+            raise no_rest_error(where, f"link '{joint.child}'")
         inertia = inertias[joint.child] or LinkInertia(_LEAST, np.zeros(3), _LEAST * np.eye(3))
         ET.SubElement(body, "inertial", inertial_attributes(inertia))
         ET.SubElement(body, "joint", _joint_attributes(joint, joints.get(joint.name)))
@@ -68,17 +73,33 @@ def mjcf_text(
         for name, mimic in followers:
             slope = f"{numbers_text([mimic.offset, mimic.ratio])} 0 0 0"
             ET.SubElement(equality, "joint", joint1=name, joint2=mimic.joint, polycoef=slope)
-    actuators = robot.actuators
-    if actuators is None:
-        free = [joint for joint in robot.joints if joint.kind != "fixed" and joint.mimic is None]
-        actuators = tuple(RobotActuator(force_name(joint), joint.name) for joint in free)
-    moving = {joint.name for joint in robot.joints if joint.kind != "fixed"}
     motors = ET.SubElement(root, "actuator")
-    for actuator in actuators:
-        if actuator.joint in moving:
-            ET.SubElement(motors, "motor", name=actuator.name, joint=actuator.joint)
+    for actuator in _actuators(robot):
+        ET.SubElement(motors, "motor", name=actuator.name, joint=actuator.joint)
     ET.indent(root)
     return ET.tostring(root, "unicode") + "\n"
+
+
+def _with_fixed_links(
+    robot: Robot, links: Mapping[str, LinkInertia | None]
+) -> dict[str, LinkInertia | None]:
+    """The inertia of each link, with those of the links that are fixed to it."""
+    inertias = {link.name: links.get(link.name, link.inertia) for link in robot.links}
+    for joint in reversed(robot.joints):
+        own, carried = inertias[joint.parent], inertias[joint.child]
+        if joint.kind == "fixed" and carried is not None:
+            carried = place_inertia(carried, joint.rotation, joint.position)
+            inertias[joint.parent] = carried if own is None else join_inertias([own, carried])
+    return inertias
+
+
+def _actuators(robot: Robot) -> list[RobotActuator]:
+    """The actuators of joints that move; without any in the file one at each that follows none."""
+    moving = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
+    if robot.actuators is not None:
+        return [actuator for actuator in robot.actuators if actuator.joint in moving]
+    free = [joint for joint in moving.values() if joint.mimic is None]
+    return [RobotActuator(force_name(joint), joint.name) for joint in free]
 
 
 def _joint_attributes(joint: RobotJoint, values: JointValues | None) -> dict[str, str]:
@@ -93,4 +114,5 @@ def _joint_attributes(joint: RobotJoint, values: JointValues | None) -> dict[str
     if joint.effort is not None:
         attributes["actuatorfrcrange"] = numbers_text([-joint.effort, joint.effort])
     own = JointValues(joint.viscous, joint.coulomb, joint.armature)
-    return attributes | joint_attributes(own) | joint_attributes(values or own)
+    numbers = joint_attributes(own) | joint_attributes(values or own)
+    return attributes | {key: text for key, text in numbers.items() if text != "0"}

@@ -5,12 +5,11 @@ Python's own parser (expat) reports, and attributes are replaced in the text.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tustinnet.errors import InputError
 from tustinnet.systems.robot import LinkInertia
@@ -137,12 +136,12 @@ class _Text:
         return text.decode()
 
 
-def numbers_text(values: ArrayLike) -> str:
+def numbers_text(values: Sequence[float] | np.ndarray | float) -> str:
     """Numbers of one attribute, in digits that the rounding of sums and products leaves true."""
     return " ".join(_digits(values))
 
 
-def _digits(values: ArrayLike) -> list[str]:
+def _digits(values: Sequence[float] | np.ndarray | float) -> list[str]:
     """The text of each number of a vector or a tensor, to 14 digits of the largest one."""
     numbers = np.ravel(values).astype(float)
     largest = np.abs(numbers).max()
@@ -248,12 +247,7 @@ def write_mjcf(
         element = written.named("body", name)
         assert element is not None
         if inertia is None:
-            raise InputError(
-                f"{where}, body '{name}'",
-                "what it is fixed to weighs less than both by the file",
-                "bodies that weigh less",
-                "give it its true inertia, and identify again",
-            )
+            raise no_rest_error(where, f"body '{name}'")
         values = inertial_attributes(inertia)
         if (inertial := element.child("inertial")) is None:
             written.add(element, _tag("inertial", values))
@@ -265,6 +259,16 @@ def write_mjcf(
         if known := joint_attributes(joint):
             written.set(element, known)
     return written.written()
+
+
+def no_rest_error(where: object, what: str) -> InputError:
+    """The error about a body that is to have no inertia, in a format in which each has one."""
+    return InputError(
+        f"{where}, {what}",
+        "what it is fixed to weighs less than both by the file",
+        "bodies that weigh less",
+        "give it its true inertia, and identify again",
+    )
 
 
 def _tag(name: str, values: Mapping[str, str]) -> str:

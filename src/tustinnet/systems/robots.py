@@ -321,7 +321,7 @@ class RobotFile(ChannelSource):
         if is_urdf:
             text = write_urdf(self.text, links, joints)
         elif self.path.suffix == ".urdf":
-            text = mjcf_text(assembly.robot, links, joints)
+            text = mjcf_text(assembly.robot, links, joints, self.path)
         else:
             text = write_mjcf(self.text, links, joints, self.path)
         parameters = {f"{body}.{name}" for body in links for name in INERTIAL}
