@@ -239,6 +239,9 @@ def test_what_cannot_be_written_is_one_line(tmp_path):
     tn.write_robot(model, tmp_path / "scara.urdf", overwrite=True)
     with pytest.raises(tn.InputError, match="read"):
         tn.write_robot(model, ROBOTS / "scara.urdf", overwrite=True)
+    locked, _ = moved(tn.load_robot(ROBOTS / "gripper.urdf", locked={"left": 0.01}))
+    with pytest.raises(tn.InputError, match="link 'left_finger': what it is fixed to weighs less"):
+        tn.write_robot(locked, tmp_path / "gripper.xml")
     pendulum = tn.load_system("qube-servo2")
     values = {name: jnp.asarray(x) for name, x in pendulum.nominal().items()}
     with pytest.raises(tn.InputError, match="not made from a robot's file"):

@@ -551,7 +551,7 @@ MIMIC = "<mimic joint='cd'/></joint>"
         (
             f"{A}{B}<link name='c'><visual/></link>{AB}{BC}",
             (
-                "c: a shape without a mass; `default_density=` gives it that of its shape",
+                "c: a shape without a mass, which a default density would give it",
                 "bc: nothing with a mass moves by it: armature 0.001 to begin with",
             ),
         ),

@@ -204,7 +204,7 @@ def _with_armatures(
     for joint in joints:
         link = links[joint.child]
         if joint.kind != "fixed" and link.inertia is None and not link.is_frame:
-            remarks["a shape without a mass; `default_density=` gives it that of its shape"].append(
+            remarks["a shape without a mass, which a default density would give it"].append(
                 link.name
             )
         if joint.kind != "fixed" and joint.mimic is None and joint.name not in moving_mass:
