@@ -175,11 +175,10 @@ def _require_base(
 def _with_leaders(joints: tuple[RobotJoint, ...], remarks: Remarks) -> tuple[RobotJoint, ...]:
     """The joints, of which those move by themselves that follow none that moves."""
     moving = {joint.name for joint in joints if joint.kind != "fixed"}
-    alone = [j for j in joints if j.name in moving and j.mimic and j.mimic.joint not in moving]
-    for joint in alone:
-        assert joint.mimic is not None
-        remarks["moves by itself, as no joint moves that it is to follow"].append(joint.name)
-    return tuple(replace(joint, mimic=None) if joint in alone else joint for joint in joints)
+    alone = [j.name for j in joints if j.name in moving and j.mimic and j.mimic.joint not in moving]
+    if alone:
+        remarks["moves by itself, as no joint moves that it is to follow"] += alone
+    return tuple(replace(joint, mimic=None) if joint.name in alone else joint for joint in joints)
 
 
 def _with_armatures(
