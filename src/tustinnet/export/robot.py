@@ -66,7 +66,8 @@ class RobotTarget(Target):
         if file.path.suffix not in self.endings:
             notes.append(f"shapes and largest speeds of {file.path.name} are not in the file")
         if lacking:
-            better = "; `to=` mjcf holds armatures" if self.name == "urdf" else ""
+            has_armature = any(name.endswith(".armature") for name in lacking)
+            better = "; `to=` mjcf holds armatures" if has_armature else ""
             notes.append(
                 f"{self.description} cannot hold {', '.join(lacking)}: left out"
                 f"{self._describe_effect(source, lacking)}{better}"
