@@ -3,11 +3,12 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 
+from tustinnet.channels import Kind
 from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
@@ -15,6 +16,21 @@ if TYPE_CHECKING:
 
 MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
 JointKind = Literal["angular", "linear", "fixed"]
+
+
+class JointUnits(NamedTuple):
+    """The units of what belongs to a joint, by what they measure."""
+
+    position: str
+    speed: str
+    force: str
+    damping: str
+    stiffness: str
+    inertia: str
+
+
+_TURNING = JointUnits("rad", "rad/s", "N m", "N m s/rad", "N m/rad", "kg m^2")
+_SLIDING = JointUnits("m", "m/s", "N", "N s/m", "N/m", "kg")
 
 
 @dataclass(frozen=True)
@@ -107,6 +123,16 @@ class RobotJoint:
     speed: float | None = None
     range: tuple[float, float] | None = None
 
+    @property
+    def moves(self) -> Kind:
+        """Whether it turns or slides, where it is not fixed."""
+        return "angular" if self.kind == "angular" else "linear"
+
+    @property
+    def units(self) -> JointUnits:
+        """The units of its motion and its forces."""
+        return _TURNING if self.kind == "angular" else _SLIDING
+
 
 @dataclass(frozen=True)
 class RobotActuator:
@@ -129,6 +155,11 @@ class RobotActuator:
     by_speed: float = 0.0
     bias: float = 0.0
     largest_force: float | None = None
+
+    @property
+    def has_feedback(self) -> bool:
+        """Whether its force depends on the motion of the joint, as that of a servo does."""
+        return bool(self.by_position or self.by_speed)
 
 
 @dataclass(frozen=True)
@@ -230,8 +261,13 @@ def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
     tensor = np.zeros((3, 3))
     for part in parts:
         r = part.center - center
-        tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
+        tensor = tensor + part.tensor + part.mass * about_origin(r)
     return LinkInertia(mass, center, tensor)
+
+
+def about_origin(r: np.ndarray) -> np.ndarray:
+    """The rotational inertia about the origin of a mass of 1 kg at a position [m], (3, 3)."""
+    return r @ r * np.eye(3) - np.outer(r, r)
 
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:

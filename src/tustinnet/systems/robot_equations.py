@@ -11,6 +11,7 @@ from tustinnet.models import forces
 from tustinnet.models.added import PlacedForce, compute_friction
 from tustinnet.models.chains import Chain
 from tustinnet.models.lagrangian import Inertia, UnmeasuredCoordinates, solve_positive
+from tustinnet.systems.robot import RobotActuator
 
 _UNSURE = 0.1  # of the twist of a gear under the largest force: how far it may be off at first
 
@@ -19,32 +20,20 @@ _UNSURE = 0.1  # of the twist of a gear under the largest force: how far it may 
 class Drive:
     """The way in which an input acts on a coordinate.
 
-    `force = gain u + by_position q + by_speed v + bias` at a joint that moves by `ratio` times the
-    coordinate, plus `offset`.
-
     Attributes:
-        joint: name of the joint.
+        actuator: the actuator, at a joint that moves by `ratio` times the coordinate, plus
+            `offset`.
         coordinate: index of the coordinate.
         ratio: travel of the joint by that of the coordinate.
         offset: position of the joint where the coordinate is at 0.
         motor_constant: parameter that multiplies the input, None without one.
-        gain: force by input.
-        by_position: force by position.
-        by_speed: force by speed.
-        bias: force without input.
-        largest_force: largest force at the joint, None if unknown.
     """
 
-    joint: str
+    actuator: RobotActuator
     coordinate: int
     ratio: float
     offset: float
     motor_constant: str | None
-    gain: float
-    by_position: float
-    by_speed: float
-    bias: float
-    largest_force: float | None = None
 
 
 @dataclass(frozen=True)
@@ -278,6 +267,7 @@ class RobotEquations:
         for i, d in enumerate(self.drives):
             position, speed = d.ratio * q[d.coordinate] + d.offset, d.ratio * v[d.coordinate]
             constant = 1.0 if d.motor_constant is None else p[d.motor_constant]
-            force = d.gain * constant * u[i] + d.by_position * position + d.by_speed * speed
-            total[d.coordinate] = total[d.coordinate] + d.ratio * (force + d.bias)
+            a = d.actuator
+            force = a.gain * constant * u[i] + a.by_position * position + a.by_speed * speed
+            total[d.coordinate] = total[d.coordinate] + d.ratio * (force + a.bias)
         return jnp.stack(total)

@@ -6,32 +6,30 @@ Python's own parser (expat) reports, and attributes are replaced in the text.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from xml.parsers import expat
 
+import numpy as np
+
 from tustinnet.errors import InputError
-from tustinnet.systems.robot import LinkInertia
+from tustinnet.models.chains import INERTIAL, BodyInertia, body_inertia, inertial_parameters
+from tustinnet.systems.robot import LinkInertia, about_origin, join_inertias
+from tustinnet.systems.robot_tree import RobotTree, felt
 
 _TAG_END = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""")  # quoted texts may have a >
 # other ways in which MuJoCo's format says where the axes of an inertia are
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
 
 
-@dataclass(frozen=True)
-class JointValues:
-    """Identified values of a joint; None where it is as the file says.
-
-    Attributes:
-        viscous: viscous friction [N m s/rad or N s/m].
-        coulomb: Coulomb friction [N m or N].
-        armature: inertia beside those of the links [kg m^2 or kg].
-        stiffness: stiffness of a spring [N m/rad or N/m].
-    """
-
-    viscous: float | None = None
-    coulomb: float | None = None
-    armature: float | None = None
-    stiffness: float | None = None
+# what formats call the parameters of a joint
+_URDF_NAMES = {"viscous": "damping", "coulomb": "friction"}
+_MJCF_NAMES = {
+    "viscous": "damping",
+    "coulomb": "frictionloss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
+JointValues = Mapping[str, float]  # by the name of a parameter without that of the joint
 
 
 @dataclass
@@ -133,8 +131,89 @@ class _Text:
         return text.decode()
 
 
+def _attributes(values: JointValues, names: Mapping[str, str]) -> dict[str, str]:
+    """The attributes of a joint that a format has, of those values that it has a name for."""
+    return {name: _numbers(values[kind]) for kind, name in names.items() if kind in values}
+
+
 def _numbers(*values: float) -> str:
     return " ".join(f"{value:.17g}" for value in values)
+
+
+def write_values(
+    text: str, tree: RobotTree, values: Mapping[str, float]
+) -> tuple[str, frozenset[str]]:
+    """The text of a robot's file with values of parameters in it, and the names of these.
+
+    Args:
+        text: the file's text.
+        tree: the bodies that were made of it.
+        values: the parameters by name.
+
+    Raises:
+        InputError: see `write_mjcf`.
+    """
+    links, joints = _link_inertias(tree, values), _joint_values(tree, values)
+    if tree.path.suffix == ".urdf":
+        text, names = write_urdf(text, links, joints), _URDF_NAMES
+    else:
+        text, names = write_mjcf(text, links, joints, tree.path), _MJCF_NAMES
+    written = {f"{body}.{name}" for body in links for name in INERTIAL}
+    written |= {f"{joint}.{kind}" for joint, own in joints.items() for kind in own if kind in names}
+    return text, frozenset(written)
+
+
+def _link_inertias(tree: RobotTree, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
+    """The inertias of links in their own frames, by the values of the bodies' parameters.
+
+    Of a body of several links the others keep what they have by the file, as long as what is left
+    for the link that moves is the inertia of a body; else this link has all of it and the others
+    have none.
+    """
+    inertias: dict[str, LinkInertia | None] = {}
+    for body, parts in zip(tree.bodies, tree.parts, strict=True):
+        if not body.has_mass:
+            continue
+        own = body_inertia(body, values)
+        carried = {name: part for name, part in parts.items() if name != body.name}
+        rest = _without(own, join_inertias([*carried.values()])) if carried else None
+        if rest is None:
+            inertias |= dict.fromkeys(carried)
+            rest = _about_center(float(own.mass), np.asarray(own.moment), np.asarray(own.tensor))
+        inertias[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
+    return inertias
+
+
+def _joint_values(tree: RobotTree, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """The values of joints; what joints that follow have by the file is taken off first."""
+    by_joint: dict[str, dict[str, float]] = {name: {} for name in tree.moved_by}
+    for k, name in enumerate(tree.free):
+        followers = [m for m in tree.moved(k) if m.joint.name != name]
+        for kind in ("viscous", "coulomb", "armature"):
+            by_joint[name][kind] = max(values[f"{name}.{kind}"] - felt(followers, kind), 0.0)
+    for name, own in by_joint.items():
+        if tree.joints[name].stiffness:
+            own["stiffness"] = values[f"{name}.stiffness"]
+    return by_joint
+
+
+def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
+    """An inertia whose tensor and moment were about the origin of the frame."""
+    center = moment / mass
+    return LinkInertia(mass, center, tensor - mass * about_origin(center))
+
+
+def _without(own: BodyInertia, part: LinkInertia) -> LinkInertia | None:
+    """Rest of an inertia without a part of it; None where no body has that."""
+    if (mass := float(own.mass) - part.mass) <= 0:
+        return None
+    tensor = own.tensor - part.tensor - part.mass * about_origin(part.center)
+    rest = _about_center(mass, np.asarray(own.moment) - part.mass * part.center, np.asarray(tensor))
+    try:
+        inertial_parameters(rest.mass, rest.center, rest.tensor)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return rest
 
 
 def write_urdf(
@@ -174,9 +253,7 @@ def write_urdf(
     for name, values in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        friction = {"damping": values.viscous, "friction": values.coulomb}
-        known = {key: _numbers(x) for key, x in friction.items() if x is not None}
-        if not known:
+        if not (known := _attributes(values, _URDF_NAMES)):
             continue
         if (dynamics := element.child("dynamics")) is None:
             written.add(element, _tag("dynamics", known))
@@ -234,14 +311,7 @@ def write_mjcf(
     for name, joint in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        given = {
-            "damping": joint.viscous,
-            "frictionloss": joint.coulomb,
-            "armature": joint.armature,
-            "stiffness": joint.stiffness,
-        }
-        known = {key: _numbers(x) for key, x in given.items() if x is not None}
-        if known:
+        if known := _attributes(joint, _MJCF_NAMES):
             written.set(element, known)
     return written.written()
 
