@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from tustinnet.models.chains import Vector3
 
 MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
+Range = tuple[float, float]
 JointKind = Literal["angular", "linear", "fixed"]
 
 
@@ -100,6 +101,7 @@ class RobotJoint:
         stiffness: stiffness of a spring at the joint [N m/rad or N/m].
         spring_rest: position at which that spring is at rest [rad or m].
         effort: largest force of its actuator [N m or N], None if unknown.
+        actuator_range: smallest and largest force of all its actuators, that they are held within.
         speed: largest speed [rad/s or m/s], None if unknown.
         range: smallest and largest position [rad or m], None if unknown.
     """
@@ -120,8 +122,9 @@ class RobotJoint:
     stiffness: float = 0.0
     spring_rest: float = 0.0
     effort: float | None = None
+    actuator_range: Range | None = None
     speed: float | None = None
-    range: tuple[float, float] | None = None
+    range: Range | None = None
 
     @property
     def moves(self) -> Kind:
@@ -136,30 +139,64 @@ class RobotJoint:
 
 @dataclass(frozen=True)
 class RobotActuator:
-    """An actuator at a joint: `force = gain u + by_position q + by_speed v + bias`.
+    """An actuator at a joint: `gear f`, with `f = gain u + by_position q + by_speed v + bias`.
+
+    Its position q and speed v are `gear` times those of the joint. Both u and f have limits.
 
     Attributes:
         name: its name, that of the input.
         joint: name of the joint.
-        gain: force by input [N m or N, by the input's unit].
-        by_position: force by position [N m/rad or N/m].
-        by_speed: force by speed [N m s/rad or N s/m].
-        bias: force without input [N m or N].
-        largest_force: largest force in both directions [N m or N], None if unknown.
+        gear: force at the joint by its own.
+        gain: its force by the input [N m or N, by the input's unit].
+        by_position: its force by position [N m/rad or N/m].
+        by_speed: its force by speed [N m s/rad or N s/m].
+        bias: its force without input [N m or N].
+        input_range: smallest and largest input that counts, None without.
+        force_range: smallest and largest force of its own [N m or N], None without.
     """
 
     name: str
     joint: str
+    gear: float = 1.0
     gain: float = 1.0
     by_position: float = 0.0
     by_speed: float = 0.0
     bias: float = 0.0
-    largest_force: float | None = None
+    input_range: Range | None = None
+    force_range: Range | None = None
 
     @property
-    def has_feedback(self) -> bool:
-        """Whether its force depends on the motion of the joint, as that of a servo does."""
-        return bool(self.by_position or self.by_speed)
+    def gains(self) -> dict[str, float]:
+        """The gains of a servo by name: `kp`, `kv`, and `gain` where neither of both is that.
+
+        A motor has none: its gain sets the scale of all masses.
+        """
+        feedback = {"kp": -self.by_position, "kv": -self.by_speed}
+        gains = {name: value for name, value in feedback.items() if value}
+        return gains | ({} if self.goal or not gains else {"gain": self.gain})
+
+    @property
+    def goal(self) -> Literal["kp", "kv"] | None:
+        """The gain of a servo by which its input counts: a goal for the position, or the speed."""
+        if self.by_position and self.gain == -self.by_position:
+            return "kp"
+        is_speed = self.by_speed and not self.by_position and self.gain == -self.by_speed
+        return "kv" if is_speed else None
+
+    def largest_force(self, joint: RobotJoint) -> float | None:
+        """Largest force at its joint in both directions [N m or N], None if unknown."""
+        ranges = [(self.force_range, self.gear), (joint.actuator_range, 1.0)]
+        if not self.gains:
+            ranges.append((self.input_range, self.gear * self.gain))
+        # a force that has one direction alone cannot move a joint to and fro
+        return min(
+            (
+                abs(factor) * min(-ends[0], ends[1])
+                for ends, factor in ranges
+                if ends is not None and ends[0] < 0 < ends[1]
+            ),
+            default=None,
+        )
 
 
 @dataclass(frozen=True)
@@ -187,19 +224,21 @@ def restore_robot(plain: Mapping[str, Any]) -> Robot:
     def arrays(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
         return {**values, **{name: np.array(values[name], np.float64) for name in names}}
 
+    def ranges(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: tuple(x) if isinstance(x, list) else x for name, x in values.items()}
+
     def inertia(values: Mapping[str, Any] | None) -> LinkInertia | None:
         return None if values is None else LinkInertia(**arrays(values, "center", "tensor"))
 
     def joint(values: Mapping[str, Any]) -> RobotJoint:
         plain = arrays(values, "rotation", "position", "axis", "anchor")
         mimic = None if values["mimic"] is None else Mimic(**values["mimic"])
-        ends = None if values["range"] is None else tuple(values["range"])
-        return RobotJoint(**{**plain, "mimic": mimic, "range": ends})
+        return RobotJoint(**{**ranges(plain), "mimic": mimic})
 
     links = [RobotLink(x["name"], inertia(x["inertia"]), x["is_frame"]) for x in plain["links"]]
     joints = [joint(values) for values in plain["joints"]]
     x, y, z = plain["gravity"]
-    actuators = tuple(RobotActuator(**values) for values in plain["actuators"])
+    actuators = tuple(RobotActuator(**ranges(values)) for values in plain["actuators"])
     return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z))
 
 

@@ -51,11 +51,7 @@ class RobotChannels:
         self.tree, self.options = tree, options
         actuators = tree.robot.actuators
         if actuators is None:
-            words = ["torque" if c.kind == "angular" else "force" for c in tree.coordinates]
-            actuators = tuple(
-                RobotActuator(f"{name}_{word}", name)
-                for name, word in zip(tree.free, words, strict=True)
-            )
+            actuators = tuple(RobotActuator(name, name) for name in tree.free)
         actuators = [a for a in actuators if a.joint in tree.moved_by]
         driven = [a.joint for a in actuators]
         for name in options.motor_constants:
@@ -65,8 +61,9 @@ class RobotChannels:
                     f"motor_constants: the joint '{name}' has no actuator",
                     f"one of {_list(driven)}",
                 )
-        self.inputs = tuple(Input(a.name, self._unit(a)) for a in actuators)
-        self.drives = [self._drive(a) for a in actuators]
+        self.inputs = tuple(Input(self._name(a), self._unit(a)) for a in actuators)
+        servos = [a.joint for a in actuators if a.gains]
+        self.drives = [self._drive(a, servos.count(a.joint) == 1) for a in actuators]
 
     def arrange(
         self, coordinates: Sequence[Coordinate], inputs: Sequence[Input], where: object
@@ -109,9 +106,9 @@ class RobotChannels:
                 position = max(position[0], low), min(position[1], high)
             velocity = min(velocity, (joint.speed or np.inf) / abs(ratio))
         forces = [
-            abs(d.ratio)
-            * (self.tree.joints[d.actuator.joint].effort or d.actuator.largest_force or np.inf)
+            abs(d.ratio) * (joint.effort or d.actuator.largest_force(joint) or np.inf)
             for d in self.drives
+            for joint in [self.tree.joints[d.actuator.joint]]
             if d.coordinate == k
         ]
         has_range = np.isfinite(position).all() and position[0] < position[1]
@@ -121,18 +118,37 @@ class RobotChannels:
             force=float(sum(forces)) if forces and np.isfinite(forces).all() else None,
         )
 
+    def _name(self, actuator: RobotActuator) -> str:
+        """The name of an actuator's input, which differs from those of coordinates."""
+        if actuator.name not in self.tree.free:
+            return actuator.name
+        is_torque = self.tree.joints[actuator.joint].kind == "angular"
+        what = "goal" if actuator.goal else "torque" if is_torque else "force"
+        return f"{actuator.name}_{what}"
+
     def _unit(self, actuator: RobotActuator) -> str:
         """The unit of an actuator's input."""
+        units = self.tree.joints[actuator.joint].units
         if actuator.joint in self.options.motor_constants:
             return "A"
-        is_force = actuator.gain == 1.0 and not (actuator.has_feedback or actuator.bias)
-        return self.tree.joints[actuator.joint].units.force if is_force else ANY_UNIT
+        if actuator.gear == 1.0 and actuator.goal is not None:
+            return units.position if actuator.goal == "kp" else units.speed
+        is_force = actuator.gear * actuator.gain == 1.0 and not (actuator.gains or actuator.bias)
+        return units.force if is_force else ANY_UNIT
 
-    def _drive(self, actuator: RobotActuator) -> Drive:
+    def _drive(self, actuator: RobotActuator, is_only_servo: bool) -> Drive:
+        """The way in which an actuator acts; of several servos at a joint, gains have its name."""
         name, tree = actuator.joint, self.tree
         mover = tree.moved_by[name]
-        constant = f"{name}.motor_constant" if name in self.options.motor_constants else None
-        return Drive(actuator, tree.free.index(mover.joint), mover.ratio, mover.offset, constant)
+        return Drive(
+            actuator,
+            tree.free.index(mover.joint),
+            mover.ratio,
+            mover.offset,
+            name if is_only_servo else actuator.name,
+            f"{name}.motor_constant" if name in self.options.motor_constants else None,
+            tree.joints[name].actuator_range,
+        )
 
     def _compare_coordinates(self, coordinates: Sequence[Coordinate]) -> Iterator[_Mismatch]:
         """Mismatches between the coordinates of a card and the joints that move."""

@@ -25,6 +25,7 @@ _SPEED = 0.02  # speed at which 76 % of the Coulomb friction are reached [rad/s 
 _STRIBECK = 5.0  # Stribeck speed by that speed: where its search begins
 _STRIBECK_RANGE = 5.0  # factor by which it may differ
 _GEAR = 10.0  # factor by which the stiffness and the play of a gear may differ from what is said
+_SERVO = 10.0  # factor by which the gains of a servo may differ from the file's
 _LIGHTLY = 0.1  # damping of a gear by that of an oscillation without overshoot, to begin with
 _USUAL_SPEED = 0.99  # share of the samples of a record below its largest speed
 _LARGEST_SPEED_SHARE = 0.01  # of the largest speed of a joint: that speed where it is known
@@ -52,14 +53,16 @@ def recorded_motion(channels: RobotChannels, records: Sequence[Experiment]) -> l
         channels: coordinates and inputs of the robot as the records have them.
         records: the records.
     """
-    motions = []
+    motions, values = [], {p.name: p.nominal for p in _of_drives(channels)}
     for k in range(len(channels.tree.free)):
         force = 0.0
         for column, d in enumerate(channels.drives):
-            if d.coordinate == k and not d.actuator.has_feedback:
-                constant = channels.options.motor_constants.get(d.actuator.joint, 1.0)
-                gain = abs(d.actuator.gain * d.ratio * constant)
-                force += gain * max(float(np.abs(e.u[:, column]).max()) for e in records)
+            if d.coordinate == k:
+                acting = (
+                    d.force(e.q[:, k], e.velocities()[:, k], e.u[:, column], values)
+                    for e in records
+                )
+                force += abs(d.ratio) * max(float(np.abs(f).max()) for f in acting)
         speed = max(float(np.quantile(np.abs(e.velocities()[:, k]), _USUAL_SPEED)) for e in records)
         motions.append(RecordedMotion(_round_up(force), _round_up(speed)))
     return motions
@@ -94,17 +97,31 @@ def make_parameters(
     ]
     for k in range(len(tree.free)):
         parameters += _of_joint(channels, k, motions[k] if motions else None)
-    parameters += [
-        _near(
-            f"{joint}.motor_constant",
-            f"{tree.joints[joint].units.force}/A",
-            value,
-            _MASS,
-            fixed=True,
-        )
-        for joint, value in options.motor_constants.items()
-    ]
+    parameters += _of_drives(channels)
     return _with_ranges(parameters, options.ranges, f"{tree.path}, ranges")
+
+
+def _of_drives(channels: RobotChannels) -> list[Parameter]:
+    """The gains of servos, and the constants of motors."""
+    parameters = []
+    for d in channels.drives:
+        units = channels.tree.joints[d.actuator.joint].units
+        unit = {"kp": units.stiffness, "kv": units.damping, "gain": units.force}
+        parameters += [
+            _near(
+                f"{d.label}.{name}",
+                unit[name],
+                value,
+                _SERVO,
+                prior=abs(value),
+                basis=f"1/{_SERVO:g} to {_SERVO:g} times the value in the file",
+            )
+            for name, value in d.actuator.gains.items()
+        ]
+        if d.motor_constant is not None:
+            value = channels.options.motor_constants[d.actuator.joint]
+            parameters.append(_near(d.motor_constant, f"{units.force}/A", value, _MASS, fixed=True))
+    return parameters
 
 
 def _of_body(channels: RobotChannels, i: int) -> list[Parameter]:
@@ -245,7 +262,8 @@ def _place(law: Law, name: str, k: int) -> PlacedForce:
 
 def _near(name: str, unit: str, value: float, factor: float, **more: Any) -> Parameter:
     """A parameter within a factor of the value that a file or a person says."""
-    return Parameter(name, unit, value, value / factor, value * factor, **more)
+    lower, upper = sorted((value / factor, value * factor))
+    return Parameter(name, unit, value, lower, upper, **more)
 
 
 def _weak(name: str, unit: str, value: float, largest: float, basis: str = "") -> Parameter:

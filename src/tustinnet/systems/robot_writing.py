@@ -5,7 +5,7 @@ Python's own parser (expat) reports, and attributes are replaced in the text.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from xml.parsers import expat
 
@@ -14,6 +14,8 @@ import numpy as np
 from tustinnet.errors import InputError
 from tustinnet.models.chains import INERTIAL, BodyInertia, body_inertia, inertial_parameters
 from tustinnet.systems.robot import LinkInertia, about_origin, join_inertias
+from tustinnet.systems.robot_channels import RobotChannels
+from tustinnet.systems.robot_equations import Drive
 from tustinnet.systems.robot_tree import RobotTree, felt
 
 _TAG_END = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""")  # quoted texts may have a >
@@ -29,6 +31,7 @@ _MJCF_NAMES = {
     "armature": "armature",
     "stiffness": "stiffness",
 }
+_AT = ("joint", "jointinparent")  # by which an actuator without a name is known
 JointValues = Mapping[str, float]  # by the name of a parameter without that of the joint
 
 
@@ -141,25 +144,28 @@ def _numbers(*values: float) -> str:
 
 
 def write_values(
-    text: str, tree: RobotTree, values: Mapping[str, float]
+    text: str, channels: RobotChannels, values: Mapping[str, float]
 ) -> tuple[str, frozenset[str]]:
     """The text of a robot's file with values of parameters in it, and the names of these.
 
     Args:
         text: the file's text.
-        tree: the bodies that were made of it.
+        channels: the bodies and actuators that were made of it.
         values: the parameters by name.
 
     Raises:
         InputError: see `write_mjcf`.
     """
+    tree = channels.tree
     links, joints = _link_inertias(tree, values), _joint_values(tree, values)
+    servos = [(d, {g: values[f"{d.label}.{g}"] for g in d.actuator.gains}) for d in channels.drives]
     if tree.path.suffix == ".urdf":
         text, names = write_urdf(text, links, joints), _URDF_NAMES
     else:
-        text, names = write_mjcf(text, links, joints, tree.path), _MJCF_NAMES
+        text, names = write_mjcf(text, links, joints, tree.path, servos), _MJCF_NAMES
     written = {f"{body}.{name}" for body in links for name in INERTIAL}
     written |= {f"{joint}.{kind}" for joint, own in joints.items() for kind in own if kind in names}
+    written |= {f"{d.label}.{gain}" for d, gains in servos for gain in gains}
     return text, frozenset(written)
 
 
@@ -267,14 +273,16 @@ def write_mjcf(
     links: Mapping[str, LinkInertia | None],
     joints: Mapping[str, JointValues],
     where: object,
+    servos: Sequence[tuple[Drive, Mapping[str, float]]] = (),
 ) -> str:
-    """The text of a file in MuJoCo's format with other inertias, frictions and armatures.
+    """The text of a file in MuJoCo's format with other inertias, values of joints, and gains.
 
     Args:
         text: the file's text.
         links: inertias by body, in the frame of the body; None for one that is to have none.
         joints: values by joint.
         where: the file, for messages.
+        servos: drives with the gains of their actuators.
 
     Raises:
         InputError: the file takes inertias from shapes only, or a body is to have none.
@@ -313,6 +321,19 @@ def write_mjcf(
         assert element is not None
         if known := _attributes(joint, _MJCF_NAMES):
             written.set(element, known)
+    actuators = [e for group in written.elements if group.tag == "actuator" for e in group.children]
+    for drive, gains in servos:
+        own = drive.actuator
+        element = next(
+            e for e in actuators if own.name in (e.attributes.get(k) for k in ("name", *_AT))
+        )
+        if element.tag == "general":
+            gain = gains.get(own.goal or "gain", own.gain)
+            feedback = (0.0 - gains.get(name, 0.0) for name in ("kp", "kv"))
+            known = {"gainprm": _numbers(gain), "biasprm": _numbers(own.bias, *feedback)}
+        else:
+            known = {name: _numbers(x) for name, x in gains.items()}
+        written.set(element, known, drop=("dampratio",))
     return written.written()
 
 

@@ -158,7 +158,7 @@ class RobotFile(ChannelSource):
         Raises:
             InputError: a file whose inertias do not count.
         """
-        text, written = write_values(self.text, self._channels().tree, values)
+        text, written = write_values(self.text, self._channels(), values)
         # what options of `load_robot` add is not in the file, whatever its value
         plain = RobotFile(self.text, self.path, RobotOptions(locked=self.options.locked))
         nominal = plain.load().nominal()
