@@ -153,7 +153,7 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
             position = matches.coordinates.get(joint)
             if position is not None and reading.object:
                 own = max(own, 0.9 * (reading.object == findings.readings[position].object))
-            if position is not None and _is_goal(i):
+            if position is not None and is_goal(i):
                 own = max(own, 1.0 * (verdict.leads == position))
             scores[i.name, column] = (
                 own
@@ -185,19 +185,19 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
     matches.missing += [f"no column was found for the input '{name}'" for name in names]
 
 
-def _is_goal(i: Input) -> bool:
+def is_goal(i: Input) -> bool:
     """Whether an input is a goal, of a servo, by its unit."""
     return i.unit in ("rad", "m", "rad/s", "m/s")
 
 
 def _role(i: Input) -> Role:
-    return "set point" if _is_goal(i) else "input"
+    return "set point" if is_goal(i) else "input"
 
 
 def _may_be_input(column: str, i: Input, findings: Findings) -> bool:
     """Whether a column can be an input: not if its name says something else."""
     reading, verdict = findings.readings[column], findings.verdicts[column]
-    if _is_goal(i):
+    if is_goal(i):
         is_in_unit = not reading.unit or input_factor(reading.unit, i.unit) is not None
         return is_in_unit and "set point" in (verdict.role, verdict.rival)
     motion = reading.stated(("position", "velocity", "acceleration", "error"))
