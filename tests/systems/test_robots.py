@@ -100,7 +100,7 @@ def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
     names = [c.name for c in system.coordinates]
     source = system.source
     assert source is not None
-    movers = source._assembly().moved_by  # pyright: ignore[reportAttributeAccessIssue]
+    movers = source._channels().tree.moved_by  # pyright: ignore[reportAttributeAccessIssue]
     assert len(movers) > len(names)
     ratios = np.array([[m.ratio * (m.joint == name) for name in names] for m in movers.values()])
     offsets = np.array([m.offset for m in movers.values()])

@@ -25,6 +25,7 @@ from tustinnet.program.numbers import run
 from tustinnet.program.reading import read
 from tustinnet.systems.mjcf import joint_forces
 from tustinnet.systems.robot import find_lead
+from tustinnet.systems.robot_options import RobotOptions
 from tustinnet.systems.robot_reading import read_robot
 from tustinnet.systems.robots import RobotFile, robot_in
 
@@ -92,7 +93,7 @@ class RobotTarget(Target):
         text = path.read_text(encoding="utf-8")
         (_, file), (_, lacking) = self._robot(source), self._written(source)
         system, values = self._held(source)
-        again = RobotFile(text, path, file.locked).load().nominal()
+        again = RobotFile(text, path, RobotOptions(file.options.locked)).load().nominal()
         # MuJoCo's dry friction is a constraint, which has no width
         kept = {k for k in values if k not in lacking and not k.endswith(".coulomb_speed")}
         values |= {k: x for k, x in again.items() if k in kept}
@@ -102,7 +103,7 @@ class RobotTarget(Target):
             program = read(lambda x, u: {"v": function(x, u)}, sizes)
             return lambda x, u: run(program, x=x, u=u)["v"]
         names, n = [c.name for c in system.coordinates], len(system.coordinates)
-        lead = find_lead(read_robot(text, path), names, dict(file.locked))
+        lead = find_lead(read_robot(text, path), names, file.options.locked)
         forces = joint_forces(text, path, lead)
         dry = _model(system, values | {f"{name}.viscous": 0.0 for name in names})
 
@@ -133,7 +134,8 @@ class RobotTarget(Target):
         """The robot without what options and recipes add, and the values that the file can hold."""
         (equations, file), (_, lacking) = self._robot(source), self._written(source)
         plant = equations.system.plant
-        plain = RobotFile(file.text, file.path, file.locked, file.motor_constants)
+        options = RobotOptions(file.options.locked, file.options.motor_constants)
+        plain = RobotFile(file.text, file.path, options)
         system = plain.for_channels(plant.coordinates, plant.inputs, file.path)
         # files have torques and forces as inputs, of whatever motor
         unheld = {name for name in lacking if not name.endswith(".motor_constant")}

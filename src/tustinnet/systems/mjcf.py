@@ -56,7 +56,9 @@ _UNSUPPORTED = {
     "body_gravcomp": "gravity compensation",
     "dof_dampingpoly": "damping that is not linear",
     "jnt_stiffnesspoly": "springs that are not linear",
-    "actuator_damping": "damping of actuators",
+    "actuator_damping": "damping of actuators beside that of joints",
+    "actuator_armature": "armatures of actuators beside those of joints",
+    "actuator_delay": "delays of actuators, which a data card has at its inputs",
 }
 # of an actuator's gain and bias, by MuJoCo's numbers
 _FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS = 0, 0, 1
@@ -288,7 +290,7 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         _name_of(model) or "robot",
         tuple(links),
         tuple(joints),
-        _actuators_of(model, where),
+        _actuators_of(mujoco, model, where),
         (x, y, z),
         remarks.sentences(),
     )
@@ -367,6 +369,7 @@ def _joint_of(
         coulomb=float(model.dof_frictionloss[dof]) * has_friction,
         stiffness=float(np.ravel(model.jnt_stiffness[k])[0]) * has_spring,
         spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
+        actuator_range=_limits_of(model.jnt_actfrclimited[k], model.jnt_actfrcrange[k]),
         range=_range_of(model.jnt_limited[k], model.jnt_range[k]),
     )
 
@@ -387,14 +390,21 @@ def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
     return None
 
 
-def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
+def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator, ...]:
     """The actuators, of which each must be at a joint and linear."""
-    actuators = []
+    actuators, has_input_range = [], not _is_disabled(mujoco, model, "CLAMPCTRL")
     for i in range(model.nu):
         name, joint = model.actuator(i).name, int(model.actuator_trnid[i, 0])
         place = f"{where}, actuator '{name or i}'"
         if model.actuator_trntype[i] not in _AT_JOINTS:
             raise InputError(place, "not at a joint", 'joint="..."', "leave it out")
+        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            raise InputError(
+                place,
+                "it integrates its input, as <intvelocity> does",
+                "a servo whose input is its goal",
+                "write it as <position>, and the integral of its input as the input in the logs",
+            )
         if (
             model.actuator_dyntype[i]
             or model.actuator_gaintype[i] != _FIXED_GAIN
@@ -406,7 +416,6 @@ def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
                 "a motor, or a servo without a lag",
                 'write it as a motor and add a lag: [model] forces = ["lag"]',
             )
-        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
         bias, by_position, by_speed = model.actuator_biasprm[i, :3].tolist()
         if model.actuator_biastype[i] == _NO_BIAS:
             bias = by_position = by_speed = 0.0
@@ -415,36 +424,23 @@ def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
             RobotActuator(
                 name or joint_name,
                 joint_name,
-                gear * gain,
-                gear**2 * by_position,
-                gear**2 * by_speed,
-                gear * bias,
-                _largest_force(model, i, gear, gain),
+                float(model.actuator_gear[i, 0]),
+                float(model.actuator_gainprm[i, 0]),
+                by_position,
+                by_speed,
+                bias,
+                _limits_of(
+                    has_input_range and model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]
+                ),
+                _limits_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]),
             )
         )
     return tuple(actuators)
 
 
-def _largest_force(model: Any, i: int, gear: float, gain: float) -> float | None:
-    """The largest force of an actuator at its joint in both directions, None if unknown."""
-    joint = int(model.actuator_trnid[i, 0])
-    ranges = [
-        (_range_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]), gear),
-        (_range_of(model.jnt_actfrclimited[joint], model.jnt_actfrcrange[joint]), 1.0),
-    ]
-    if model.actuator_biastype[i] == _NO_BIAS:
-        ranges.append(
-            (_range_of(model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]), gear * gain)
-        )
-    # a force that has one direction alone cannot move a joint to and fro
-    return min(
-        (
-            abs(factor) * min(-ends[0], ends[1])
-            for ends, factor in ranges
-            if ends is not None and ends[0] < 0 < ends[1]
-        ),
-        default=None,
-    )
+def _limits_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:
+    """The limits of a force or an input, None without."""
+    return (float(ends[0]), float(ends[1])) if is_limited else None
 
 
 def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:

@@ -1,27 +1,29 @@
 """A robot in MuJoCo's format (MJCF) where its own file is a URDF, which has no armatures."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from tustinnet.errors import InputError
 from tustinnet.systems.robot import (
     LinkInertia,
     Robot,
     RobotActuator,
     RobotJoint,
-    force_name,
     join_inertias,
     place_inertia,
 )
-from tustinnet.systems.robot_writing import (
-    JointValues,
-    inertial_attributes,
-    joint_attributes,
-    no_rest_error,
-    numbers_text,
-)
 
+JointValues = Mapping[str, float]  # by the name of a parameter without that of the joint
+# what this format calls the parameters of a joint
+JOINT_NAMES = {
+    "viscous": "damping",
+    "coulomb": "frictionloss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
+_DIGITS = 14  # of written numbers: 0.55, where sums and products make 0.55000000000000004 of it
 _WORLD = "world"  # MuJoCo's name of what everything stands on
 _LEAST = 1e-12  # kg and kg m^2, of a link that moves and has no mass; MuJoCo refuses none
 
@@ -98,8 +100,7 @@ def _actuators(robot: Robot) -> list[RobotActuator]:
     moving = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
     if robot.actuators is not None:
         return [actuator for actuator in robot.actuators if actuator.joint in moving]
-    free = [joint for joint in moving.values() if joint.mimic is None]
-    return [RobotActuator(force_name(joint), joint.name) for joint in free]
+    return [RobotActuator(name, name) for name, joint in moving.items() if joint.mimic is None]
 
 
 def _joint_attributes(joint: RobotJoint, values: JointValues | None) -> dict[str, str]:
@@ -113,6 +114,40 @@ def _joint_attributes(joint: RobotJoint, values: JointValues | None) -> dict[str
         attributes["range"] = numbers_text(joint.range)
     if joint.effort is not None:
         attributes["actuatorfrcrange"] = numbers_text([-joint.effort, joint.effort])
-    own = JointValues(joint.viscous, joint.coulomb, joint.armature)
-    numbers = joint_attributes(own) | joint_attributes(values or own)
+    own = {kind: getattr(joint, kind) for kind in JOINT_NAMES}
+    numbers = joint_attributes({**own, **(values or {})})
     return attributes | {key: text for key, text in numbers.items() if text != "0"}
+
+
+def joint_attributes(values: JointValues, names: Mapping[str, str] = JOINT_NAMES) -> dict[str, str]:
+    """The attributes of a joint that a format has, of those values that it has a name for."""
+    return {name: numbers_text(values[kind]) for kind, name in names.items() if kind in values}
+
+
+def inertial_attributes(inertia: LinkInertia) -> dict[str, str]:
+    """The attributes of an <inertial> in this format."""
+    t = inertia.tensor
+    return {
+        "pos": numbers_text(inertia.center),
+        "mass": numbers_text(inertia.mass),
+        "fullinertia": numbers_text([t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]]),
+    }
+
+
+def numbers_text(values: Sequence[float] | np.ndarray | float) -> str:
+    """Numbers of a quantity, in digits that the rounding of sums and products leaves true."""
+    numbers = np.ravel(values).astype(float)
+    largest = np.abs(numbers).max()
+    places = _DIGITS - 1 - int(np.floor(np.log10(largest))) if largest else 0
+    rounded = [round(float(x), places) + 0.0 for x in numbers]
+    return " ".join(repr(int(x)) if x.is_integer() and abs(x) < 1e6 else repr(x) for x in rounded)
+
+
+def no_rest_error(where: object, what: str) -> InputError:
+    """The error about a body that is to have no inertia, in a format in which each has one."""
+    return InputError(
+        f"{where}, {what}",
+        "what it is fixed to weighs less than both by the file",
+        "bodies that weigh less",
+        "give it its true inertia, and identify again",
+    )

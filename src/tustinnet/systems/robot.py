@@ -4,11 +4,12 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 
+from tustinnet.channels import Kind
 from tustinnet.errors import InputError, describe_error
 
 if TYPE_CHECKING:
@@ -18,7 +19,23 @@ _MOST_NAMES = 6  # in a sentence
 _ROUNDING, _THIN = 1e-6, 1e-6  # of inertias, and thickness [m], by which a body is none yet
 _MISSING = 0.01  # share of the largest inertia by which rounded ones of public files miss it
 MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
+Range = tuple[float, float]
 JointKind = Literal["angular", "linear", "fixed"]
+
+
+class JointUnits(NamedTuple):
+    """The units of what belongs to a joint, by what they measure."""
+
+    position: str
+    speed: str
+    force: str
+    damping: str
+    stiffness: str
+    inertia: str
+
+
+_TURNING = JointUnits("rad", "rad/s", "N m", "N m s/rad", "N m/rad", "kg m^2")
+_SLIDING = JointUnits("m", "m/s", "N", "N s/m", "N/m", "kg")
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,7 @@ class RobotJoint:
         stiffness: stiffness of a spring at the joint [N m/rad or N/m].
         spring_rest: position at which that spring is at rest [rad or m].
         effort: largest force of its actuator [N m or N], None if unknown.
+        actuator_range: smallest and largest force of all its actuators, that they are held within.
         speed: largest speed [rad/s or m/s], None if unknown.
         range: smallest and largest position [rad or m], None if unknown.
     """
@@ -108,31 +126,81 @@ class RobotJoint:
     stiffness: float = 0.0
     spring_rest: float = 0.0
     effort: float | None = None
+    actuator_range: Range | None = None
     speed: float | None = None
-    range: tuple[float, float] | None = None
+    range: Range | None = None
+
+    @property
+    def moves(self) -> Kind:
+        """Whether it turns or slides, where it is not fixed."""
+        return "angular" if self.kind == "angular" else "linear"
+
+    @property
+    def units(self) -> JointUnits:
+        """The units of its motion and its forces."""
+        return _TURNING if self.kind == "angular" else _SLIDING
 
 
 @dataclass(frozen=True)
 class RobotActuator:
-    """An actuator at a joint: `force = gain u + by_position q + by_speed v + bias`.
+    """An actuator at a joint: `gear f`, with `f = gain u + by_position q + by_speed v + bias`.
+
+    Its position q and speed v are `gear` times those of the joint. Both u and f have limits.
 
     Attributes:
         name: its name, that of the input.
         joint: name of the joint.
-        gain: force by input [N m or N, by the input's unit].
-        by_position: force by position [N m/rad or N/m].
-        by_speed: force by speed [N m s/rad or N s/m].
-        bias: force without input [N m or N].
-        largest_force: largest force in both directions [N m or N], None if unknown.
+        gear: force at the joint by its own.
+        gain: its force by the input [N m or N, by the input's unit].
+        by_position: its force by position [N m/rad or N/m].
+        by_speed: its force by speed [N m s/rad or N s/m].
+        bias: its force without input [N m or N].
+        input_range: smallest and largest input that counts, None without.
+        force_range: smallest and largest force of its own [N m or N], None without.
     """
 
     name: str
     joint: str
+    gear: float = 1.0
     gain: float = 1.0
     by_position: float = 0.0
     by_speed: float = 0.0
     bias: float = 0.0
-    largest_force: float | None = None
+    input_range: Range | None = None
+    force_range: Range | None = None
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """The gains of a servo by name: `kp`, `kv`, and `gain` where neither of both is that.
+
+        A motor has none: its gain sets the scale of all masses.
+        """
+        feedback = {"kp": -self.by_position, "kv": -self.by_speed}
+        gains = {name: value for name, value in feedback.items() if value}
+        return gains | ({} if self.goal or not gains else {"gain": self.gain})
+
+    @property
+    def goal(self) -> Literal["kp", "kv"] | None:
+        """The gain of a servo by which its input counts: a goal for the position, or the speed."""
+        if self.by_position and self.gain == -self.by_position:
+            return "kp"
+        is_speed = self.by_speed and not self.by_position and self.gain == -self.by_speed
+        return "kv" if is_speed else None
+
+    def largest_force(self, joint: RobotJoint) -> float | None:
+        """Largest force at its joint in both directions [N m or N], None if unknown."""
+        ranges = [(self.force_range, self.gear), (joint.actuator_range, 1.0)]
+        if not self.gains:
+            ranges.append((self.input_range, self.gear * self.gain))
+        # a force that has one direction alone cannot move a joint to and fro
+        return min(
+            (
+                abs(factor) * min(-ends[0], ends[1])
+                for ends, factor in ranges
+                if ends is not None and ends[0] < 0 < ends[1]
+            ),
+            default=None,
+        )
 
 
 @dataclass(frozen=True)
@@ -217,19 +285,21 @@ def restore_robot(plain: Mapping[str, Any]) -> Robot:
     def arrays(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
         return {**values, **{name: np.array(values[name], np.float64) for name in names}}
 
+    def ranges(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: tuple(x) if isinstance(x, list) else x for name, x in values.items()}
+
     def inertia(values: Mapping[str, Any] | None) -> LinkInertia | None:
         return None if values is None else LinkInertia(**arrays(values, "center", "tensor"))
 
     def joint(values: Mapping[str, Any]) -> RobotJoint:
         plain = arrays(values, "rotation", "position", "axis", "anchor")
         mimic = None if values["mimic"] is None else Mimic(**values["mimic"])
-        ends = None if values["range"] is None else tuple(values["range"])
-        return RobotJoint(**{**plain, "mimic": mimic, "range": ends})
+        return RobotJoint(**{**ranges(plain), "mimic": mimic})
 
     links = [RobotLink(x["name"], inertia(x["inertia"]), x["is_frame"]) for x in plain["links"]]
     joints = [joint(values) for values in plain["joints"]]
     x, y, z = plain["gravity"]
-    actuators = tuple(RobotActuator(**values) for values in plain["actuators"])
+    actuators = tuple(RobotActuator(**ranges(values)) for values in plain["actuators"])
     remarks = tuple(plain["remarks"])
     return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z), remarks)
 
@@ -297,11 +367,6 @@ def place_inertia(inertia: LinkInertia, rotation: np.ndarray, position: np.ndarr
     return LinkInertia(inertia.mass, center, rotation @ inertia.tensor @ rotation.T)
 
 
-def force_name(joint: RobotJoint) -> str:
-    """The name of the input at a joint whose actuator has none."""
-    return f"{joint.name}_{'force' if joint.kind == 'linear' else 'torque'}"
-
-
 def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
     """The inertia of several links that do not move against one another, in one frame."""
     mass = sum(part.mass for part in parts)
@@ -309,7 +374,7 @@ def join_inertias(parts: Sequence[LinkInertia]) -> LinkInertia:
     tensor = np.zeros((3, 3))
     for part in parts:
         r = part.center - center
-        tensor = tensor + part.tensor + part.mass * (r @ r * np.eye(3) - np.outer(r, r))
+        tensor = tensor + part.tensor + part.mass * about_origin(r)
     return LinkInertia(mass, center, tensor)
 
 
@@ -346,6 +411,11 @@ def repair_inertia(
         "which become so much larger"
     )
     return replace(inertia, tensor=inertia.tensor + missing / 2 * across), (sentence,)
+
+
+def about_origin(r: np.ndarray) -> np.ndarray:
+    """The rotational inertia about the origin of a mass of 1 kg at a position [m], (3, 3)."""
+    return r @ r * np.eye(3) - np.outer(r, r)
 
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -6,35 +6,34 @@ Python's own parser (expat) reports, and attributes are replaced in the text.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from xml.parsers import expat
 
 import numpy as np
 
 from tustinnet.errors import InputError
-from tustinnet.systems.robot import LinkInertia
+from tustinnet.models.chains import INERTIAL, BodyInertia, body_inertia, inertial_parameters
+from tustinnet.systems.mjcf_text import (
+    JOINT_NAMES,
+    JointValues,
+    inertial_attributes,
+    joint_attributes,
+    mjcf_text,
+    no_rest_error,
+    numbers_text,
+)
+from tustinnet.systems.robot import LinkInertia, about_origin, join_inertias
+from tustinnet.systems.robot_channels import RobotChannels
+from tustinnet.systems.robot_equations import Drive
+from tustinnet.systems.robot_tree import RobotTree, felt
 
 _TAG_END = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""")  # quoted texts may have a >
-_DIGITS = 14  # of written numbers: 0.55, where sums and products make 0.55000000000000004 of it
 # other ways in which MuJoCo's format says where the axes of an inertia are
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
 
 
-@dataclass(frozen=True)
-class JointValues:
-    """Identified values of a joint; None where it is as the file says.
-
-    Attributes:
-        viscous: viscous friction [N m s/rad or N s/m].
-        coulomb: Coulomb friction [N m or N].
-        armature: inertia beside those of the links [kg m^2 or kg].
-        stiffness: stiffness of a spring [N m/rad or N/m].
-    """
-
-    viscous: float | None = None
-    coulomb: float | None = None
-    armature: float | None = None
-    stiffness: float | None = None
+_URDF_NAMES = {"viscous": "damping", "coulomb": "friction"}  # of the parameters of a joint
+_AT = ("joint", "jointinparent")  # by which an actuator without a name is known
 
 
 @dataclass
@@ -136,39 +135,87 @@ class _Text:
         return text.decode()
 
 
-def numbers_text(values: Sequence[float] | np.ndarray | float) -> str:
-    """Numbers of one attribute, in digits that the rounding of sums and products leaves true."""
-    return " ".join(_digits(values))
+def write_values(
+    text: str, channels: RobotChannels, values: Mapping[str, float], ending: str
+) -> tuple[str, frozenset[str]]:
+    """The text of a robot's file with values of parameters in it, and the names of these.
+
+    Args:
+        text: the file's text.
+        channels: the bodies and actuators that were made of it.
+        values: the parameters by name.
+        ending: the ending of the file to write; a URDF is also written in MuJoCo's format.
+
+    Raises:
+        InputError: see `write_mjcf` and `mjcf_text`.
+    """
+    tree = channels.tree
+    links, joints = _link_inertias(tree, values), _joint_values(tree, values)
+    servos = [(d, {g: values[f"{d.label}.{g}"] for g in d.actuator.gains}) for d in channels.drives]
+    names = _URDF_NAMES if ending == ".urdf" else JOINT_NAMES
+    if ending == ".urdf":
+        text = write_urdf(text, links, joints)
+    elif tree.path.suffix == ".urdf":
+        text = mjcf_text(tree.robot, links, joints, tree.path)
+    else:
+        text = write_mjcf(text, links, joints, tree.path, servos)
+    written = {f"{body}.{name}" for body in links for name in INERTIAL}
+    written |= {f"{joint}.{kind}" for joint, own in joints.items() for kind in own if kind in names}
+    written |= {f"{d.label}.{gain}" for d, gains in servos for gain in gains}
+    return text, frozenset(written)
 
 
-def _digits(values: Sequence[float] | np.ndarray | float) -> list[str]:
-    """The text of each number of a vector or a tensor, to 14 digits of the largest one."""
-    numbers = np.ravel(values).astype(float)
-    largest = np.abs(numbers).max()
-    places = _DIGITS - 1 - int(np.floor(np.log10(largest))) if largest else 0
-    rounded = [round(float(x), places) + 0.0 for x in numbers]
-    return [repr(int(x)) if x.is_integer() and abs(x) < 1e6 else repr(x) for x in rounded]
+def _link_inertias(tree: RobotTree, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
+    """The inertias of links in their own frames, by the values of the bodies' parameters.
+
+    Of a body of several links the others keep what they have by the file, as long as what is left
+    for the link that moves is the inertia of a body; else this link has all of it and the others
+    have none.
+    """
+    inertias: dict[str, LinkInertia | None] = {}
+    for body, parts in zip(tree.bodies, tree.parts, strict=True):
+        if not body.has_mass:
+            continue
+        own = body_inertia(body, values)
+        carried = {name: part for name, part in parts.items() if name != body.name}
+        rest = _without(own, join_inertias([*carried.values()])) if carried else None
+        if rest is None:
+            inertias |= dict.fromkeys(carried)
+            rest = _about_center(float(own.mass), np.asarray(own.moment), np.asarray(own.tensor))
+        inertias[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
+    return inertias
 
 
-def inertial_attributes(inertia: LinkInertia) -> dict[str, str]:
-    """The attributes of an <inertial> in MuJoCo's format."""
-    t = inertia.tensor
-    return {
-        "pos": numbers_text(inertia.center),
-        "mass": numbers_text(inertia.mass),
-        "fullinertia": numbers_text([t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]]),
-    }
+def _joint_values(tree: RobotTree, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """The values of joints; what joints that follow have by the file is taken off first."""
+    by_joint: dict[str, dict[str, float]] = {name: {} for name in tree.moved_by}
+    for k, name in enumerate(tree.free):
+        followers = [m for m in tree.moved(k) if m.joint.name != name]
+        for kind in ("viscous", "coulomb", "armature"):
+            by_joint[name][kind] = max(values[f"{name}.{kind}"] - felt(followers, kind), 0.0)
+    for name, own in by_joint.items():
+        if tree.joints[name].stiffness:
+            own["stiffness"] = values[f"{name}.stiffness"]
+    return by_joint
 
 
-def joint_attributes(values: JointValues) -> dict[str, str]:
-    """The attributes of a <joint> in MuJoCo's format, of the values that are known."""
-    given = {
-        "damping": values.viscous,
-        "frictionloss": values.coulomb,
-        "armature": values.armature,
-        "stiffness": values.stiffness,
-    }
-    return {key: numbers_text(x) for key, x in given.items() if x is not None}
+def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
+    """An inertia whose tensor and moment were about the origin of the frame."""
+    center = moment / mass
+    return LinkInertia(mass, center, tensor - mass * about_origin(center))
+
+
+def _without(own: BodyInertia, part: LinkInertia) -> LinkInertia | None:
+    """Rest of an inertia without a part of it; None where no body has that."""
+    if (mass := float(own.mass) - part.mass) <= 0:
+        return None
+    tensor = own.tensor - part.tensor - part.mass * about_origin(part.center)
+    rest = _about_center(mass, np.asarray(own.moment) - part.mass * part.center, np.asarray(tensor))
+    try:
+        inertial_parameters(rest.mass, rest.center, rest.tensor)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return rest
 
 
 def write_urdf(
@@ -192,7 +239,7 @@ def write_urdf(
         origin = {"xyz": numbers_text(inertia.center), "rpy": "0 0 0"}
         mass = {"value": numbers_text(inertia.mass)}
         axes = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        moments = dict(zip(axes, _digits(tensor[np.triu_indices(3)]), strict=True))
+        moments = dict(zip(axes, numbers_text(tensor[np.triu_indices(3)]).split(), strict=True))
         parts = {"origin": origin, "mass": mass, "inertia": moments}
         if (inertial := element.child("inertial")) is None:
             inner = "".join(_tag(tag, values) for tag, values in parts.items())
@@ -206,9 +253,7 @@ def write_urdf(
     for name, values in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        friction = {"damping": values.viscous, "friction": values.coulomb}
-        known = {key: numbers_text(x) for key, x in friction.items() if x is not None}
-        if not known:
+        if not (known := joint_attributes(values, _URDF_NAMES)):
             continue
         if (dynamics := element.child("dynamics")) is None:
             written.add(element, _tag("dynamics", known))
@@ -222,14 +267,16 @@ def write_mjcf(
     links: Mapping[str, LinkInertia | None],
     joints: Mapping[str, JointValues],
     where: object,
+    servos: Sequence[tuple[Drive, Mapping[str, float]]] = (),
 ) -> str:
-    """The text of a file in MuJoCo's format with other inertias, frictions and armatures.
+    """The text of a file in MuJoCo's format with other inertias, values of joints, and gains.
 
     Args:
         text: the file's text.
         links: inertias by body, in the frame of the body; None for one that is to have none.
         joints: values by joint.
         where: the file, for messages.
+        servos: drives with the gains of their actuators.
 
     Raises:
         InputError: the file takes inertias from shapes only, or a body is to have none.
@@ -258,17 +305,20 @@ def write_mjcf(
         assert element is not None
         if known := joint_attributes(joint):
             written.set(element, known)
+    actuators = [e for group in written.elements if group.tag == "actuator" for e in group.children]
+    for drive, gains in servos:
+        own = drive.actuator
+        element = next(
+            e for e in actuators if own.name in (e.attributes.get(k) for k in ("name", *_AT))
+        )
+        if element.tag == "general":
+            gain = gains.get(own.goal or "gain", own.gain)
+            feedback = (0.0 - gains.get(name, 0.0) for name in ("kp", "kv"))
+            known = {"gainprm": numbers_text(gain), "biasprm": numbers_text([own.bias, *feedback])}
+        else:
+            known = {name: numbers_text(x) for name, x in gains.items()}
+        written.set(element, known, drop=("dampratio",))
     return written.written()
-
-
-def no_rest_error(where: object, what: str) -> InputError:
-    """The error about a body that is to have no inertia, in a format in which each has one."""
-    return InputError(
-        f"{where}, {what}",
-        "what it is fixed to weighs less than both by the file",
-        "bodies that weigh less",
-        "give it its true inertia, and identify again",
-    )
 
 
 def _tag(name: str, values: Mapping[str, str]) -> str:

@@ -24,7 +24,6 @@ from tustinnet.systems.robot import (
     RobotActuator,
     RobotJoint,
     RobotLink,
-    force_name,
     parse_xml,
     require_few_joints,
     rotation_about,
@@ -315,7 +314,7 @@ def _read_transmissions(
     """The actuators at joints that transmissions name; None without such transmissions.
 
     An actuator has the name that its transmission says, where that is of one actuator at one joint,
-    else one of the joint.
+    else that of the joint.
     """
     actuators: dict[str, RobotActuator] = {}
     for element in root.findall("transmission"):
@@ -329,7 +328,7 @@ def _read_transmissions(
         if driven and not is_simple:
             remarks["not one actuator at one joint, so an input at each joint"].append(transmission)
         for joint in driven:
-            name = (is_simple and names[0]) or force_name(joints[joint])
+            name = (is_simple and names[0]) or joint
             actuators[name] = RobotActuator(name, joint)
         if {(e.text or "").strip() for e in element.iter("mechanicalReduction")} - _UNITY:
             what = "its reduction does not count, as inputs are torques and forces at joints"
