@@ -214,8 +214,6 @@ class RobotTree:
         ratio, offset, visited = 1.0, 0.0, [name]
         while (mimic := self.joints[visited[-1]].mimic) is not None:
             place = f"{self.path}, joint '{visited[-1]}'"
-            if mimic.joint not in self.joints or self.joints[mimic.joint].kind == "fixed":
-                raise InputError(place, f"follows '{mimic.joint}', no joint that moves", "one")
             if mimic.joint in visited:
                 raise InputError(place, f"follows '{mimic.joint}', which follows it", "no loop")
             offset += ratio * mimic.offset
