@@ -103,3 +103,12 @@ def test_servos_without_equations_are_refused(tmp_path):
     for actuator, message in cases.items():
         with pytest.raises(InputError, match=message):
             load(tmp_path, actuator)
+
+
+def test_torques_and_currents_are_no_goals(tmp_path):
+    system, _ = load(tmp_path, SERVOS[1])
+    torques = [tn.Input(i.name, "N m" if i.unit == "1" else "N") for i in system.inputs]
+    with pytest.raises(InputError, match=r"input 'c' in N; expected m; where forces.* <motor>"):
+        system.for_channels(system.coordinates, torques, "the card")
+    with pytest.raises(InputError, match="the joint 'toe' has no motor"):
+        tn.load_robot(tmp_path / "leg.xml", motor_constants={"toe": 2.0})

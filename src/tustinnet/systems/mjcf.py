@@ -416,9 +416,8 @@ def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator
                 "a motor, or a servo without a lag",
                 'write it as a motor and add a lag: [model] forces = ["lag"]',
             )
-        bias, by_position, by_speed = model.actuator_biasprm[i, :3].tolist()
-        if model.actuator_biastype[i] == _NO_BIAS:
-            bias = by_position = by_speed = 0.0
+        has_bias = model.actuator_biastype[i] != _NO_BIAS
+        bias, by_position, by_speed = (has_bias * model.actuator_biasprm[i, :3]).tolist()
         joint_name = model.joint(joint).name
         actuators.append(
             RobotActuator(
@@ -426,8 +425,8 @@ def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator
                 joint_name,
                 float(model.actuator_gear[i, 0]),
                 float(model.actuator_gainprm[i, 0]),
-                by_position,
-                by_speed,
+                -by_position,
+                -by_speed,
                 bias,
                 _limits_of(
                     has_input_range and model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]

@@ -143,7 +143,7 @@ class RobotJoint:
 
 @dataclass(frozen=True)
 class RobotActuator:
-    """An actuator at a joint: `gear f`, with `f = gain u + by_position q + by_speed v + bias`.
+    """An actuator at a joint: `gear f`, with `f = gain u - kp q - kv v + bias`.
 
     Its position q and speed v are `gear` times those of the joint. Both u and f have limits.
 
@@ -152,8 +152,8 @@ class RobotActuator:
         joint: name of the joint.
         gear: force at the joint by its own.
         gain: its force by the input [N m or N, by the input's unit].
-        by_position: its force by position [N m/rad or N/m].
-        by_speed: its force by speed [N m s/rad or N s/m].
+        kp: its force against position [N m/rad or N/m].
+        kv: its force against speed [N m s/rad or N s/m].
         bias: its force without input [N m or N].
         input_range: smallest and largest input that counts, None without.
         force_range: smallest and largest force of its own [N m or N], None without.
@@ -163,8 +163,8 @@ class RobotActuator:
     joint: str
     gear: float = 1.0
     gain: float = 1.0
-    by_position: float = 0.0
-    by_speed: float = 0.0
+    kp: float = 0.0
+    kv: float = 0.0
     bias: float = 0.0
     input_range: Range | None = None
     force_range: Range | None = None
@@ -175,17 +175,17 @@ class RobotActuator:
 
         A motor has none: its gain sets the scale of all masses.
         """
-        feedback = {"kp": -self.by_position, "kv": -self.by_speed}
-        gains = {name: value for name, value in feedback.items() if value}
-        return gains | ({} if self.goal or not gains else {"gain": self.gain})
+        gains = {"kp": self.kp, "kv": self.kv}
+        if any(gains.values()) and self.goal is None:
+            gains["gain"] = self.gain
+        return {name: value for name, value in gains.items() if value}
 
     @property
     def goal(self) -> Literal["kp", "kv"] | None:
         """The gain of a servo by which its input counts: a goal for the position, or the speed."""
-        if self.by_position and self.gain == -self.by_position:
-            return "kp"
-        is_speed = self.by_speed and not self.by_position and self.gain == -self.by_speed
-        return "kv" if is_speed else None
+        if self.kp:
+            return "kp" if self.gain == self.kp else None
+        return "kv" if self.kv and self.gain == self.kv else None
 
     def largest_force(self, joint: RobotJoint) -> float | None:
         """Largest force at its joint in both directions [N m or N], None if unknown."""

@@ -53,12 +53,12 @@ class RobotChannels:
         if actuators is None:
             actuators = tuple(RobotActuator(name, name) for name in tree.free)
         actuators = [a for a in actuators if a.joint in tree.moved_by]
-        driven = [a.joint for a in actuators]
+        driven = [a.joint for a in actuators if not a.gains]
         for name in options.motor_constants:
             if name not in driven:
                 raise InputError(
                     tree.path,
-                    f"motor_constants: the joint '{name}' has no actuator",
+                    f"motor_constants: the joint '{name}' has no motor",
                     f"one of {_list(driven)}",
                 )
         self.inputs = tuple(Input(self._name(a), self._unit(a)) for a in actuators)
@@ -210,16 +210,20 @@ class RobotChannels:
                 else "the name of an actuator, or one that holds the name of the joint",
             )
             return
-        own, joint = self.inputs[k], self.drives[k].actuator.joint
+        own, actuator = self.inputs[k], self.drives[k].actuator
+        joint = self.tree.joints[actuator.joint]
         if drives.count(k) > 1:
             yield _Mismatch(f"two inputs at '{own.name}'", "one", i.name)
         if own.unit != ANY_UNIT and not _is_same_unit(i.unit, own.unit):
-            is_current = _is_same_unit(i.unit, "A")
+            is_current = _is_same_unit(i.unit, "A") and not actuator.gains
+            remedy = "convert it in the card by `scale`"
+            if actuator.goal and _is_same_unit(i.unit, joint.units.force):
+                remedy = "where forces were logged, its actuator in the file is a <motor>"
             yield _Mismatch(
                 f"input '{i.name}' in {i.unit}",
                 own.unit,
-                "a current needs a gain" if is_current else "convert it in the card by `scale`",
-                {"motor_constants": {joint: ...}} if is_current else {},
+                "a current needs a gain" if is_current else remedy,
+                {"motor_constants": {joint.name: ...}} if is_current else {},
             )
 
     def _find_silent(self, drives: Sequence[int | None]) -> Iterator[_Mismatch]:
