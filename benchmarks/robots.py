@@ -33,7 +33,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,9 +58,8 @@ from tustinnet.models.chains import INERTIAL, body_inertia
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.systems.files import find_system
-from tustinnet.systems.mjcf import read_mjcf
-from tustinnet.systems.robot import Robot
-from tustinnet.systems.urdf import read_urdf
+from tustinnet.systems.robot import Lead, find_lead
+from tustinnet.systems.robot_reading import read_robot
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -69,21 +68,6 @@ from robot_twins import record_in_loop, true_values, with_payload  # pyright: ig
 
 _DECIDED = 0.5  # share of a prior's standard deviation below which records decide
 ARM = ROOT / "examples" / "robots" / "arm7.urdf"
-
-
-@dataclass(frozen=True)
-class Lead:
-    """How the joints of a file move with the coordinates of its system: `ratios q + offsets`.
-
-    Attributes:
-        joints: names of the joints that move.
-        ratios: of each by the coordinates, (n, n_q).
-        offsets: where all coordinates are 0, (n,) [rad or m].
-    """
-
-    joints: list[str]
-    ratios: np.ndarray
-    offsets: np.ndarray
 
 
 def own_terms(system: LagrangianSystem, states: np.ndarray) -> list[dict[str, np.ndarray]]:
@@ -176,19 +160,6 @@ def mujoco_terms(text: str, lead: Lead, states: np.ndarray) -> list[dict[str, An
     return results
 
 
-def find_lead(robot: Robot, coordinates: Sequence[str]) -> Lead:
-    """The motion of all joints of a robot by those that lead."""
-    joints = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
-    ratios, offsets = np.zeros((len(joints), len(coordinates))), np.zeros(len(joints))
-    for k, name in enumerate(joints):
-        ratio = 1.0
-        while (mimic := joints[name].mimic) is not None:
-            offsets[k] += ratio * mimic.offset
-            ratio, name = ratio * mimic.ratio, mimic.joint
-        ratios[k, coordinates.index(name)] = ratio
-    return Lead(list(joints), ratios, offsets)
-
-
 def differences(path: Path, states: int = 3) -> tuple[LagrangianSystem, dict[str, float]]:
     """A robot's system, and its largest differences of terms to other tools.
 
@@ -198,7 +169,7 @@ def differences(path: Path, states: int = 3) -> tuple[LagrangianSystem, dict[str
     assert not isinstance(file, str)
     is_urdf = path.suffix == ".urdf"
     names = [c.name for c in system.coordinates]
-    lead = find_lead((read_urdf if is_urdf else read_mjcf)(file.text, path), names)
+    lead = find_lead(read_robot(file.text, path), names)
     points = 2 * np.random.default_rng(0).normal(size=(states, 2 * len(names)))
     own, worst = own_terms(system, points), dict[str, float]()
     tools = {"Pinocchio": pinocchio_terms} if is_urdf else {}

@@ -94,8 +94,12 @@ def test_a_card_of_a_robot_works_at_once(tmp_path: Path, capsys) -> None:
 def test_what_has_no_column_is_one_line_each(tmp_path: Path, capsys) -> None:
     header = "time_s,elbow_deg,foo,shoulder_deg,elbow_tau,lift_N"
     folder = write_logs(tmp_path / "logs", header, np.array([40, 30, 50, 3, 20.0]))
-    code, _, err = tustinnet(capsys, "init", folder, "--system", ROBOTS / "scara.urdf", "--yes")
+    text = (ROBOTS / "scara.urdf").read_text()
+    text = text.replace("</robot>", "<transmission name='t'/></robot>")
+    (file := tmp_path / "scara.urdf").write_text(text)
+    code, _, err = tustinnet(capsys, "init", folder, "--system", file, "--yes")
     assert code == 0, err
+    assert "scara.urdf, t: left out, as none of its joints is there\n" in err
     lines = [line for line in err.splitlines() if line.startswith("not matched:")]
     assert [line.split("for the ")[1] for line in lines] == [
         "coordinate 'lift'",

@@ -1,5 +1,6 @@
 """Identified values in the files of robots: only numbers change, MuJoCo reads what was meant."""
 
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from robot_twins import true_values
 
 import tustinnet as tn
+from tustinnet.export import robot
 from tustinnet.systems.robots import RobotFile
 
 mujoco = import_module("mujoco")  # no types are known
@@ -103,14 +105,14 @@ def test_an_export_is_what_the_model_simulates(name, tmp_path, monkeypatch):
     """Written once, read again, checked step by step; what it cannot hold is said."""
     written_texts = []
 
-    def with_values(file, values, write=RobotFile.with_values):
-        written_texts.append(write(file, values))
+    def with_values(file, values, ending, write=RobotFile.with_values):
+        written_texts.append(write(file, values, ending))
         return written_texts[-1]
 
     monkeypatch.setattr(RobotFile, "with_values", with_values)
     system = tn.load_system(ROBOTS / name)
     model, _ = moved(system)
-    kind, other = ("urdf", "mjcf") if name.endswith(".urdf") else ("mjcf", "urdf")
+    kind = "urdf" if name.endswith(".urdf") else "mjcf"
     discrete = tn.discretise(model, 0.005, 2, inputs=system.inputs)
     (result,) = tn.export_model(discrete, kind, tmp_path / "out")
     assert result.checked.difference < 1e-9
@@ -120,13 +122,75 @@ def test_an_export_is_what_the_model_simulates(name, tmp_path, monkeypatch):
     assert all(parameter in note for parameter in lacking)
     written = (tmp_path / "out" / f"robot{Path(name).suffix}").read_text()
     assert written == (tmp_path / name).read_text()
-    with pytest.raises(tn.InputError, match=f"`to=` {other}: the robot was made from {name}"):
-        tn.export_model(discrete, other, tmp_path / "no")
+    if kind == "mjcf":
+        with pytest.raises(tn.InputError, match=f"`to=` urdf: the robot was made from {name}"):
+            tn.export_model(discrete, "urdf", tmp_path / "no")
     # the model of no robot, and one with a gear that the format has no word for
     pendulum = tn.load_system("2-link-chain")
     own = pendulum.model({key: jnp.asarray(x) for key, x in pendulum.nominal().items()})
     with pytest.raises(tn.InputError, match="not made from the file of a robot"):
         tn.export_model(tn.discretise(own, 0.005, inputs=pendulum.inputs), kind, tmp_path / "no")
+
+
+@pytest.mark.parametrize("name", ["gripper.urdf", "double_pendulum.urdf"])
+def test_a_urdf_is_written_in_mujocos_format_with_its_armatures(name, tmp_path):
+    system = tn.load_system(ROBOTS / name)
+    model, values = moved(system)
+    lacking = tn.write_robot(model, tmp_path / "robot.xml")
+    assert {key.rpartition(".")[2] for key in lacking} == {"offset"}
+    again = tn.load_system(tmp_path / "robot.xml")
+    assert [c.name for c in again.coordinates] == [c.name for c in system.coordinates]
+    kept = [k for k in values if k not in lacking and not k.endswith("coulomb_speed")]
+    np.testing.assert_allclose(
+        [again.nominal()[k] for k in kept], [values[k] for k in kept], rtol=1e-9, atol=1e-12
+    )
+    assert [limits.position for limits in again.limits] == [x.position for x in system.limits]
+
+
+def test_an_export_says_what_the_same_torques_do_without_an_armature(tmp_path):
+    system = tn.load_system(ROBOTS / "double_pendulum.urdf")
+    nominal = system.nominal()
+    joint = system.coordinates[1].name
+    values = {k: 0.0 if k.endswith(("viscous", "coulomb")) else x for k, x in nominal.items()}
+    heavy = values | {f"{joint}.armature": 100 * nominal["lower.mass"]}
+    made = system.model({k: jnp.asarray(x) for k, x in heavy.items()})
+    discrete = tn.discretise(made, 0.005, 2, inputs=system.inputs)
+    (urdf,), (mjcf,) = (tn.export_model(discrete, to, tmp_path / to) for to in ("urdf", "mjcf"))
+    *_, note = urdf.notes
+    assert f"cannot hold {joint}.armature: left out; the same torques give {joint}" in note
+    assert note.endswith("`to=` mjcf holds armatures")
+    assert mjcf.checked.difference < 1e-9
+    assert not any("cannot hold" in note for note in mjcf.notes)
+    by_file, with_all = (
+        float(x.split()[0]) for x in note.split(f"give {joint} ")[1].split(" and ")
+    )
+    assert abs(by_file) > 100 * abs(with_all)
+
+
+def test_an_export_in_mujocos_format_is_compared_with_what_mujoco_computes(tmp_path, monkeypatch):
+    """A file whose armatures MuJoCo would not have is refused, whatever the package reads in it."""
+    system = tn.load_system(ROBOTS / "double_pendulum.urdf")
+    model, _ = moved(system)
+    discrete = tn.discretise(model, 0.005, 2, inputs=system.inputs)
+    forces = robot.joint_forces
+
+    def without_armatures(text, where, lead):
+        return forces(re.sub('armature="[^"]*"', "", text), where, lead)
+
+    monkeypatch.setattr(robot, "joint_forces", without_armatures)
+    with pytest.raises(tn.InputError, match="a step differs from the model's by"):
+        tn.export_model(discrete, "mjcf", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", NAMES[:4])
+def test_numbers_that_did_not_change_are_written_as_people_wrote_them(name, tmp_path):
+    system = tn.load_system(ROBOTS / name)
+    model = system.model({k: jnp.asarray(x) for k, x in system.nominal().items()})
+    tn.write_robot(model, tmp_path / name)
+    before, after = ((place / name).read_text() for place in (ROBOTS, tmp_path))
+    assert after.count("0.35") == before.count("0.35")
+    long = re.findall(r"[ \"](-?\d*\.\d{12,}[-e\d]*)[ \"]", after)
+    assert [number for number in long if number not in before] == []
 
 
 def test_what_options_add_is_left_out_and_said(tmp_path):
@@ -164,14 +228,20 @@ def test_a_group_of_records_is_written_by_itself(tmp_path):
 
 def test_what_cannot_be_written_is_one_line(tmp_path):
     model, _ = moved(tn.load_system(ROBOTS / "scara.urdf"))
-    with pytest.raises(tn.InputError, match=r"ending '.xml'; expected '.urdf'"):
-        tn.write_robot(model, tmp_path / "scara.xml")
+    with pytest.raises(tn.InputError, match=r"ending '.txt'; expected '.urdf' or '.xml' as of"):
+        tn.write_robot(model, tmp_path / "scara.txt")
+    cart, _ = moved(tn.load_system(ROBOTS / "cart_pole.xml"))
+    with pytest.raises(tn.InputError, match=r"ending '.urdf'; expected '.xml' as of the robot"):
+        tn.write_robot(cart, tmp_path / "cart_pole.urdf")
     tn.write_robot(model, tmp_path / "scara.urdf")
     with pytest.raises(tn.InputError, match=r"scara\.urdf"):
         tn.write_robot(model, tmp_path / "scara.urdf")
     tn.write_robot(model, tmp_path / "scara.urdf", overwrite=True)
     with pytest.raises(tn.InputError, match="read"):
         tn.write_robot(model, ROBOTS / "scara.urdf", overwrite=True)
+    locked, _ = moved(tn.load_robot(ROBOTS / "gripper.urdf", locked={"left": 0.01}))
+    with pytest.raises(tn.InputError, match="link 'left_finger': what it is fixed to weighs less"):
+        tn.write_robot(locked, tmp_path / "gripper.xml")
     pendulum = tn.load_system("qube-servo2")
     values = {name: jnp.asarray(x) for name, x in pendulum.nominal().items()}
     with pytest.raises(tn.InputError, match="not made from a robot's file"):

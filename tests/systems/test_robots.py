@@ -100,7 +100,7 @@ def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
     names = [c.name for c in system.coordinates]
     source = system.source
     assert source is not None
-    movers = source._assembly().moved_by  # pyright: ignore[reportAttributeAccessIssue]
+    movers = source._channels().tree.moved_by  # pyright: ignore[reportAttributeAccessIssue]
     assert len(movers) > len(names)
     ratios = np.array([[m.ratio * (m.joint == name) for name in names] for m in movers.values()])
     offsets = np.array([m.offset for m in movers.values()])
@@ -496,13 +496,10 @@ AB, BC, CA = (JOINT.format(x + y, x, y, "revolute") for x, y in ("ab", "bc", "ca
             "'bc' and 'ac' both carry the link 'c'",
         ),
         (f"{A}{B}{C}{AB}", "links that no joint carries: 'a', 'c'"),
+        (f"{A}<link name='b'><visual/></link>{AB}", "links that move have no masses"),
+        (f"{A}<link name='b'/>{AB}", "links that move have no masses"),
         (
-            f"{A}<link name='b'><visual/></link>{AB}",
-            "link 'b': moves by the joint 'ab' and has no inertia",
-        ),
-        (f"{A}<link name='b'/>{AB}", "link 'b': moves, and neither it nor what it carries has an"),
-        (
-            f"{A}{B}{JOINT.format('j', 'a', 'b', 'planar')}",
+            f"{A}{B}{C}{AB}{JOINT.format('j', 'b', 'c', 'planar')}",
             "joint 'j': the type 'planar'; expected one of revolute",
         ),
         (
@@ -522,18 +519,6 @@ AB, BC, CA = (JOINT.format(x + y, x, y, "revolute") for x, y in ("ab", "bc", "ca
         (f"{A}{A}", "two links 'a'"),
         (f"{A}{B}{JOINT.format('j', 'a', 'b', 'fixed')}", "no joint that moves"),
         (f"{A}{B}", "links that no joint carries"),
-        (
-            f"{A}{B}{AB}<transmission name='t'><flexJoint name='ab'/></transmission>",
-            "transmission 't': no joint that it drives",
-        ),
-        (
-            f"{A}{B}{C}{AB}{BC}"
-            + "".join(
-                f"<transmission name='{j}'><joint name='{j}'/><actuator name='m'/></transmission>"
-                for j in ("ab", "bc")
-            ),
-            "transmission 'bc': the actuator 'm' at 'bc', which is at 'ab' already",
-        ),
         ("<xacro:macro name='m'/>", "macros of xacro"),
     ],
 )
@@ -544,6 +529,89 @@ def test_what_is_no_robot_is_refused_in_one_line(text, message, tmp_path):
     assert message in str(error.value)
     assert str(error.value).startswith(str(file))
     assert "\n" not in str(error.value)
+
+
+TRANSMISSION = "<transmission name='t{0}'><joint name='{0}'/><actuator name='m'/></transmission>"
+HEAVY = "a mass without an inertia, so a point"
+MIMIC = "<mimic joint='cd'/></joint>"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (f"{A}{B}{AB}", ()),
+        (
+            f"{A}{B}{C}{AB}{BC.replace('revolute', 'fixed')}".replace("value='1'", "value='0'", 2),
+            ("a, b: an inertia without a mass, which is 1e-12 kg to begin with",),
+        ),
+        (
+            f"{A}{B}{C}{AB}{BC}".replace(BALL, "<mass value='1'/>", 2),
+            (f"a, b: {HEAVY}",),
+        ),
+        (
+            f"{A}{B}<link name='c'><visual/></link>{AB}{BC}",
+            (
+                "c: a shape without a mass, which a default density would give it",
+                "bc: nothing with a mass moves by it: armature 0.001 to begin with",
+            ),
+        ),
+        (
+            f"{A}{B}{C}{AB.replace('revolute', 'floating')}{BC}",
+            ("ab: does not move: the base stands",),
+        ),
+        (
+            f"{A}{B}{AB.replace('</joint>', MIMIC)}",
+            ("ab: moves by itself, as no joint moves that it is to follow",),
+        ),
+        (
+            f"{A}{B}{C}{AB}{BC}" + "".join(map(TRANSMISSION.format, ("ab", "bc", "no"))),
+            (
+                "tbc: not one actuator at one joint, so an input at each joint",
+                "tno: left out, as none of its joints is there",
+            ),
+        ),
+        (
+            f"{A}{B}{AB}<transmission name='t'><joint name='ab'/><actuator name='m'>"
+            "<mechanicalReduction>50</mechanicalReduction></actuator></transmission>",
+            ("t: its reduction does not count, as inputs are torques and forces at joints",),
+        ),
+        (
+            A + B.replace("ixx='1'", "ixx='2.01'") + AB,
+            (
+                "b: its largest inertia is 0.5 % above the sum of the others, which become so much "
+                "larger",
+            ),
+        ),
+    ],
+)
+def test_files_as_they_are_in_the_world_are_read_and_it_is_told(text, told, tmp_path):
+    (file := tmp_path / "arm.urdf").write_text(f"\n<robot name='arm'>{text}</robot>")
+    source = tn.load_system(file).source
+    assert source is not None
+    assert source.remarks == tuple(f"arm.urdf, {sentence}" for sentence in told)
+
+
+def test_what_is_told_has_its_meaning_in_the_equations(tmp_path):
+    """Inputs of shared actuators, limits that are none, commas; the base of MuJoCo stands."""
+    limits = "<limit lower='-1e16' upper='1e+16' effort='1e16' velocity='inf'/></joint>"
+    differential = "<transmission name='t'><joint name='ab'/><joint name='bc'/></transmission>"
+    turned = JOINT.format("x", "c", "d", "fixed").replace(
+        "<parent", "<origin xyz='1, 2, 3'/><parent"
+    )
+    text = f"{A}{B}{C}{LINK.format('d')}{AB.replace('</joint>', limits)}{BC}{turned}{differential}"
+    (file := tmp_path / "arm.urdf").write_text(f"<robot name='arm'>{text}</robot>")
+    system = tn.load_system(file)
+    assert [i.name for i in system.inputs] == ["ab_torque", "bc_torque"]
+    assert (system.limits[0].position, system.limits[0].velocity) == (None, None)
+    assert system.nominal()["c.center_z"] == pytest.approx(1.5)
+    body = '<body name="base"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    text = f"<mujoco><worldbody>{body}{BODY.format('')}</body></worldbody></mujoco>"
+    (file := tmp_path / "free.xml").write_text(text)
+    source = (system := tn.load_system(file)).source
+    assert [c.name for c in system.coordinates] == ["j"]
+    assert source is not None
+    told = "free.xml, base: stands where the file has it, and does not move freely"
+    assert source.remarks == (told,)
 
 
 @pytest.mark.parametrize("ending", ["urdf", "xml"])
@@ -575,7 +643,7 @@ NAMELESS = BODY.format("").replace(' name="j"', "")
     [
         (
             '<worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody>',
-            "the base floats",
+            "no joint that moves",
         ),
         (
             '<worldbody><body name="b"><joint name="j" type="ball"/><geom size="1"/></body>'

@@ -55,6 +55,7 @@ def init(
     from tustinnet.cli.inspect import print_inspection
     from tustinnet.data.catalog import CARD_NAME, locate
     from tustinnet.data.drafting.files import list_logs
+    from tustinnet.data.drafting.system_columns import is_goal
     from tustinnet.data.loading import load_folder
     from tustinnet.store.files import lock_folder, require_outputs, require_writable_folder
 
@@ -81,7 +82,9 @@ def init(
     if loaded is not None:
         _print_mismatches(draft, loaded)
         recipe = "" if loaded.source is None else " --recipe inverse-dynamics"
-        if recipe and loaded.internal:  # of elastic gears
+        if recipe and any(map(is_goal, loaded.inputs)):  # whose forces nobody knows
+            recipe = " --recipe grey"
+        elif recipe and loaded.internal:  # of elastic gears
             recipe = " --recipe grey --set search.horizon=0.5"
         density = "" if default_density is None else f" --default-density {default_density:g}"
         fit += f"{recipe} --system {shlex.quote(str(system))}{density}"
@@ -105,10 +108,15 @@ def _load_system(which: str | None, default_density: float | None) -> "Lagrangia
 
 
 def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:
-    """Prints what of a system has no column, a line each, and what a fit would then refuse."""
+    """Prints what of a system's file counts otherwise, and what has no column; a line each.
+
+    Then what a fit would refuse.
+    """
     from tustinnet.channels import Coordinate, Input
 
     console = terminal.messages()
+    for sentence in () if system.source is None else system.source.remarks:
+        console.print(sentence, highlight=False, soft_wrap=True)
     for sentence in draft.choice.missing:
         console.print(f"not matched: {sentence}", highlight=False, soft_wrap=True)
     coordinates = [Coordinate(c.name, c.kind) for c in draft.choice.coordinates]

@@ -160,6 +160,7 @@ def _make_problem(
     first = records[0].without_controller()
     alone = [e.without_controller() for e in records]
     system = system.plant.for_records(alone, f"record '{first.name}'")
+    of_file = () if system.source is None else system.source.remarks
     beyond_limits = describe_beyond_limits(system, alone)
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
@@ -189,7 +190,7 @@ def _make_problem(
         search=recipe.search,
         listener=listener,
         should_stop=should_stop,
-        remarks=(*beyond_limits, *gains.remarks),
+        remarks=(*of_file, *beyond_limits, *gains.remarks),
     )
 
 

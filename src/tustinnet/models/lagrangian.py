@@ -105,6 +105,11 @@ class ChannelSource(ABC):
     def for_records(self, records: Sequence[Experiment], where: object) -> "LagrangianSystem":
         """The system with ranges by records, see `LagrangianSystem.for_records`."""
 
+    @property
+    @abstractmethod
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what counts otherwise than the file says it."""
+
     @abstractmethod
     def input_joints(self) -> dict[str, str]:
         """Of each input the coordinate on which it acts, by name."""

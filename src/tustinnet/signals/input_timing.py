@@ -689,7 +689,7 @@ def _decide(
     kinds = _simplest_kinds(tried, hold, top, rows, power)
     lagging = tried.get((hold, "lag")) or tried["zero-order", "lag"]
     delay, lag = tried[hold, "delay"].measured[0], lagging.measured[1]
-    is_hidden = is_closed and misfit > LEVELS.misfit_closed * (power + misfit)
+    is_hidden = is_closed and bool(misfit > LEVELS.misfit_closed * (power + misfit))
     is_missed = misfit > LEVELS.misfit * (power + misfit)
     if is_hidden or is_missed or (lag if top is lagging else delay).is_vague:
         verdict = "unclear"

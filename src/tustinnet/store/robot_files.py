@@ -14,11 +14,13 @@ def write_robot(
     """Writes the file of a robot with the values of an identified model.
 
     Masses, centres and inertias of the links that move, frictions, in MuJoCo's format also
-    armatures and springs. Only these numbers change: comments, order and all else stay as they are.
+    armatures and springs. Only these numbers change: comments, order and all else stay as they are;
+    the robot of a URDF in MuJoCo's format has neither comments nor shapes.
 
     Args:
         model: a model of a robot that was made from a URDF file, or one in MuJoCo's format.
-        path: the file to write, with the ending of the robot's own.
+        path: the file to write, with the ending of the robot's own. The robot of a URDF is also
+            written in MuJoCo's format, to a file with the ending .xml.
         overwrite: replace a file that is there.
 
     Returns:
@@ -38,8 +40,11 @@ def write_robot(
             "fit with `system=` arm.urdf",
         )
     equations, source = robot
-    if path.suffix != source.path.suffix:
-        raise InputError(path, f"ending '{path.suffix}'", f"'{source.path.suffix}' as of the robot")
+    own = source.path.suffix
+    endings = (own, ".xml") if own == ".urdf" else (own,)
+    if path.suffix not in endings:
+        expected = " or ".join(f"'{ending}'" for ending in endings)
+        raise InputError(path, f"ending '{path.suffix}'", f"{expected} as of the robot")
     require_outputs([path], overwrite=overwrite, read=[source.path])
     values = {name: float(value) for name, value in equations.values.items()}
     if not values.keys() >= equations.system.nominal().keys():
@@ -49,6 +54,6 @@ def write_robot(
             "values of one group",
             "take those of a record: model.for_record(record)",
         )
-    text, lacking = source.with_values(values)
+    text, lacking = source.with_values(values, path.suffix)
     write_into(path.parent, path.name, text)
     return lacking

@@ -23,6 +23,7 @@ from tustinnet.systems.files import (
     find_system,
     running_in,
 )
+from tustinnet.systems.robot_options import RobotOptions
 from tustinnet.systems.robots import RobotFile
 
 ATTRIBUTE = "SYSTEM"  # the name of the system in a system file
@@ -81,7 +82,7 @@ def _load_file(file: SystemFile) -> LagrangianSystem:
     """The system of a file."""
     path, text = file.path, file.text
     if not file.is_code:
-        return RobotFile(text, path, default_density=file.default_density).load()
+        return RobotFile(text, path, RobotOptions(default_density=file.default_density)).load()
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     with _errors_with_place(path), _run_in(path.parent):

@@ -17,8 +17,10 @@ import numpy as np
 from tustinnet.data.reading_process import call
 from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.systems.robot import (
+    Lead,
     LinkInertia,
     Mimic,
+    Remarks,
     Robot,
     RobotActuator,
     RobotJoint,
@@ -54,7 +56,9 @@ _UNSUPPORTED = {
     "body_gravcomp": "gravity compensation",
     "dof_dampingpoly": "damping that is not linear",
     "jnt_stiffnesspoly": "springs that are not linear",
-    "actuator_damping": "damping of actuators",
+    "actuator_damping": "damping of actuators beside that of joints",
+    "actuator_armature": "armatures of actuators beside those of joints",
+    "actuator_delay": "delays of actuators, which a data card has at its inputs",
 }
 # of an actuator's gain and bias, by MuJoCo's numbers
 _FIXED_GAIN, _NO_BIAS, _AFFINE_BIAS = 0, 0, 1
@@ -143,13 +147,56 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
                 _EXPECTED,
                 "write its content into the file",
             )
+    spec, model = _compile(text, where)
+    has_shape = {body.name for body in spec.bodies if body.geoms}
+    return asdict(_robot_of(import_module("mujoco"), model, has_shape, where)), []
+
+
+def joint_forces(
+    text: str, where: object, lead: Lead
+) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """A function of positions and velocities of coordinates: what MuJoCo makes of a file.
+
+    It gives the mass matrix, and the forces of gravity, motion, dampers and springs [N m or N];
+    without actuators, dry friction and contacts.
+
+    Args:
+        text: the text of a file that has been read.
+        where: the file, for messages.
+        lead: the motion of its joints by the coordinates.
+
+    Raises:
+        InputError: MuJoCo refuses it.
+    """
+    mujoco = import_module("mujoco")
+    _, model = _compile(text, where)
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    joints = [model.joint(name) for name in lead.joints]
+    positions, places = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
+
+    def forces(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        data.qpos[positions], data.qvel[places] = lead.ratios @ q + lead.offsets, lead.ratios @ v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        mass = lead.ratios.T @ full[np.ix_(places, places)] @ lead.ratios
+        return mass, lead.ratios.T @ (data.qfrc_passive - data.qfrc_bias)[places]
+
+    return forces
+
+
+def _compile(text: str, where: object) -> tuple[Any, Any]:
+    """The specification of a text without what is only seen or touched, and its compiled model.
+
+    Raises:
+        InputError: MuJoCo refuses it.
+    """
     mujoco = import_module("mujoco")  # no types are known
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         spec = mujoco.MjSpec.from_string(text)
     _remove_seen(mujoco, spec, where)
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         try:
-            model = spec.compile()
+            return spec, spec.compile()
         except ValueError as error:
             if (massless := _MASSLESS.search(str(error))) is None:
                 raise
@@ -159,8 +206,6 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
                 "mass, centre and inertia",
                 f"{_ADD_INERTIA}, or shapes (<geom>)",
             ) from None
-    has_shape = {body.name for body in spec.bodies if body.geoms}
-    return asdict(_robot_of(mujoco, model, has_shape, where)), []
 
 
 def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
@@ -205,7 +250,7 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
     """The description of a compiled model."""
     _require_supported(mujoco, model, where)
     require_few_joints(model.njnt, where)
-    links, joints = [], []
+    links, joints, remarks = [], [], Remarks()
     for i in range(model.nbody):
         body = model.body(i)
         is_frame = body.name not in has_shape
@@ -215,6 +260,9 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         parent = model.body(model.body_parentid[i]).name
         rotation, position = _matrix(mujoco, model.body_quat[i]), model.body_pos[i].copy()
         first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+        if count and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
+            remarks["stands where the file has it, and does not move freely"].append(body.name)
+            count = 0
         if not count:
             joints.append(
                 RobotJoint(
@@ -242,8 +290,9 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
         _name_of(model) or "robot",
         tuple(links),
         tuple(joints),
-        _actuators_of(model, where),
+        _actuators_of(mujoco, model, where),
         (x, y, z),
+        remarks.sentences(),
     )
 
 
@@ -294,13 +343,9 @@ def _joint_of(
     """The joint of index k."""
     name, kind = model.joint(k).name, mujoco.mjtJoint(model.jnt_type[k])
     place = f"{where}, joint '{name}'"
-    if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-        is_free = kind == mujoco.mjtJoint.mjJNT_FREE
+    if kind == mujoco.mjtJoint.mjJNT_BALL:
         raise InputError(
-            place,
-            "a free joint: the base floats" if is_free else "a ball joint",
-            "a base that stands, joints of the types hinge and slide",
-            "leave it out" if is_free else "write it as three hinges",
+            place, "a ball joint", "joints of the types hinge and slide", "write it as three hinges"
         )
     if not name:
         raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")
@@ -324,6 +369,7 @@ def _joint_of(
         coulomb=float(model.dof_frictionloss[dof]) * has_friction,
         stiffness=float(np.ravel(model.jnt_stiffness[k])[0]) * has_spring,
         spring_rest=float(model.qpos_spring[model.jnt_qposadr[k]]),
+        actuator_range=_limits_of(model.jnt_actfrclimited[k], model.jnt_actfrcrange[k]),
         range=_range_of(model.jnt_limited[k], model.jnt_range[k]),
     )
 
@@ -344,14 +390,21 @@ def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
     return None
 
 
-def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
+def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator, ...]:
     """The actuators, of which each must be at a joint and linear."""
-    actuators = []
+    actuators, has_input_range = [], not _is_disabled(mujoco, model, "CLAMPCTRL")
     for i in range(model.nu):
         name, joint = model.actuator(i).name, int(model.actuator_trnid[i, 0])
         place = f"{where}, actuator '{name or i}'"
         if model.actuator_trntype[i] not in _AT_JOINTS:
             raise InputError(place, "not at a joint", 'joint="..."', "leave it out")
+        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            raise InputError(
+                place,
+                "it integrates its input, as <intvelocity> does",
+                "a servo whose input is its goal",
+                "write it as <position>, and the integral of its input as the input in the logs",
+            )
         if (
             model.actuator_dyntype[i]
             or model.actuator_gaintype[i] != _FIXED_GAIN
@@ -363,45 +416,30 @@ def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
                 "a motor, or a servo without a lag",
                 'write it as a motor and add a lag: [model] forces = ["lag"]',
             )
-        gear, gain = float(model.actuator_gear[i, 0]), float(model.actuator_gainprm[i, 0])
-        bias, by_position, by_speed = model.actuator_biasprm[i, :3].tolist()
-        if model.actuator_biastype[i] == _NO_BIAS:
-            bias = by_position = by_speed = 0.0
+        has_bias = model.actuator_biastype[i] != _NO_BIAS
+        bias, by_position, by_speed = (has_bias * model.actuator_biasprm[i, :3]).tolist()
         joint_name = model.joint(joint).name
         actuators.append(
             RobotActuator(
                 name or joint_name,
                 joint_name,
-                gear * gain,
-                gear**2 * by_position,
-                gear**2 * by_speed,
-                gear * bias,
-                _largest_force(model, i, gear, gain),
+                float(model.actuator_gear[i, 0]),
+                float(model.actuator_gainprm[i, 0]),
+                -by_position,
+                -by_speed,
+                bias,
+                _limits_of(
+                    has_input_range and model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]
+                ),
+                _limits_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]),
             )
         )
     return tuple(actuators)
 
 
-def _largest_force(model: Any, i: int, gear: float, gain: float) -> float | None:
-    """The largest force of an actuator at its joint in both directions, None if unknown."""
-    joint = int(model.actuator_trnid[i, 0])
-    ranges = [
-        (_range_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]), gear),
-        (_range_of(model.jnt_actfrclimited[joint], model.jnt_actfrcrange[joint]), 1.0),
-    ]
-    if model.actuator_biastype[i] == _NO_BIAS:
-        ranges.append(
-            (_range_of(model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]), gear * gain)
-        )
-    # a force that has one direction alone cannot move a joint to and fro
-    return min(
-        (
-            abs(factor) * min(-ends[0], ends[1])
-            for ends, factor in ranges
-            if ends is not None and ends[0] < 0 < ends[1]
-        ),
-        default=None,
-    )
+def _limits_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:
+    """The limits of a force or an input, None without."""
+    return (float(ends[0]), float(ends[1])) if is_limited else None
 
 
 def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:

@@ -1,6 +1,6 @@
 """Energies, friction, actuators and elastic gears of a robot, as functions of a system."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from tustinnet.models import forces
 from tustinnet.models.added import PlacedForce, compute_friction
 from tustinnet.models.chains import Chain
 from tustinnet.models.lagrangian import Inertia, UnmeasuredCoordinates, solve_positive
+from tustinnet.systems.robot import Range, RobotActuator
 
 _UNSURE = 0.1  # of the twist of a gear under the largest force: how far it may be off at first
 
@@ -19,32 +20,40 @@ _UNSURE = 0.1  # of the twist of a gear under the largest force: how far it may 
 class Drive:
     """The way in which an input acts on a coordinate.
 
-    `force = gain u + by_position q + by_speed v + bias` at a joint that moves by `ratio` times the
-    coordinate, plus `offset`.
-
     Attributes:
-        joint: name of the joint.
+        actuator: the actuator, at a joint that moves by `ratio` times the coordinate, plus
+            `offset`.
         coordinate: index of the coordinate.
         ratio: travel of the joint by that of the coordinate.
         offset: position of the joint where the coordinate is at 0.
+        label: what the names of its gains begin with.
         motor_constant: parameter that multiplies the input, None without one.
-        gain: force by input.
-        by_position: force by position.
-        by_speed: force by speed.
-        bias: force without input.
-        largest_force: largest force at the joint, None if unknown.
+        joint_range: smallest and largest force of all actuators of the joint, None without.
     """
 
-    joint: str
+    actuator: RobotActuator
     coordinate: int
     ratio: float
     offset: float
-    motor_constant: str | None
-    gain: float
-    by_position: float
-    by_speed: float
-    bias: float
-    largest_force: float | None = None
+    label: str
+    motor_constant: str | None = None
+    joint_range: Range | None = None
+
+    def force(self, q: Any, v: Any, u: Any, p: Mapping[str, Any]) -> Any:
+        """The force at the joint under an input `u`, at a position and speed of the coordinate."""
+        a = self.actuator
+        gains = {name: p[f"{self.label}.{name}"] for name in a.gains}
+        travel, speed = self.ratio * q + self.offset, self.ratio * v
+        asked = u if self.motor_constant is None else p[self.motor_constant] * u
+        force = gains.get(a.goal or "gain", a.gain) * _within(a.input_range, asked) + a.bias
+        for name, motion in (("kp", travel), ("kv", speed)):
+            if name in gains:
+                force = force - gains[name] * a.gear * motion
+        return a.gear * _within(a.force_range, force)
+
+
+def _within(ends: Range | None, x: Any) -> Any:
+    return x if ends is None else jnp.clip(x, *ends)
 
 
 @dataclass(frozen=True)
@@ -274,10 +283,12 @@ class RobotEquations:
 
     def _actuator_forces(self, q: Any, v: Any, u: Any, p: Any) -> Any:
         """Forces of the actuators at positions and speeds of the motors, (n_q,) [N m or N]."""
-        total: list[Any] = [jnp.zeros_like(q[0])] * len(self.joints)
+        by_joint: dict[str, Any] = {}
         for i, d in enumerate(self.drives):
-            position, speed = d.ratio * q[d.coordinate] + d.offset, d.ratio * v[d.coordinate]
-            constant = 1.0 if d.motor_constant is None else p[d.motor_constant]
-            force = d.gain * constant * u[i] + d.by_position * position + d.by_speed * speed
-            total[d.coordinate] = total[d.coordinate] + d.ratio * (force + d.bias)
+            joint, k = d.actuator.joint, d.coordinate
+            by_joint[joint] = by_joint.get(joint, 0.0) + d.force(q[k], v[k], u[i], p)
+        total: list[Any] = [jnp.zeros_like(q[0])] * len(self.joints)
+        for d in {d.actuator.joint: d for d in self.drives}.values():
+            force = _within(d.joint_range, by_joint[d.actuator.joint])
+            total[d.coordinate] = total[d.coordinate] + d.ratio * force
         return jnp.stack(total)

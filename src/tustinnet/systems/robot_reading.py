@@ -3,6 +3,7 @@
 Nothing here loads JAX, so that a file that cannot be read is found at once.
 """
 
+from functools import lru_cache
 from pathlib import Path
 
 from tustinnet.data.declaration import read_source
@@ -40,6 +41,7 @@ def read_robot_text(path: Path) -> str:
     return include_files(text, path, read_included)
 
 
+@lru_cache(maxsize=4)  # a file in MuJoCo's format is compiled in a process of its own
 def read_robot(text: str, path: Path) -> Robot:
     """The robot of a text, in the format that the ending of its file says.
 

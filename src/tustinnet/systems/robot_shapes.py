@@ -7,7 +7,7 @@ import numpy as np
 
 from tustinnet.errors import InputError
 from tustinnet.systems.files import SystemFile
-from tustinnet.systems.robot import LinkInertia, join_inertias, parse_xml
+from tustinnet.systems.robot import LinkInertia, Remarks, join_inertias, parse_xml
 from tustinnet.systems.robot_writing import write_urdf
 from tustinnet.systems.urdf import read_link, read_numbers, read_origin
 
@@ -44,7 +44,7 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
     carried = {end.get("link") for end in root.iterfind("joint/child")}
     inertias: dict[str, LinkInertia | None] = {}
     for link in root.findall("link"):
-        own = read_link(link, where)
+        own = read_link(link, where, Remarks())
         if own.name in carried and own.inertia is None and not own.is_frame:
             shapes = link.findall("collision") or link.findall("visual")
             place = f"{where}, link '{own.name}'"

@@ -5,33 +5,35 @@ Python's own parser (expat) reports, and attributes are replaced in the text.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from xml.parsers import expat
 
+import numpy as np
+
 from tustinnet.errors import InputError
-from tustinnet.systems.robot import LinkInertia
+from tustinnet.models.chains import INERTIAL, BodyInertia, body_inertia, inertial_parameters
+from tustinnet.systems.mjcf_text import (
+    JOINT_NAMES,
+    JointValues,
+    inertial_attributes,
+    joint_attributes,
+    mjcf_text,
+    no_rest_error,
+    numbers_text,
+)
+from tustinnet.systems.robot import LinkInertia, about_origin, join_inertias
+from tustinnet.systems.robot_channels import RobotChannels
+from tustinnet.systems.robot_equations import Drive
+from tustinnet.systems.robot_tree import RobotTree, felt
 
 _TAG_END = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""")  # quoted texts may have a >
 # other ways in which MuJoCo's format says where the axes of an inertia are
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
 
 
-@dataclass(frozen=True)
-class JointValues:
-    """Identified values of a joint; None where it is as the file says.
-
-    Attributes:
-        viscous: viscous friction [N m s/rad or N s/m].
-        coulomb: Coulomb friction [N m or N].
-        armature: inertia beside those of the links [kg m^2 or kg].
-        stiffness: stiffness of a spring [N m/rad or N/m].
-    """
-
-    viscous: float | None = None
-    coulomb: float | None = None
-    armature: float | None = None
-    stiffness: float | None = None
+_URDF_NAMES = {"viscous": "damping", "coulomb": "friction"}  # of the parameters of a joint
+_AT = ("joint", "jointinparent")  # by which an actuator without a name is known
 
 
 @dataclass
@@ -57,7 +59,7 @@ class _Text:
     """
 
     def __init__(self, text: str) -> None:
-        self._text = text.encode()
+        self._text = text.lstrip().encode()
         self._edits: list[tuple[int, int, bytes]] = []
         self.elements: list[_Element] = []
         path: list[_Element] = []
@@ -133,8 +135,87 @@ class _Text:
         return text.decode()
 
 
-def _numbers(*values: float) -> str:
-    return " ".join(f"{value:.17g}" for value in values)
+def write_values(
+    text: str, channels: RobotChannels, values: Mapping[str, float], ending: str
+) -> tuple[str, frozenset[str]]:
+    """The text of a robot's file with values of parameters in it, and the names of these.
+
+    Args:
+        text: the file's text.
+        channels: the bodies and actuators that were made of it.
+        values: the parameters by name.
+        ending: the ending of the file to write; a URDF is also written in MuJoCo's format.
+
+    Raises:
+        InputError: see `write_mjcf` and `mjcf_text`.
+    """
+    tree = channels.tree
+    links, joints = _link_inertias(tree, values), _joint_values(tree, values)
+    servos = [(d, {g: values[f"{d.label}.{g}"] for g in d.actuator.gains}) for d in channels.drives]
+    names = _URDF_NAMES if ending == ".urdf" else JOINT_NAMES
+    if ending == ".urdf":
+        text = write_urdf(text, links, joints)
+    elif tree.path.suffix == ".urdf":
+        text = mjcf_text(tree.robot, links, joints, tree.path)
+    else:
+        text = write_mjcf(text, links, joints, tree.path, servos)
+    written = {f"{body}.{name}" for body in links for name in INERTIAL}
+    written |= {f"{joint}.{kind}" for joint, own in joints.items() for kind in own if kind in names}
+    written |= {f"{d.label}.{gain}" for d, gains in servos for gain in gains}
+    return text, frozenset(written)
+
+
+def _link_inertias(tree: RobotTree, values: Mapping[str, float]) -> dict[str, LinkInertia | None]:
+    """The inertias of links in their own frames, by the values of the bodies' parameters.
+
+    Of a body of several links the others keep what they have by the file, as long as what is left
+    for the link that moves is the inertia of a body; else this link has all of it and the others
+    have none.
+    """
+    inertias: dict[str, LinkInertia | None] = {}
+    for body, parts in zip(tree.bodies, tree.parts, strict=True):
+        if not body.has_mass:
+            continue
+        own = body_inertia(body, values)
+        carried = {name: part for name, part in parts.items() if name != body.name}
+        rest = _without(own, join_inertias([*carried.values()])) if carried else None
+        if rest is None:
+            inertias |= dict.fromkeys(carried)
+            rest = _about_center(float(own.mass), np.asarray(own.moment), np.asarray(own.tensor))
+        inertias[body.name] = replace(rest, center=rest.center + np.array(body.anchor))
+    return inertias
+
+
+def _joint_values(tree: RobotTree, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """The values of joints; what joints that follow have by the file is taken off first."""
+    by_joint: dict[str, dict[str, float]] = {name: {} for name in tree.moved_by}
+    for k, name in enumerate(tree.free):
+        followers = [m for m in tree.moved(k) if m.joint.name != name]
+        for kind in ("viscous", "coulomb", "armature"):
+            by_joint[name][kind] = max(values[f"{name}.{kind}"] - felt(followers, kind), 0.0)
+    for name, own in by_joint.items():
+        if tree.joints[name].stiffness:
+            own["stiffness"] = values[f"{name}.stiffness"]
+    return by_joint
+
+
+def _about_center(mass: float, moment: np.ndarray, tensor: np.ndarray) -> LinkInertia:
+    """An inertia whose tensor and moment were about the origin of the frame."""
+    center = moment / mass
+    return LinkInertia(mass, center, tensor - mass * about_origin(center))
+
+
+def _without(own: BodyInertia, part: LinkInertia) -> LinkInertia | None:
+    """Rest of an inertia without a part of it; None where no body has that."""
+    if (mass := float(own.mass) - part.mass) <= 0:
+        return None
+    tensor = own.tensor - part.tensor - part.mass * about_origin(part.center)
+    rest = _about_center(mass, np.asarray(own.moment) - part.mass * part.center, np.asarray(tensor))
+    try:
+        inertial_parameters(rest.mass, rest.center, rest.tensor)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return rest
 
 
 def write_urdf(
@@ -155,12 +236,10 @@ def write_urdf(
             written.remove(element.child("inertial"))
             continue
         tensor = inertia.tensor
-        origin = {"xyz": _numbers(*inertia.center), "rpy": "0 0 0"}
-        mass = {"value": _numbers(inertia.mass)}
-        moments = {
-            f"i{a}{b}": _numbers(tensor["xyz".index(a), "xyz".index(b)])
-            for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
-        }
+        origin = {"xyz": numbers_text(inertia.center), "rpy": "0 0 0"}
+        mass = {"value": numbers_text(inertia.mass)}
+        axes = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        moments = dict(zip(axes, numbers_text(tensor[np.triu_indices(3)]).split(), strict=True))
         parts = {"origin": origin, "mass": mass, "inertia": moments}
         if (inertial := element.child("inertial")) is None:
             inner = "".join(_tag(tag, values) for tag, values in parts.items())
@@ -174,9 +253,7 @@ def write_urdf(
     for name, values in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        friction = {"damping": values.viscous, "friction": values.coulomb}
-        known = {key: _numbers(x) for key, x in friction.items() if x is not None}
-        if not known:
+        if not (known := joint_attributes(values, _URDF_NAMES)):
             continue
         if (dynamics := element.child("dynamics")) is None:
             written.add(element, _tag("dynamics", known))
@@ -190,14 +267,16 @@ def write_mjcf(
     links: Mapping[str, LinkInertia | None],
     joints: Mapping[str, JointValues],
     where: object,
+    servos: Sequence[tuple[Drive, Mapping[str, float]]] = (),
 ) -> str:
-    """The text of a file in MuJoCo's format with other inertias, frictions and armatures.
+    """The text of a file in MuJoCo's format with other inertias, values of joints, and gains.
 
     Args:
         text: the file's text.
         links: inertias by body, in the frame of the body; None for one that is to have none.
         joints: values by joint.
         where: the file, for messages.
+        servos: drives with the gains of their actuators.
 
     Raises:
         InputError: the file takes inertias from shapes only, or a body is to have none.
@@ -215,18 +294,8 @@ def write_mjcf(
         element = written.named("body", name)
         assert element is not None
         if inertia is None:
-            raise InputError(
-                f"{where}, body '{name}'",
-                "what it is fixed to weighs less than both by the file",
-                "bodies that weigh less",
-                "give it its true inertia, and identify again",
-            )
-        t = inertia.tensor
-        values = {
-            "pos": _numbers(*inertia.center),
-            "mass": _numbers(inertia.mass),
-            "fullinertia": _numbers(t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]),
-        }
+            raise no_rest_error(where, f"body '{name}'")
+        values = inertial_attributes(inertia)
         if (inertial := element.child("inertial")) is None:
             written.add(element, _tag("inertial", values))
         else:
@@ -234,15 +303,21 @@ def write_mjcf(
     for name, joint in joints.items():
         element = written.named("joint", name)
         assert element is not None
-        given = {
-            "damping": joint.viscous,
-            "frictionloss": joint.coulomb,
-            "armature": joint.armature,
-            "stiffness": joint.stiffness,
-        }
-        known = {key: _numbers(x) for key, x in given.items() if x is not None}
-        if known:
+        if known := joint_attributes(joint):
             written.set(element, known)
+    actuators = [e for group in written.elements if group.tag == "actuator" for e in group.children]
+    for drive, gains in servos:
+        own = drive.actuator
+        element = next(
+            e for e in actuators if own.name in (e.attributes.get(k) for k in ("name", *_AT))
+        )
+        if element.tag == "general":
+            gain = gains.get(own.goal or "gain", own.gain)
+            feedback = (0.0 - gains.get(name, 0.0) for name in ("kp", "kv"))
+            known = {"gainprm": numbers_text(gain), "biasprm": numbers_text([own.bias, *feedback])}
+        else:
+            known = {name: numbers_text(x) for name, x in gains.items()}
+        written.set(element, known, drop=("dampratio",))
     return written.written()
 
 

@@ -3,10 +3,14 @@
 Read with Python's own XML reader. The format has a dozen elements and has not changed for years;
 nothing here needs the meshes, which libraries for URDF look for, nor a principal axis transform of
 the inertias, by which values of the file are no longer exact.
+
+Files as they are in the world have links without a mass, bases on wheels and transmissions of
+several joints. What has a plain meaning for the equations is read, and told as a remark.
 """
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +19,7 @@ from tustinnet.systems.robot import (
     JointKind,
     LinkInertia,
     Mimic,
+    Remarks,
     Robot,
     RobotActuator,
     RobotJoint,
@@ -32,8 +37,13 @@ _KINDS: dict[str, JointKind] = {
     "prismatic": "linear",
     "fixed": "fixed",
 }
+_FREE = ("floating", "planar")  # joints of a base that moves
 _EXPECTED = "a URDF file"
-_LARGEST = 1e6  # numbers in a file, in SI units
+_LARGEST = 1e6  # numbers in a file, in SI units; larger limits are none
+_POINT_MASS = 1e-12  # kg, of a link with a rotational inertia and no mass
+_ARMATURE = 1e-3  # kg m^2 or kg, of a joint that moves nothing with a mass
+_UNITY = {"1", "1.0"}  # reductions that are none
+_DRIVEN = ("joint", "gap_joint", "flexJoint", "rollJoint")  # in transmissions; the others of PR2
 
 
 def read_urdf(text: str, where: object) -> Robot:
@@ -59,9 +69,10 @@ def read_urdf(text: str, where: object) -> Robot:
         )
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(where, "macros of xacro", _EXPECTED, f"run xacro {where} > arm.urdf")
+    remarks = Remarks()
     links: dict[str, RobotLink] = {}
     for element in root.findall("link"):
-        link = read_link(element, where)
+        link = read_link(element, where, remarks)
         if link.name in links:
             raise InputError(where, f"two links '{link.name}'", "names that differ")
         links[link.name] = link
@@ -80,12 +91,15 @@ def read_urdf(text: str, where: object) -> Robot:
         joints[joint.name] = joint
     require_few_joints(sum(joint.kind != "fixed" for joint in joints.values()), where)
     ordered = _sort_tree(links, joints.values(), where)
+    _require_base(ordered, root, where, remarks)
+    ordered = _with_armatures(_with_leaders(ordered, remarks), links, remarks)
     return Robot(
         root.get("name") or "robot",
         tuple(links.values()),
         ordered,
-        _read_transmissions(root, joints, where),
+        _read_transmissions(root, joints, remarks),
         GRAVITY,
+        remarks.sentences(),
     )
 
 
@@ -131,15 +145,84 @@ def _sort_tree(
     return tuple(ordered)
 
 
-def read_link(element: ET.Element, where: object) -> RobotLink:
+def _require_base(
+    joints: tuple[RobotJoint, ...], root: ET.Element, where: object, remarks: Remarks
+) -> None:
+    """Raises where a joint of a base that moves is not between the base and the world.
+
+    Args:
+        joints: the joints, sorted; those of a base that moves are fixed ones.
+        root: the root element.
+        where: the file, for messages.
+        remarks: gets them.
+
+    Raises:
+        InputError: such a joint is carried by one that moves.
+    """
+    standing = {joint.parent for joint in joints[:1]}
+    free = {e.get("name"): e.get("type") for e in root.findall("joint") if e.get("type") in _FREE}
+    for joint in joints:
+        is_standing = joint.parent in standing
+        if is_standing and joint.kind == "fixed":
+            standing.add(joint.child)
+        if joint.name in free and not is_standing:
+            raise _kind_error(where, joint.name, str(free[joint.name]))
+    if free:
+        remarks["does not move: the base stands"] += map(str, free)
+
+
+def _with_leaders(joints: tuple[RobotJoint, ...], remarks: Remarks) -> tuple[RobotJoint, ...]:
+    """The joints, of which those move by themselves that follow none that moves."""
+    moving = {joint.name for joint in joints if joint.kind != "fixed"}
+    alone = [j.name for j in joints if j.name in moving and j.mimic and j.mimic.joint not in moving]
+    if alone:
+        remarks["moves by itself, as no joint moves that it is to follow"] += alone
+    return tuple(replace(joint, mimic=None) if joint.name in alone else joint for joint in joints)
+
+
+def _with_armatures(
+    joints: tuple[RobotJoint, ...], links: dict[str, RobotLink], remarks: Remarks
+) -> tuple[RobotJoint, ...]:
+    """The joints, with armatures of those by which nothing moves that has a mass.
+
+    Nothing else would say how fast such a joint moves by a torque; a fit finds the true value.
+    """
+    leaders = {joint.name: joint.mimic.joint for joint in joints if joint.mimic}
+    heavy = {name for name, link in links.items() if link.inertia is not None}
+    moving_mass: set[str] = set()
+    for joint in reversed(joints):
+        if joint.child not in heavy:
+            continue
+        heavy.add(joint.parent)
+        name = joint.name
+        while name not in moving_mass:
+            moving_mass.add(name)
+            name = leaders.get(name, name)
+    completed = []
+    for joint in joints:
+        link = links[joint.child]
+        if joint.kind != "fixed" and link.inertia is None and not link.is_frame:
+            remarks["a shape without a mass, which a default density would give it"].append(
+                link.name
+            )
+        if joint.kind != "fixed" and joint.mimic is None and joint.name not in moving_mass:
+            what = f"nothing with a mass moves by it: armature {_ARMATURE:g} to begin with"
+            remarks[what].append(joint.name)
+            joint = replace(joint, armature=_ARMATURE)
+        completed.append(joint)
+    return tuple(completed)
+
+
+def read_link(element: ET.Element, where: object, remarks: Remarks) -> RobotLink:
     """The link of an element of a URDF.
 
     Args:
         element: the element.
         where: the file, for messages.
+        remarks: gets what its inertia lacks.
 
     Raises:
-        InputError: a link without a name, an inertia that is not whole, a number that is none.
+        InputError: a link without a name or a mass, a number that is none.
     """
     name = _name(element, where)
     place, inertial = f"{where}, link '{name}'", element.find("inertial")
@@ -147,12 +230,9 @@ def read_link(element: ET.Element, where: object) -> RobotLink:
     if inertial is None:
         return RobotLink(name, None, is_frame)
     mass_element, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass_element is None or inertia is None:
-        missing = "mass" if mass_element is None else "inertia"
-        raise InputError(place, f"an <inertial> without <{missing}>", "mass and inertia")
+    if mass_element is None:
+        raise InputError(place, "an <inertial> without <mass>", "mass and inertia")
     mass = _number(mass_element, "value", "", place)
-    if mass == 0:
-        return RobotLink(name, None, is_frame)
     if mass < 0:
         raise InputError(place, f"a mass of {mass:g} kg", "a positive mass")
     xx, xy, xz, yy, yz, zz = (
@@ -160,19 +240,21 @@ def read_link(element: ET.Element, where: object) -> RobotLink:
     )
     rotation, center = read_origin(inertial, place)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if mass == 0:
+        if not tensor.any():
+            return RobotLink(name, None, is_frame)
+        mass = _POINT_MASS
+        remarks[f"an inertia without a mass, which is {mass:g} kg to begin with"].append(name)
+    elif inertia is None:
+        remarks["a mass without an inertia, so a point"].append(name)
     return RobotLink(name, LinkInertia(mass, center, rotation @ tensor @ rotation.T), is_frame)
 
 
 def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     name = _name(element, where)
     place, kind = f"{where}, joint '{name}'", element.get("type", "")
-    if kind not in _KINDS:
-        raise InputError(
-            place,
-            f"the type '{kind}'",
-            f"one of {', '.join(_KINDS)}",
-            "make it of several joints, or fix it",
-        )
+    if kind not in (*_KINDS, *_FREE):
+        raise _kind_error(where, name, kind)
     ends = [
         end.get("link", "") if (end := element.find(tag)) is not None else ""
         for tag in ("parent", "child")
@@ -181,19 +263,20 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
         raise InputError(place, "no parent or no child", '<parent link="A"/> and <child link="B"/>')
     rotation, position = read_origin(element, place)
     axis = read_numbers(element.find("axis"), "xyz", "1 0 0", 3, place)
-    if kind != "fixed" and not axis.any():
+    if kind in _KINDS and kind != "fixed" and not axis.any():
         raise InputError(place, "an axis of length 0", "a direction")
     dynamics, limit, mimic = (element.find(tag) for tag in ("dynamics", "limit", "mimic"))
     viscous, coulomb = (_number(dynamics, key, "0", place) for key in ("damping", "friction"))
     if viscous < 0 or coulomb < 0:
         raise InputError(place, "a negative friction", "damping and friction of at least 0")
     effort, speed, lower, upper = (
-        _number(limit, key, "0", place) for key in ("effort", "velocity", "lower", "upper")
+        _number(limit, key, "0", place, np.inf) for key in ("effort", "velocity", "lower", "upper")
     )
+    has_range = lower != upper and max(abs(lower), abs(upper)) <= _LARGEST
     parent, child = ends
     return RobotJoint(
         name,
-        _KINDS[kind],
+        _KINDS.get(kind, "fixed"),
         parent,
         child,
         rotation,
@@ -209,43 +292,48 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
         ),
         viscous=viscous,
         coulomb=coulomb,
-        effort=effort if effort > 0 else None,
-        speed=speed if speed > 0 else None,
-        range=(lower, upper) if lower != upper and kind != "continuous" else None,
+        effort=effort if 0 < effort <= _LARGEST else None,
+        speed=speed if 0 < speed <= _LARGEST else None,
+        range=(lower, upper) if has_range and kind != "continuous" else None,
+    )
+
+
+def _kind_error(where: object, name: str, kind: str) -> InputError:
+    """The error about a joint of a kind without equations here."""
+    return InputError(
+        f"{where}, joint '{name}'",
+        f"the type '{kind}'",
+        f"one of {', '.join(_KINDS)}",
+        "make it of several joints, or fix it",
     )
 
 
 def _read_transmissions(
-    root: ET.Element, joints: dict[str, RobotJoint], where: object
+    root: ET.Element, joints: dict[str, RobotJoint], remarks: Remarks
 ) -> tuple[RobotActuator, ...] | None:
-    """The actuators at joints that transmissions name; None without transmissions."""
-    transmissions = root.findall("transmission")
-    if not transmissions:
-        return None
-    actuators: list[RobotActuator] = []
-    for element in transmissions:
-        named, actuator = element.find("joint"), element.find("actuator")
-        joint = "" if named is None else named.get("name", "")
-        place = f"{where}, transmission '{element.get('name', '')}'"
-        if not joint:
-            raise InputError(
-                place,
-                "no joint that it drives",
-                '<joint name="...">',
-                "write one of several joints as one for each, or leave it out",
-            )
-        if joint not in joints:
-            raise InputError(place, f"no joint '{joint}'", f"one of {', '.join(joints)}")
-        name = ("" if actuator is None else actuator.get("name", "")) or joint
-        if other := [own.joint for own in actuators if own.name == name]:
-            raise InputError(
-                place,
-                f"the actuator '{name}' at '{joint}', which is at '{other[0]}' already",
-                "a joint for each actuator",
-                "leave out all but one of its transmissions",
-            )
-        actuators.append(RobotActuator(name, joint))
-    return tuple(actuators)
+    """The actuators at joints that transmissions name; None without such transmissions.
+
+    An actuator has the name that its transmission says, where that is of one actuator at one joint,
+    else that of the joint.
+    """
+    actuators: dict[str, RobotActuator] = {}
+    for element in root.findall("transmission"):
+        transmission = element.get("name", "")
+        driven = [e.get("name", "") for e in element if e.tag in _DRIVEN]
+        driven = [joint for joint in driven if joint in joints]
+        if not driven:
+            remarks["left out, as none of its joints is there"].append(transmission)
+        names = [e.get("name", "") for e in element.findall("actuator")]
+        is_simple = len(driven) == len(names) == 1 and names[0] not in actuators
+        if driven and not is_simple:
+            remarks["not one actuator at one joint, so an input at each joint"].append(transmission)
+        for joint in driven:
+            name = (is_simple and names[0]) or joint
+            actuators[name] = RobotActuator(name, joint)
+        if {(e.text or "").strip() for e in element.iter("mechanicalReduction")} - _UNITY:
+            what = "its reduction does not count, as inputs are torques and forces at joints"
+            remarks[what].append(transmission)
+    return tuple(actuators.values()) or None
 
 
 def read_origin(element: ET.Element, place: str) -> tuple[np.ndarray, np.ndarray]:
@@ -264,22 +352,32 @@ def _name(element: ET.Element, where: object) -> str:
     return name
 
 
-def _number(element: ET.Element | None, key: str, default: str, place: str) -> float:
+def _number(
+    element: ET.Element | None, key: str, default: str, place: str, largest: float = _LARGEST
+) -> float:
     """The number of an attribute; its default where the element or it is missing."""
-    return float(read_numbers(element, key, default, 1, place)[0])
+    return float(read_numbers(element, key, default, 1, place, largest)[0])
 
 
 def read_numbers(
-    element: ET.Element | None, key: str, default: str, count: int, place: str
+    element: ET.Element | None,
+    key: str,
+    default: str,
+    count: int,
+    place: str,
+    largest: float = _LARGEST,
 ) -> np.ndarray:
-    """The numbers of an attribute, (count,); its default where the element or it is missing."""
+    """The numbers of an attribute, (count,); its default where the element or it is missing.
+
+    A comma may stand after a number.
+    """
     text = default if element is None else element.get(key, default)
     tag = "" if element is None else f"<{element.tag} {key}>"
     try:
-        numbers = np.array([float(word) for word in text.split()])
+        numbers = np.array([float(word) for word in text.replace(", ", " ").split()])
     except ValueError:
         numbers = np.zeros(0)
-    if len(numbers) != count or not (np.abs(numbers) <= _LARGEST).all():
+    if len(numbers) != count or not (np.abs(numbers) <= largest).all():
         expected = "a number" if count == 1 else f"{count} numbers"
         raise InputError(place, f"{tag} '{text[:50]}'", f"{expected} of at most {_LARGEST:g}")
     return numbers

@@ -64,6 +64,17 @@ def test_right_columns_are_not_doubted(system: LagrangianSystem, twin: tn.DataSe
     assert describe_beyond_limits(system, [*twin]) == ()
 
 
+def test_what_counts_otherwise_than_the_file_has_it_is_a_finding(
+    twin: tn.DataSet, tmp_path: Path
+) -> None:
+    tip = '<link name="tip"><inertial><mass value="0"/><inertia ixx="1e-6"/></inertial></link>'
+    carried = '<joint name="t" type="fixed"><parent link="lower"/><child link="tip"/></joint>'
+    (file := tmp_path / "arm.urdf").write_text(ARM.replace("</robot>", f"{tip}{carried}</robot>"))
+    recipe = tn.read_recipe("inverse-dynamics", ["search.iterations=1"])
+    findings = tn.identify(twin, tn.load_system(file), recipe).findings
+    assert "arm.urdf, tip: an inertia without a mass, which is 1e-12 kg to begin with" in findings
+
+
 CASES = {
     "sign of a torque": (
         ((1, 1), (1, -1), (0, 1), (0, 1)),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from tustinnet.channels import Coordinate, Input, Kind
 from tustinnet.data.drafting.findings import Findings
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
+from tustinnet.data.drafting.roles import Role
 from tustinnet.data.drafting.vocabulary import CONTAINERS
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
@@ -136,35 +137,44 @@ def _match_rest(
 def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) -> None:
     """Matches the inputs with columns that are no positions."""
     used = {*matches.coordinates.values()}
-    columns = [
-        column
-        for column in findings.verdicts
-        if column not in used and _may_be_input(column, findings)
-    ]
+    columns = {
+        i.name: [c for c in findings.verdicts if c not in used and _may_be_input(c, i, findings)]
+        for i in system.inputs
+    }
     joints = {i.name: system.joints.get(i.name, "") for i in system.inputs}
     scores = {}
     for i in system.inputs:
-        for column in columns:
-            reading = findings.readings[column]
-            own = _similarity(i.name, reading, columns, joints)
+        for column in columns[i.name]:
+            reading, verdict = findings.readings[column], findings.verdicts[column]
+            own = _similarity(i.name, reading, columns[i.name], joints)
             joint = joints[i.name]
             if joint:
-                own = max(own, _similarity(joint, reading, columns, {*joints.values()}))
+                own = max(own, _similarity(joint, reading, columns[i.name], {*joints.values()}))
             position = matches.coordinates.get(joint)
             if position is not None and reading.object:
                 own = max(own, 0.9 * (reading.object == findings.readings[position].object))
+            if position is not None and is_goal(i):
+                own = max(own, 1.0 * (verdict.leads == position))
             scores[i.name, column] = (
                 own
                 + _IN_UNIT * (input_factor(reading.unit, i.unit) is not None)
-                + _ROLE * (findings.verdicts[column].role == "input")
+                + _ROLE * (verdict.role == _role(i))
                 - _DERIVED * (reading.qualifier in ("filtered", "model"))
             )
     matches.inputs = _assign(scores)
     for name, column in matches.inputs.items():
         matches.because[column] = f"the input '{name}' by its name"
     names = [i.name for i in system.inputs if i.name not in matches.inputs]
-    inputs = [c for c in columns if findings.verdicts[c].role == "input"]
-    remaining = [c for c in inputs if c not in matches.inputs.values()]
+    remaining = [
+        column
+        for column, verdict in findings.verdicts.items()
+        if column not in matches.inputs.values()
+        and any(
+            column in columns[i.name] and verdict.role == _role(i)
+            for i in system.inputs
+            if i.name in names
+        )
+    ]
     if len(names) == len(remaining):
         for name, column in zip(names, remaining, strict=True):
             matches.inputs[name] = column
@@ -175,9 +185,21 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
     matches.missing += [f"no column was found for the input '{name}'" for name in names]
 
 
-def _may_be_input(column: str, findings: Findings) -> bool:
+def is_goal(i: Input) -> bool:
+    """Whether an input is a goal, of a servo, by its unit."""
+    return i.unit in ("rad", "m", "rad/s", "m/s")
+
+
+def _role(i: Input) -> Role:
+    return "set point" if is_goal(i) else "input"
+
+
+def _may_be_input(column: str, i: Input, findings: Findings) -> bool:
     """Whether a column can be an input: not if its name says something else."""
     reading, verdict = findings.readings[column], findings.verdicts[column]
+    if is_goal(i):
+        is_in_unit = not reading.unit or input_factor(reading.unit, i.unit) is not None
+        return is_in_unit and "set point" in (verdict.role, verdict.rival)
     motion = reading.stated(("position", "velocity", "acceleration", "error"))
     is_input = verdict.role in ("input", "set point") and not motion
     return bool(reading.stated(INPUTS)) or is_input

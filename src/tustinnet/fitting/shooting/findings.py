@@ -18,7 +18,9 @@ from tustinnet.fitting.report import (
     SignAlternatives,
     Stretch,
 )
+from tustinnet.fitting.shooting.identifiability import ConfoundedParameters
 from tustinnet.fitting.shooting.problem import SearchState
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.wording import counted
@@ -302,6 +304,38 @@ def describe_informed(
     if len(kept) > _MOST_NAMES:
         listed += f" and {len(kept) - _MOST_NAMES} more"
     return [f"{count}; the records say little of {listed}, which stay near their nominal values"]
+
+
+def describe_scale(
+    estimates: Sequence[Estimate],
+    confounded: Sequence[ConfoundedParameters],
+    space: SearchSpace,
+    vector: ParameterVector,
+) -> list[str]:
+    """Sentence on estimates that are known only beside others, which were fixed at first values.
+
+    Args:
+        estimates: the estimates.
+        confounded: the sets of which one was fixed.
+        space: the search space.
+        vector: the estimates as it has them.
+    """
+    derivatives = dict(zip(space.names, space.derivatives(vector), strict=True))
+    known = []
+    for e in estimates:
+        spreads = {c.suggestion: c.spread[e.name] for c in confounded if e.name in c.spread}
+        spread = float(np.linalg.norm([*spreads.values()]) * derivatives[e.name])
+        if spread > (e.error or 0.0):
+            by = max(spreads, key=lambda name: spreads[name])
+            known.append((spread / (abs(e.value) or spread), f"{e.name} +- {spread:.2g} (by {by})"))
+    if not known:
+        return []
+    listed = [text for _, text in sorted(known, reverse=True)]
+    return [
+        "errors are those beside the fixed values; with what is not known of these they are "
+        f"{_listed(listed)}: records with a known load, with two loads, or with a measured torque "
+        "or current tell more"
+    ]
 
 
 def describe_stretches(stretches: Sequence[Stretch]) -> list[str]:

@@ -5,7 +5,7 @@ change together without changing any simulation, each with the parameter to fix.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -27,10 +27,13 @@ class ConfoundedParameters:
         shares: relative change of each parameter (of its range where it is not positive), the
             suggested one's being 1.
         suggestion: the parameter to fix, of these the best known beforehand.
+        spread: change of the others [in units of the search] where the suggested one is off by a
+            standard deviation of what is known of it beforehand.
     """
 
     shares: dict[str, float]
     suggestion: str
+    spread: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if len(self.shares) == 1:
@@ -118,5 +121,10 @@ def find_confounded(
     for direction, pivot in zip(null, pivots, strict=True):
         members = np.flatnonzero(np.abs(direction) > _MEMBER * np.abs(direction).max())
         shares = {space.names[i]: float(direction[i]) for i in members}
-        confounded.append(ConfoundedParameters(shares, space.names[pivot]))
+        spread = {
+            name: abs(x) * float(ranges[pivot]) / 2
+            for name, x in shares.items()
+            if name != space.names[pivot]
+        }
+        confounded.append(ConfoundedParameters(shares, space.names[pivot], spread))
     return tuple(confounded)

@@ -19,6 +19,7 @@ from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, make_residual
 from tustinnet.fitting.shooting.equation_error import MeasuredMotion, collect_motion
 from tustinnet.fitting.shooting.groups import expand_parameters, group_indices
+from tustinnet.fitting.shooting.identifiability import ConfoundedParameters
 from tustinnet.fitting.shooting.least_squares import CostFunction, LeastSquaresResult, Prior
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
@@ -215,6 +216,7 @@ class SearchState:
         longest_stable: steps of the longest segments whose simulations stay finite, where those of
             longer ones diverge; None where whole records can be simulated.
         remarks: findings of the search so far, as sentences.
+        confounded: parameters that the records do not tell apart; one of each set is fixed.
         robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
             each weighs the same.
         has_fitted_values: whether the values were fitted to forces, or to short segments, of the
@@ -235,6 +237,7 @@ class SearchState:
     horizons: Mapping[str, int] = field(default_factory=dict)
     longest_stable: int | None = None
     remarks: tuple[str, ...] = ()
+    confounded: tuple[ConfoundedParameters, ...] = ()
     robust_weights: np.ndarray | None = None
     has_fitted_values: bool = False
 

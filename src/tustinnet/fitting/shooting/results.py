@@ -89,6 +89,7 @@ def make_identification(
         ),
         *findings.describe_disagreements(disagreements),
         *findings.describe_bounds(estimates, noise_ratio, problem.system.plant),
+        *findings.describe_scale(estimates, state.confounded, space, result.vector),
         *findings.describe_stretches(downweighted),
         *([] if state.has_diverged else findings.describe_condition(space.names, uncertainty)),
         *(

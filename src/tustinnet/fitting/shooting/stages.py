@@ -326,7 +326,11 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
         )
     remarks = describe_confounded(confounded, len(vector))
     return replace(
-        state, space=space, vector=space.to_vector(values), remarks=(*state.remarks, *remarks)
+        state,
+        space=space,
+        vector=space.to_vector(values),
+        remarks=(*state.remarks, *remarks),
+        confounded=confounded,
     )
 
 
