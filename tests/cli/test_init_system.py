@@ -145,6 +145,36 @@ def test_numbers_are_those_of_joints_or_an_order(
     assert ("no name says it" in (folder / "dataset.toml").read_text()) == is_by_order
 
 
+LEG = """<mujoco><worldbody><body name="a"><joint name="hip" axis="0 1 0"/>
+  <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>
+  <body name="b"><joint name="knee" axis="0 1 0"/>
+  <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+  <actuator><position joint="hip" kp="20"/><position name="lower" joint="knee" kp="20"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("positions", "goals"),
+    [
+        (("present_position_1", "present_position_2"), ("goal_position_1", "goal_position_2")),
+        (("state.knee.pos", "state.hip.pos"), ("action.knee.pos", "action.hip.pos")),
+        (("hip_ist", "knee_ist"), ("hip_soll", "knee_soll")),
+        (("q_hip_deg", "q_knee_deg"), ("q_des_hip_deg", "q_des_knee_deg")),
+    ],
+)
+def test_goals_are_inputs_of_servos(positions, goals, tmp_path: Path, capsys) -> None:
+    (file := tmp_path / "leg.xml").write_text(LEG)
+    header = ",".join(["time_s", *positions, *goals])
+    folder = write_logs(tmp_path / "logs", header, np.array([1, 1, 1.1, 1.1]))
+    code, _, err = tustinnet(capsys, "init", folder, "--system", file, "--yes")
+    assert code == 0, err
+    assert "not matched" not in err
+    card, order = card_of(folder), slice(None, None, -1 if "knee" in goals[0] else 1)
+    assert [i["column"] for i in card["inputs"].values()] == [*goals][order]
+    assert [*card["inputs"]] == ["hip_goal", "lower"]
+    assert {i["unit"] for i in card["inputs"].values()} == {"rad"}
+
+
 def test_a_file_that_is_no_robot_is_said_before_logs_are_read(tmp_path: Path, capsys) -> None:
     (file := tmp_path / "arm.urdf").write_text("<robot>")
     code, _, err = tustinnet(capsys, "init", tmp_path / "nowhere", "--system", file)

@@ -74,6 +74,7 @@ def test_a_sum_is_told_with_how_its_parts_change_together():
     a, b = columns(2).T
     (confounded,) = confounded_by(np.stack([3.0 * a, b, 5.0 * a], axis=1))
     assert confounded.shares == pytest.approx({"a": 1.0, "c": -0.6})
+    assert confounded.spread == pytest.approx({"c": 0.6 * np.log(5) / 2}), "half the range of a"
     assert confounded.suggestion == "a"
     assert str(confounded).startswith("a and c are not identifiable separately")
 

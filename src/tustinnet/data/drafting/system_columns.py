@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from tustinnet.channels import Coordinate, Input, Kind
 from tustinnet.data.drafting.findings import Findings
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
-from tustinnet.data.drafting.roles import Role
 from tustinnet.data.drafting.vocabulary import CONTAINERS
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
@@ -158,23 +157,22 @@ def _match_inputs(system: SystemChannels, findings: Findings, matches: Matches) 
             scores[i.name, column] = (
                 own
                 + _IN_UNIT * (input_factor(reading.unit, i.unit) is not None)
-                + _ROLE * (verdict.role == _role(i))
+                + _ROLE * (verdict.role == "input" or is_goal(i))
                 - _DERIVED * (reading.qualifier in ("filtered", "model"))
             )
     matches.inputs = _assign(scores)
     for name, column in matches.inputs.items():
         matches.because[column] = f"the input '{name}' by its name"
     names = [i.name for i in system.inputs if i.name not in matches.inputs]
-    remaining = [
+    fitting = {
         column
-        for column, verdict in findings.verdicts.items()
-        if column not in matches.inputs.values()
-        and any(
-            column in columns[i.name] and verdict.role == _role(i)
-            for i in system.inputs
-            if i.name in names
-        )
-    ]
+        for i in system.inputs
+        if i.name in names
+        for column in columns[i.name]
+        if is_goal(i) or findings.verdicts[column].role == "input"
+    }
+    used |= {*matches.inputs.values()}
+    remaining = [c for c in findings.verdicts if c in fitting - used]
     if len(names) == len(remaining):
         for name, column in zip(names, remaining, strict=True):
             matches.inputs[name] = column
@@ -190,16 +188,14 @@ def is_goal(i: Input) -> bool:
     return i.unit in ("rad", "m", "rad/s", "m/s")
 
 
-def _role(i: Input) -> Role:
-    return "set point" if is_goal(i) else "input"
-
-
 def _may_be_input(column: str, i: Input, findings: Findings) -> bool:
     """Whether a column can be an input: not if its name says something else."""
     reading, verdict = findings.readings[column], findings.verdicts[column]
     if is_goal(i):
         is_in_unit = not reading.unit or input_factor(reading.unit, i.unit) is not None
-        return is_in_unit and "set point" in (verdict.role, verdict.rival)
+        is_force = bool(reading.stated(q for q in INPUTS if q != "control"))
+        roles = {verdict.role, verdict.rival} & {"set point", "input"}
+        return is_in_unit and not is_force and bool(roles)
     motion = reading.stated(("position", "velocity", "acceleration", "error"))
     is_input = verdict.role in ("input", "set point") and not motion
     return bool(reading.stated(INPUTS)) or is_input
