@@ -136,6 +136,8 @@ class ForceError:
             records, else on training records.
         by_file: the same of all samples by the nominal values, as of a robot's file.
         by_least_squares: the same by least squares without priors, ranges and added forces.
+        is_driven: whether an actuator acts on it; without one a share is of the forces that the
+            motion needs, which may be none.
     """
 
     coordinate: str
@@ -147,6 +149,7 @@ class ForceError:
     moving: float
     by_file: float
     by_least_squares: float
+    is_driven: bool
 
     @property
     def share(self) -> float:

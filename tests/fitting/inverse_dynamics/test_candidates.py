@@ -16,16 +16,16 @@ from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.added import parse_forces
 
-PENDULUM = Path(__file__).parents[3] / "examples" / "robots" / "double_pendulum.urdf"
+SCARA = Path(__file__).parents[3] / "examples" / "robots" / "scara.urdf"
 
 
 @pytest.fixture(scope="module")
 def system() -> tn.LagrangianSystem:
-    return tn.load_system(PENDULUM)
+    return tn.load_system(SCARA)
 
 
 def twin(system: tn.LagrangianSystem, *names: str, **values: float) -> tn.DataSet:
-    """Records of the pendulum with further forces, of some values by the ends of their names."""
+    """Records of the arm with further forces, of some values by the ends of their names."""
     plain = record_in_loop(system, system.nominal(), 2, 2.0)
     richer = with_added(system, names, list(plain), {})
     truth = true_values(system, 4) | {
@@ -36,14 +36,14 @@ def twin(system: tn.LagrangianSystem, *names: str, **values: float) -> tn.DataSe
 
 
 def test_dry_friction_with_a_memory_is_found_and_simulated(system):
-    data = twin(system, "slip:upper_joint", slip_2=0.3, slip_4=0.4)
+    data = twin(system, "slip:shoulder", slip_2=1.0, slip_4=1.5)
     result = tn.identify(data, system, "inverse-dynamics")
-    assert "slip:upper_joint" in result.system.added
+    assert "slip:shoulder" in result.system.added
     (sentence,) = [s for s in result.findings if s.startswith("dry friction holds at rest")]
-    assert "upper_joint up to 0." in sentence
-    levels = sum(result.values[f"upper_joint.slip_{i}"] for i in range(1, 6))
-    assert levels + result.values["upper_joint.coulomb"] == pytest.approx(
-        0.7 + true_values(system, 4)["upper_joint.coulomb"], rel=0.1
+    assert "shoulder up to " in sentence
+    levels = sum(result.values[f"shoulder.slip_{i}"] for i in range(1, 6))
+    assert levels + result.values["shoulder.coulomb"] == pytest.approx(
+        2.5 + true_values(system, 4)["shoulder.coulomb"], rel=0.1
     )
     without = tn.identify(
         data, system, tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
@@ -60,11 +60,11 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system):
 
 
 def test_a_motor_that_turns_with_two_joints_is_found(system):
-    channel = "upper_joint+lower_joint"
-    data = twin(system, f"armature:{channel}", f"viscous:{channel}", armature=0.15, viscous=0.3)
+    channel = "elbow+roll"
+    data = twin(system, f"armature:{channel}", f"viscous:{channel}", armature=0.05, viscous=0.3)
     result = tn.identify(data, system, "inverse-dynamics")
     assert f"armature:{channel}" in result.system.added
-    assert result.values[f"{channel}.armature"] == pytest.approx(0.15, rel=0.1)
+    assert result.values[f"{channel}.armature"] == pytest.approx(0.05, rel=0.1)
     (sentence,) = [s for s in result.findings if s.startswith("forces tried")]
     assert f"armature:{channel} kept" in sentence
 
@@ -73,7 +73,7 @@ def test_the_forces_of_the_model_are_those_that_were_fitted(system):
     """Columns beside a system, and the same forces within one, which remember."""
     data = twin(system, "slip", slip_1=0.2, slip_5=0.3)
     parts = tuple(filter_record(e.without_controller(), 8.0) for e in data[:2])
-    richer = with_added(system, ["slip", "armature:upper_joint-lower_joint"], list(data), {})
+    richer = with_added(system, ["slip", "armature:shoulder-elbow"], list(data), {})
     space = make_search_space(system, {}, {})
     beside = parse_forces(system, richer.added)
     brought = [richer.parameter(name) for name in richer.added_parameters]

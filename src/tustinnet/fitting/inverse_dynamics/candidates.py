@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.data.inspection import rotating_coordinates
 from tustinnet.fitting.inverse_dynamics.linear_forces import (
@@ -77,7 +77,14 @@ class Choice:
     def share(self) -> float:
         """Left-out forces that are missing by those of the actuators, the mean of the joints."""
         size = sum(own.weight * np.sum(own.sizes**2, axis=0) for own in self.columns)
-        return float(np.mean(np.sqrt(self.squares.sum(axis=0) / size)))
+        shares = np.sqrt(self.squares.sum(axis=0) / size)
+        return float(np.mean(shares[self.is_driven]))
+
+    @property
+    def is_driven(self) -> Bool[np.ndarray, " n_q"]:
+        """Which joints have actuators; all where none has."""
+        driven = np.any([own.applied.any(axis=0) for own in self.columns], axis=0)
+        return driven | ~driven.any()
 
     def fall_from(self, before: "Choice") -> Float[np.ndarray, " n_q"]:
         """Share by which the forces that are missing at each joint fall from another choice."""
@@ -85,7 +92,7 @@ class Choice:
 
     def is_clearly_better(self, before: "Choice") -> bool:
         """Whether left-out forces fall on the mean of the joints, by more than folds disagree."""
-        falls = -np.mean(np.log(self.squares / before.squares), axis=1) / 2
+        falls = -np.mean(np.log(self.squares / before.squares)[:, self.is_driven], axis=1) / 2
         return bool(falls.mean() > max(_GAIN, falls.std(ddof=1) / np.sqrt(len(falls))))
 
 

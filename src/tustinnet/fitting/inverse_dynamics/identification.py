@@ -448,6 +448,7 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[For
             moving=share(left, k, moving[:, k]),
             by_file=share(by_file, k),
             by_least_squares=share(by_least_squares, k),
+            is_driven=any(bool(own.applied[:, k].any()) for own in columns),
         )
         for k, c in enumerate(fit.forces.system.coordinates)
     ]

@@ -255,7 +255,7 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
     )
     where = "the validation records" if is_held_out else "the training records"
     means = (
-        f"{100 * np.mean([getattr(e, name) for e in errors]):.3g} % {words}"
+        f"{100 * np.mean([getattr(e, name) for e in errors if e.is_driven]):.3g} % {words}"
         for name, words in (
             ("share", "on the mean"),
             ("moving", "while they move"),
@@ -263,9 +263,8 @@ def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
             ("by_file", "by the first values"),
         )
     )
-    return (
-        f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}; {', '.join(means)}"
-    )
+    told = f"; {', '.join(means)}" if any(e.is_driven for e in errors) else ""
+    return f"forces that are missing on {where}, up to {cutoff:.3g} Hz: {listed}{told}"
 
 
 def describe_trials(trials: Sequence[tuple[str, float, float, bool]]) -> list[str]:
