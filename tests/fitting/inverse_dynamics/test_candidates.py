@@ -117,3 +117,22 @@ def test_the_wrist_of_a_measured_arm_is_found(real_data):
     pairs = [name for name in result.system.added if name.startswith("armature:")]
     assert len(pairs) == 1
     assert np.mean([e.share for e in result.force_errors]) < 0.15
+
+
+def test_forces_of_a_record_are_those_that_a_fit_names(system):
+    data = twin(system)
+    result = tn.identify(data, system, "inverse-dynamics")
+    (record,) = data.split("validation")
+    cutoff = float(result.findings[0].partition("up to ")[2].partition(" Hz")[0])
+    forces = tn.inverse_dynamics(result.model, record, cutoff)
+    for error in result.force_errors:
+        assert forces.share[error.coordinate] == pytest.approx(error.share, rel=0.02)
+        assert forces.share_moving[error.coordinate] == pytest.approx(error.moving, rel=0.1)
+    assert len(forces.t) == len(forces.needed)
+    assert np.ptp(np.diff(forces.t)) < 1e-9
+    assert record.t[0] < forces.t[0] < forces.t[-1] < record.t[-1]
+    chosen = tn.inverse_dynamics(result.model, record)
+    assert 1.0 < chosen.cutoff < 100.0
+    network = tn.fit(data, tn.read_recipe("linear", ["stages.*.epochs=1"]), seed=0).model
+    with pytest.raises(InputError, match="a model without equations of motion"):
+        tn.inverse_dynamics(network, record)

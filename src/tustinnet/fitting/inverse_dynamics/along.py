@@ -83,11 +83,15 @@ class FilteredRecord(NamedTuple):
         """Independent measurements by compared sample: filtered noise is correlated."""
         return min(1.0, 2 * noise_bandwidth(self.cutoff) * self.step * self.dt)
 
+    @property
+    def kept(self) -> slice:
+        """The samples that are compared."""
+        return slice(self.edge, len(self.q) - self.edge, self.step)
+
     def compare(self, forces: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "k m"]:
         """Forces along the record as they are compared: filtered, at nearly independent samples."""
-        kept = slice(self.edge, len(forces) - self.edge, self.step)
-        compared, some = np.zeros_like(forces[kept]), forces.any(axis=0)
-        compared[:, some] = low_pass(forces[:, some], self.dt, self.cutoff)[kept]
+        compared, some = np.zeros_like(forces[self.kept]), forces.any(axis=0)
+        compared[:, some] = low_pass(forces[:, some], self.dt, self.cutoff)[self.kept]
         return compared
 
 

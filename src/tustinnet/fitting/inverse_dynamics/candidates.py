@@ -83,8 +83,8 @@ class Choice:
     @property
     def is_driven(self) -> Bool[np.ndarray, " n_q"]:
         """Which joints have actuators; all where none has."""
-        driven = np.any([own.applied.any(axis=0) for own in self.columns], axis=0)
-        return driven | ~driven.any()
+        driven = np.any(np.stack([own.applied.any(axis=0) for own in self.columns]), axis=0)
+        return driven if driven.any() else ~driven
 
     def fall_from(self, before: "Choice") -> Float[np.ndarray, " n_q"]:
         """Share by which the forces that are missing at each joint fall from another choice."""

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.fitting.inverse_dynamics.along import ForcesAlong, filter_record, require_possible
+from tustinnet.fitting.inverse_dynamics.along import filter_record, require_possible
 from tustinnet.fitting.inverse_dynamics.candidates import Choice, Trial, choose_forces
 from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_column_mistakes
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
@@ -36,7 +36,6 @@ from tustinnet.fitting.shooting.base_parameters import (
     find_combinations,
     order_of,
 )
-from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.problem import (
     Problem,
     SearchState,
@@ -48,8 +47,8 @@ from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS, INFORMED
 from tustinnet.models.added import PlacedForce, with_forces
 from tustinnet.models.chains import CENTER, INERTIAL
-from tustinnet.models.forces import SLIP, SLIP_TRAVELS
-from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.forces import OWN_LEVEL, SLIP, SLIP_TRAVELS
+from tustinnet.models.lagrangian import LagrangianSystem
 
 STAGE = "inverse dynamics"
 
@@ -294,37 +293,6 @@ def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> b
     return int(ranks.max()) == n
 
 
-def unexplained_forces(
-    model: LagrangianModel, records: Sequence[Experiment], cutoff: float
-) -> dict[str, float]:
-    """The force at each coordinate that a model does not explain, as a share of the inputs' force.
-
-    Both are root mean squares along the records. Without an actuator at a coordinate it is a share
-    of the force that the motion needs.
-
-    Args:
-        model: equations of motion to which `find_obstacle` finds no obstacle.
-        records: records that were not fitted to.
-        cutoff: frequency up to which forces are compared [Hz].
-
-    Raises:
-        InputError: a record that is too short.
-    """
-    system = model.system.plant
-    values = {name: float(x) for name, x in model.values.items()}
-    equations = system_equations(system)
-    along = [
-        ForcesAlong(equations, filter_record(e.without_controller(), cutoff), values)
-        for e in records
-    ]
-    missing = np.concatenate([own.missing(values) for own in along])
-    needed = np.concatenate([own.needed(values) for own in along])
-    applied = root_mean_square(needed - missing)
-    size = np.where(applied > 0, applied, np.maximum(root_mean_square(needed), 1e-12))
-    shares = root_mean_square(missing) / size
-    return {c.name: float(x) for c, x in zip(system.coordinates, shares, strict=True)}
-
-
 def root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
     """The root mean square of each column."""
     return np.sqrt(np.mean(forces**2, axis=0))
@@ -354,7 +322,12 @@ def _make_identification(
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
     errors = _force_errors(result, problem.validation)
     informed = deviations < INFORMED * prior.spread
-    estimates = _estimates(vector, space, deviations, informed)
+    # a level beside the system that is not needed is none of its parameters
+    levels = {p.name for p in fit.forces.brought}
+    estimates = tuple(
+        replace(e, is_informed=e.is_informed and not (e.bound == "lower" and e.name in levels))
+        for e in _estimates(vector, space, deviations, informed)
+    )
     base_parameters = _estimate_base_parameters(fit, prior, parameter_errors)
     sentences = [
         *state.remarks,
@@ -363,7 +336,7 @@ def _make_identification(
         *findings.describe_informed(space.names, informed, len(base_parameters)),
         *_describe_slip(fit.forces.beside, space.to_values_in_range(vector), problem.system),
         *findings.describe_bounds(
-            [e for e in estimates if e.name not in {p.name for p in fit.forces.brought}],
+            [e for e in estimates if e.name not in _replaced(fit.forces)],
             np.inf,
             problem.system,
         ),
@@ -554,6 +527,12 @@ def _estimate_base_parameters(
             )
         )
     return tuple(estimates)
+
+
+def _replaced(forces: LinearForces) -> set[str]:
+    """Parameters whose absence says nothing: levels beside the system, and what these stand for."""
+    levels = {p.name for p in forces.brought}
+    return levels | {f"{force.channel}.{OWN_LEVEL}" for force in forces.beside}
 
 
 def _describe_slip(
