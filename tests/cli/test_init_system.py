@@ -26,6 +26,19 @@ def write_logs(folder: Path, header: str, scales: np.ndarray) -> Path:
     return folder
 
 
+def write_arm(folder: Path, count: int) -> Path:
+    """An arm of some joints, each with an actuator."""
+    links = "".join(
+        f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/>'
+        "</inertial></link>"
+        f'<joint name="joint{k}" type="continuous"><parent link="{f"l{k - 1}" if k > 1 else "b"}"/>'
+        f'<child link="l{k}"/><origin xyz="0.3 0 0"/></joint>'
+        for k in range(1, count + 1)
+    )
+    (file := folder / "arm.urdf").write_text(f'<robot name="a"><link name="b"/>{links}</robot>')
+    return file
+
+
 def card_of(folder: Path) -> dict[str, dict[str, dict[str, object]]]:
     """Coordinates and inputs of the card in a folder, by name."""
     card = tomllib.loads((folder / "dataset.toml").read_text())
@@ -122,14 +135,7 @@ def test_what_has_no_column_is_one_line_each(tmp_path: Path, capsys) -> None:
 def test_numbers_are_those_of_joints_or_an_order(
     columns: tuple[str, ...], expected: dict[str, str], tmp_path: Path, capsys
 ) -> None:
-    links = "".join(
-        f'<link name="l{k}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/>'
-        "</inertial></link>"
-        f'<joint name="joint{k}" type="continuous"><parent link="{f"l{k - 1}" if k > 1 else "b"}"/>'
-        f'<child link="l{k}"/><origin xyz="0.3 0 0"/></joint>'
-        for k in (1, 2, 3)
-    )
-    (file := tmp_path / "arm.urdf").write_text(f'<robot name="a"><link name="b"/>{links}</robot>')
+    file = write_arm(tmp_path, 3)
     header = ",".join(["time_s", *(f"{c}_rad" for c in columns), *(f"tau{c[1]}" for c in columns)])
     folder = write_logs(tmp_path / "logs", header, np.array([1, 1, 1, 5, 5, 5.0]))
     code, _, err = tustinnet(capsys, "init", folder, "--system", file, "--yes")
@@ -199,3 +205,37 @@ def test_links_without_an_inertia_need_a_density_here_too(tmp_path: Path, capsys
     code, _, err = tustinnet(capsys, "init", folder, "--default-density", "2700", "--overwrite")
     assert (code, err.count("\n")) == (1, 1)
     assert "not applicable without the file of a robot" in err
+
+
+@pytest.mark.parametrize(
+    ("position", "set_point", "torque"),
+    [
+        ("q_{}", "q_d_{}", "tau_J_{}"),
+        ("actual_q_{}", "target_q_{}", "actual_current_{}"),
+        ("q_{}", "q_ref_{}", "tau_{}"),
+        ("ist_{}", "soll_{}", "moment_{}"),
+        ("pos{}", "pos_des{}", "torque{}"),
+    ],
+)
+def test_set_points_of_positions_are_no_torques(
+    position, set_point, torque, tmp_path: Path, capsys
+) -> None:
+    """Arms in closed loop: what a position follows one to one is its set point."""
+    rng, t = np.random.default_rng(1), 0.004 * np.arange(1500)
+    (folder := tmp_path / "logs").mkdir()
+    for run in range(2):
+        rate, phase = rng.uniform(0.5, 4, (2, 3, 2))
+        asked, q = (
+            np.sin((t[:, None, None] - lag) * rate + phase).sum(axis=1) for lag in (0, 0.02)
+        )
+        tau = np.gradient(np.gradient(q, axis=0), axis=0) / 0.004**2 + 3 * np.sin(q)
+        table = np.column_stack([t, q, asked, tau + 0.1 * rng.normal(size=tau.shape)])
+        names = [name.format(k) for name in (position, set_point, torque) for k in (0, 1)]
+        header = ",".join(["timestamp", *names])
+        np.savetxt(folder / f"run{run}.csv", table, "%.6f", ",", header=header, comments="")
+    arm = write_arm(tmp_path, 2)
+    code, _, err = tustinnet(capsys, "init", folder, "--system", arm, "--yes")
+    assert code == 0, err
+    card = card_of(folder)
+    for sort, name in (("coordinates", position), ("inputs", torque)):
+        assert [c["column"] for c in card[sort].values()] == [name.format(k) for k in (0, 1)]

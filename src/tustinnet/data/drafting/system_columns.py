@@ -197,7 +197,9 @@ def _may_be_input(column: str, i: Input, findings: Findings) -> bool:
         roles = {verdict.role, verdict.rival} & {"set point", "input"}
         return is_in_unit and not is_force and bool(roles)
     motion = reading.stated(("position", "velocity", "acceleration", "error"))
-    is_input = verdict.role in ("input", "set point") and not motion
+    # what a position follows one to one is its set point, and no force
+    is_set_point = verdict.leads is not None and findings.verdicts[verdict.leads].role == "position"
+    is_input = verdict.role in ("input", "set point") and not (motion or is_set_point)
     return bool(reading.stated(INPUTS)) or is_input
 
 
@@ -225,9 +227,11 @@ def _similarity(
     if not words or not {*words} <= {*reading.words}:
         return 0.0
     numbers = {word for word in words if word.isdigit()}
+    own = {word for other in names for word in _words(other) if word.isdigit()}
+    in_columns = {w for column in columns for w in read_name(column).words if w.isdigit()}
+    if numbers and "0" in in_columns - own:
+        return 0.0
     if numbers == {*words}:
-        own = {word for other in names for word in _words(other) if word.isdigit()}
-        in_columns = {w for column in columns for w in read_name(column).words if w.isdigit()}
         if not numbers or in_columns != own:
             return 0.0
     elif {word for word in reading.words if word.isdigit()} - numbers and numbers:
