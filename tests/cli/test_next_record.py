@@ -242,7 +242,9 @@ def test_a_design_is_for_the_group_that_is_named(tmp_path, capsys):
     code, printed, err = tustinnet(capsys, *words, "--group", "payload=2kg", "--json")
     assert code == 0, err
     found = json.loads(printed)["base_parameters"]
-    assert any(b["name"].startswith("spindle.") and b["name"].endswith("[2kg]") for b in found)
+    names = {name for b in found for name in (b["name"], *b["terms"])}
+    assert any(name.startswith("spindle.") and name.endswith("[2kg]") for name in names)
+    assert not any(name.startswith("spindle.") and "[" not in name for name in names)
 
 
 def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
