@@ -33,7 +33,14 @@ SAMPLED = Equations(
     n_u=1,
     n_p=2,
     n_c=1,
-    sampled=SampledValues(lambda x, u, p, c: p[1] * (u - x[:1]) - c[0] * x[1:2], 1),
+    # the second state settles, and the value is held until the next sample
+    sampled=SampledValues(
+        lambda x, u, p, c: (
+            x.at[1].set(jnp.clip(x[1], -0.5, 0.5)),
+            p[1] * (u - x[:1]) - c[0] * x[1:2],
+        ),
+        1,
+    ),
 )
 PLAIN = ResidualFormula(lambda error: error, 2)
 PERIODIC = ResidualFormula(lambda error: jnp.stack([2 * jnp.sin(error[0] / 2), error[1]]), 2)
