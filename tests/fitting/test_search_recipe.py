@@ -42,6 +42,7 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "part": "whole",
         "method": "levenberg-marquardt",
         "cutoff": None,
+        "candidates": (),
         "tolerance": 1e-5,
         "iterations": 50,
         "substeps": None,

@@ -160,6 +160,7 @@ LOOPS_OVER_TIME = {
     "engine/by_jax.py": "states, and their derivatives, of what no machine code is made for",
 }
 OTHER_LOOPS = {
+    "fitting/inverse_dynamics/along.py": "internal states that follow a measured motion",
     "models/integrate.py": "the parts of a period, and the stages of a Runge-Kutta step",
     "simulate/state_fits.py": "the turns of the search for a start",
     "fitting/gradient/epoch.py": "epochs, and the steps of the optimiser in one",

@@ -4,7 +4,7 @@ A motion is filtered and differentiated, forces are evaluated along it and filte
 friction changes its sign faster than a filtered velocity shows.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -183,14 +183,29 @@ def remember(
     if not memory.names:
         return np.zeros((len(part.q), 0))
 
-    def follow(z: Array, motion: tuple[Array, Array]) -> tuple[Array, Array]:
-        z = z + part.dt * memory.compute_rate(*motion, z, None, values)
-        z = memory.compute_settled(z, values)
+    def step(z: Array, q: Array, v: Array) -> Array:
+        z = z + part.dt * memory.compute_rate(q, v, z, None, values)
+        return memory.compute_settled(z, values)
+
+    start = jnp.zeros(len(memory.names), part.q.dtype)
+    return np.asarray(follow(step, start, jnp.asarray(part.q), jnp.asarray(part.v)))
+
+
+def follow(step: Callable[..., Array], start: Array, *motion: Array) -> Array:
+    """Internal states along a motion, (n, n_z): the start, then one step for each further sample.
+
+    Args:
+        step: the next states, by the states and what the motion has at a sample.
+        start: the states at the first sample, (n_z,).
+        motion: arrays whose first axis are the samples.
+    """
+
+    def one(z: Array, now: tuple[Array, ...]) -> tuple[Array, Array]:
+        z = step(z, *now)
         return z, z
 
-    start = np.zeros(len(memory.names))
-    motion = jnp.asarray(part.q[1:]), jnp.asarray(part.v[1:])
-    return np.vstack([start, jax.lax.scan(follow, jnp.asarray(start), motion)[1]])
+    following = jax.lax.scan(one, start, tuple(x[1:] for x in motion))[1]
+    return jnp.concatenate([start[None], following])
 
 
 @lru_cache(maxsize=64)  # so that it is compiled once

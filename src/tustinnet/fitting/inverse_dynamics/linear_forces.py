@@ -23,6 +23,7 @@ from tustinnet.fitting.inverse_dynamics.along import (
     FilteredRecord,
     ForcesAlong,
     filter_record,
+    follow,
 )
 from tustinnet.fitting.inverse_dynamics.solver import coordinates_of
 from tustinnet.fitting.inverse_dynamics.sums import Columns
@@ -273,12 +274,10 @@ def _remember(law: ForceWithMemory, v: Array, dt: Array, goes_on: Array, values:
     assert law.settle is not None
     settle = law.settle
 
-    def follow(z: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        v, dt, goes_on = now
-        z = settle(goes_on * (z + dt * law.rate(v, z, *values)), *values)
-        return z, z
+    def step(z: Array, v: Array, dt: Array, goes_on: Array) -> Array:
+        return settle(goes_on * (z + dt * law.rate(v, z, *values)), *values)
 
-    return jax.lax.scan(follow, jnp.zeros(law.states or 1), (v, dt, goes_on))[1]
+    return follow(step, jnp.zeros(law.states or 1), v, dt, goes_on)
 
 
 @lru_cache(maxsize=64)  # so that it is compiled once
