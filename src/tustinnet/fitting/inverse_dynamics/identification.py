@@ -243,13 +243,14 @@ def _fit(
 
 
 def _cost(
-    missing: Sequence[Float[np.ndarray, "k n_q"]],
+    missing: Sequence[Float[np.ndarray, "_ n_q"]],
     unit: Float[np.ndarray, " n_q"],
     prior: Prior,
     vector: ParameterVector,
 ) -> float:
     """Half the sum of squares of missing forces by their sizes, and the prior's."""
-    return sum(float(np.sum((own / unit) ** 2)) for own in missing) / 2 + prior.at(vector)[0]
+    squares = sum(np.sum((own / unit) ** 2) for own in missing)
+    return float(squares / 2 + prior.at(vector)[0])
 
 
 def _without_idle(choice: Choice) -> tuple[LinearForces, ParameterVector]:

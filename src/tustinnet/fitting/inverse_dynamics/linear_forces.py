@@ -131,7 +131,7 @@ class LinearForces:
             columns.append(own)
         return columns
 
-    def missing(self, vector: ParameterVector) -> list[Float[np.ndarray, "k n_q"]]:
+    def missing(self, vector: ParameterVector) -> list[Float[np.ndarray, "_ n_q"]]:
         """What the motion of each record needs and nothing gives [N m or N]."""
         values = self.space.to_values(vector)
         if not self.beside:
@@ -145,7 +145,7 @@ class LinearForces:
 
     def columns_beside(
         self, vector: ParameterVector, forces: Sequence[PlacedForce]
-    ) -> list[Float[np.ndarray, "k n_q m"]]:
+    ) -> list[Float[np.ndarray, "_ n_q _"]]:
         """What the motion of each record needs because of some of the forces, by their levels."""
         values, parts = self.space.to_values(vector), self.parts
         joined = _JoinedMotion.of(parts)
