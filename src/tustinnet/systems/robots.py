@@ -57,8 +57,8 @@ def load_robot(
             the group, `{"flange": "payload"}`.
         friction: friction of all joints beside the viscous and the Coulomb one: "stribeck" (more at
             the onset of motion), "load" (grows with the torque or force of gravity at the joint),
-            "curve" (grows with the speed, and ever less so). A
-            recipe's `[model] forces` adds the same laws, to all joints or to some.
+            "curve" (grows with the speed, and ever less so). A recipe's `[model] forces` adds the
+            same laws, to all joints or to some.
         elastic: joints between whose motor and link there is a spring, as in a harmonic drive, with
             its stiffness [N m/rad or N/m], from which the search begins.
         backlash: elastic joints with play in the gear, with its whole width [rad or m].
