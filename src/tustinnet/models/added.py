@@ -149,9 +149,8 @@ def parse_forces(system: LagrangianSystem, names: Sequence[str]) -> tuple[Placed
         if not channels:
             raise InputError(WHERE, f"'{name}': the system has no inputs", "a system with inputs")
         for place in [channel] if colon else channels:
-            own = channels if kind == "input" else ()
-            places = ((own.index(place), 1.0),) if place in own else ()
-            if not (places := places or find_places(place, [] if own else channels)):
+            places = find_places(place, channels)
+            if not places or (kind == "input" and len(places) > 1):
                 raise InputError(
                     WHERE, f"'{name}': no {kind} '{channel}'", f"one of {', '.join(channels)}"
                 )

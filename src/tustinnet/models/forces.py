@@ -779,7 +779,7 @@ _LAWS: tuple[Law, ...] = (
         "states that follow the motion and are cut to d_i",
         parameters=(*_SLIP_LEVELS, _SLIP_TRAVEL),
         states=len(SLIP_TRAVELS),
-        rate=lambda v, z, *values: jnp.full_like(z, 1.0) * v,
+        rate=lambda v, z, *values: jnp.ones_like(z) * v,
         initial=lambda q, *values: jnp.zeros(len(SLIP_TRAVELS), jnp.result_type(q)),
         force=lambda v, z, *values: slip_force(z, values[:-1], values[-1]),
         settle=lambda z, *values: jnp.clip(

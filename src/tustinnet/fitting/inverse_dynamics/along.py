@@ -266,13 +266,13 @@ class ForcesAlong:
             values: the values of all parameters by name.
             free: the parameters.
         """
-        columns, own = [], self._with_parameters(self.points, values)
-        nominal = self.row(values)
+        columns, own = [], self.with_parameters(self.points, values)
+        nominal = self._row(values)
         for p in free:
             step = _STEP * (values[p.name] if p.positive else p.upper - p.lower)
             ends = []
             for sign in (1, -1):
-                row = self.row({**values, p.name: values[p.name] + sign * step})
+                row = self._row({**values, p.name: values[p.name] + sign * step})
                 changed = np.flatnonzero(row != nominal)
                 own[:, self.points.shape[1] + changed] = row[changed]
                 ends.append(evaluate(self.formula, own))
@@ -285,16 +285,16 @@ class ForcesAlong:
     def _evaluate(
         self, points: Float[np.ndarray, "n m"], values: Mapping[str, float]
     ) -> Float[np.ndarray, "n n_q"]:
-        return evaluate(self.formula, self._with_parameters(points, values))
+        return evaluate(self.formula, self.with_parameters(points, values))
 
-    def _with_parameters(
+    def with_parameters(
         self, points: Float[np.ndarray, "n m"], values: Mapping[str, float]
     ) -> Float[np.ndarray, "n m_and_p"]:
         """Points with the parameters behind them, as the formula takes them."""
-        row = self.row(values)
+        row = self._row(values)
         return np.concatenate([points, np.broadcast_to(row, (len(points), len(row)))], axis=1)
 
-    def row(self, values: Mapping[str, float]) -> Float[np.ndarray, " p"]:
+    def _row(self, values: Mapping[str, float]) -> Float[np.ndarray, " p"]:
         """The parameters that apply to the record."""
         system = self.equations.system
         parameters = expand_parameters_by_values(system, values)

@@ -206,11 +206,13 @@ class _Comparison:
         records = sorted(problem.records, key=len, reverse=True)[:_RECORDS]
         records = [e[: max(2, int(_SECONDS / len(records) / e.dt))] for e in records]
         self.parts = tuple(filter_record(e, cutoff) for e in records)
-        recorded = LinearForces(problem.system, space, self.parts).columns(self.prior.centre)
+        recorded = LinearForces(problem.system, space, self.parts)
+        values = space.to_values(self.prior.centre)
         # what the recorded inputs put on the coordinates
-        self.forces = [own.applied for own in recorded]
-        self.products = sum(own.weight * own.applied.T @ own.applied for own in recorded)
-        self.weight = sum(own.weight * len(own.applied) for own in recorded)
+        self.forces = [own.needed(values) - own.missing(values) for own in recorded.along]
+        weighted = [(p.weight, f) for p, f in zip(self.parts, self.forces, strict=True)]
+        self.products = sum(weight * forces.T @ forces for weight, forces in weighted)
+        self.weight = sum(weight * len(forces) for weight, forces in weighted)
         self.driven = np.diag(self.products) > 0
         self.spans = np.ptp(np.concatenate([e.q for e in records]), axis=0)
         self.products_by_geometry: dict[object, Float[np.ndarray, "n m m"]] = {}

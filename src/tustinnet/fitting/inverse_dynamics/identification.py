@@ -58,8 +58,8 @@ _HALVINGS = 10  # of a step
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
 _POSES = 3  # in which it is looked which coordinates the inputs drive
 _RANK = 1e-6  # of inputs' directions, below which one is a combination of others
-_LEAST_SQUARES = 1e-12  # of the largest singular value, below which nothing is told
-_TOLD = 1e-9  # of what all folds tell of a parameter, below which one knows nothing of it
+_LEAST_SQUARES = 1e-12  # of the largest singular value, below which a direction has no effect
+_UNINFORMED = 1e-9  # of the information of all folds, below which others have none of a parameter
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ class _Fit:
         solution: the parameters.
         columns: the forces of each record, linear about these parameters.
         sums: their sums of squares.
+        missing: what is missing along each record by these parameters [N m or N].
         is_converged: whether forces made linear anew would change nothing.
     """
 
@@ -78,6 +79,7 @@ class _Fit:
     solution: Solution
     columns: list[Columns]
     sums: ForceSums
+    missing: list[Float[np.ndarray, "_ n_q"]]
     is_converged: bool
 
 
@@ -225,16 +227,18 @@ def _fit(
         sums = sum_up(columns)
         solution = solve(sums, prior, vector)
         unit = np.sqrt(solution.variances.mean(axis=1))
-        before, after = _cost(missing, unit, prior, vector), np.inf
-        found = solution.vector
+        before, found = _cost(missing, unit, prior, vector), solution.vector
+        missing = forces.missing(found)
         # where forces are far from linear a whole step may go too far
         for _ in range(_HALVINGS):
-            missing = forces.missing(found)
-            if (after := _cost(missing, unit, prior, found)) < before + _CONVERGED:
+            if _cost(missing, unit, prior, found) < before + _CONVERGED:
                 break
             found = vector + (found - vector) / 2
+            missing = forces.missing(found)
+        after = _cost(missing, unit, prior, found)
         is_converged = bool(before - after < _CONVERGED)
-        fit = _Fit(forces, solution._replace(vector=found), columns, sums, is_converged)
+        solution = solution._replace(vector=found)
+        fit = _Fit(forces, solution, columns, sums, missing, is_converged)
         report(fit)
         if is_converged or number == _LINEARISED or should_stop():
             return fit
@@ -309,7 +313,8 @@ def _make_identification(
     problem, fit, space = closed_loop.plant, result.fit, state.space
     records, prior, vector = problem.records, Prior(space), state.vector
     cutoff = fit.forces.parts[0].cutoff
-    parameter_errors = _errors(fit, prior)
+    matrices = _matrices(fit)
+    parameter_errors = _errors(fit, prior, *matrices)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -349,11 +354,10 @@ def _make_identification(
             cutoff,
         ),
     ]
-    matrix = _matrices(fit)[1].sum(axis=0) + prior.at(vector)[2]
+    matrix = matrices[1].sum(axis=0) + prior.at(vector)[2]
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
     size = np.array([e.size for e in errors])
-    missing = fit.forces.missing(vector)
-    by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in missing]
+    by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in fit.missing]
     outcome = f"{result.steps} steps of inverse dynamics"
     return Identification(
         system=closed_loop.system,
@@ -390,7 +394,7 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[For
     """The force that is missing at each coordinate, beside that of trivial references."""
     fit, plain = result.fit, result.plain
     columns, vector = fit.columns, fit.solution.vector
-    slow, missing = rest_speeds(columns), fit.forces.missing(vector)
+    slow, missing = rest_speeds(np.concatenate([c.speed for c in columns])), fit.missing
     train, size = root_mean_square(np.concatenate(missing)), _sizes(columns)
     judged, references, held_out, size_held_out = columns, plain.forces, None, None
     if validation:
@@ -457,23 +461,34 @@ def _matrices(
     return np.stack(gradients), np.stack(matrices)
 
 
-def _errors(fit: _Fit, prior: Prior) -> _Errors:
+def _errors(
+    fit: _Fit,
+    prior: Prior,
+    gradients: Float[np.ndarray, "f n_p"],
+    matrices: Float[np.ndarray, "f n_p n_p"],
+) -> _Errors:
     """Errors of the estimates by the noise, and by the jackknife over folds.
 
-    A fold that alone tells something of a parameter, as the only record of a group does, is not
-    left out.
+    A fold that alone informs of a parameter, as the only record of a group does, is not left out.
+
+    Args:
+        fit: the estimates.
+        prior: the priors.
+        gradients: see `_matrices`.
+        matrices: see `_matrices`.
     """
     space, vector = fit.forces.space, fit.solution.vector
     inside, n_p = space.inside(vector), len(vector)
     both = np.ix_(inside, inside)
-    gradients, matrices = _matrices(fit)
     precision = prior.at(vector)[2][both]
     whole = matrices.sum(axis=0)[both]
     noise = np.full((n_p, n_p), np.nan)
     noise[both] = inverse = np.linalg.inv(whole + precision)
-    told = np.diag(whole)
+    by_all = np.diag(whole)
     left_out = [
-        k for k, own in enumerate(matrices) if np.all(told - np.diag(own[both]) >= _TOLD * told)
+        k
+        for k, own in enumerate(matrices)
+        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * by_all)
     ]
     if (n := len(left_out)) < FEWEST_RECORDS:
         return _Errors(noise, None)

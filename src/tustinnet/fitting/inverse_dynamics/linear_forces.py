@@ -169,8 +169,7 @@ class LinearForces:
         """Forces of the potential energy along the records, one after the other [N m or N]."""
         loads = []
         for along, part in zip(self.along, self.parts, strict=True):
-            row = along.row(values)
-            points = np.concatenate([part.q, np.broadcast_to(row, (len(part.q), len(row)))], axis=1)
+            points = along.with_parameters(part.q, values)
             loads.append(evaluate(_load_formula(along.equations), points))
         return np.concatenate(loads)
 

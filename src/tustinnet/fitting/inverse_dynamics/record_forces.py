@@ -12,7 +12,7 @@ from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.fitting.inverse_dynamics.along import ForcesAlong, filter_record, require_possible
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
-from tustinnet.fitting.inverse_dynamics.sums import REST
+from tustinnet.fitting.inverse_dynamics.sums import force_sizes, rest_speeds
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.lagrangian import LagrangianModel
@@ -48,7 +48,7 @@ class RecordForces:
     @property
     def moves(self) -> Bool[np.ndarray, "k n_q"]:
         """Where each coordinate moves: faster than 2 % of its root mean square speed."""
-        return self.speed >= REST * np.sqrt(np.mean(self.speed**2, axis=0))
+        return self.speed >= rest_speeds(self.speed)
 
     @property
     def share(self) -> dict[str, float]:
@@ -64,7 +64,7 @@ class RecordForces:
         return self._shares(self.moves)
 
     def _shares(self, kept: Bool[np.ndarray, "k n_q"]) -> dict[str, float]:
-        size = np.where(self.applied.any(axis=0), self.applied, self.needed)
+        size = force_sizes(self.applied, self.needed)
         missing, of = (np.sqrt(np.sum(x**2 * kept, axis=0)) for x in (self.missing, size))
         shares = missing / np.maximum(of, 1e-300)
         return {c.name: float(x) for c, x in zip(self.coordinates, shares, strict=True)}

@@ -41,7 +41,7 @@ class Prior:
 
     def __init__(self, space: SearchSpace) -> None:
         self.space, free = space, space.free_parameters
-        self.centre = space.to_vector({p.name: p.nominal for p in free})
+        self.centre = space.to_vector(space.nominal)
         priors = np.array([p.prior or np.inf for p in free]) / space.derivatives(self.centre)
         self.precision = 1 / np.minimum(priors, (space.upper - space.lower) / 2) ** 2
         # what is carried in groups of records is not what the file says

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-REST = 0.02  # speed by its root mean square below which a joint rests
+_REST = 0.02  # speed by its root mean square below which a joint rests
 _FEW, _PIECES = 3, 5  # records below which each is cut into so many folds
 _MOST_FOLDS = 10
 
@@ -39,7 +39,7 @@ class Columns:
     @property
     def sizes(self) -> Float[np.ndarray, "k n_q"]:
         """Forces of the actuators, where a joint has none those that its motion needs."""
-        return np.where(self.applied.any(axis=0), self.applied, self.needed)
+        return force_sizes(self.applied, self.needed)
 
     def __getitem__(self, samples: np.ndarray) -> "Columns":
         """The columns at some samples."""
@@ -76,20 +76,22 @@ class ForceSums:
         parts = (self.matrices, self.counts, self.applied)
         return ForceSums(*(part.sum(axis=0, keepdims=True) for part in parts))
 
-    def of_coordinates(self, kept: Sequence[int]) -> "ForceSums":
-        """The sums where all other coordinates are 0."""
-        places = [*kept, self.matrices.shape[-1] - 1]
-        return replace(self, matrices=self.matrices[..., places, :][..., places])
-
     def squares(self, coordinates: Float[np.ndarray, " n_c"]) -> Float[np.ndarray, "f n_q 2"]:
         """Sums of squares of the missing forces at a point."""
         point = np.append(coordinates, 1.0)
         return np.maximum(np.einsum("fjrkl,k,l->fjr", self.matrices, point, point), 0.0)
 
 
-def rest_speeds(parts: Sequence[Columns]) -> Float[np.ndarray, " n_q"]:
-    """Speeds below which the joints rest, by their motion along records [rad/s or m/s]."""
-    return REST * np.sqrt(np.mean(np.concatenate([p.speed for p in parts]) ** 2, axis=0))
+def rest_speeds(speed: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
+    """Speeds below which the joints rest, by the size of their velocities [rad/s or m/s]."""
+    return _REST * np.sqrt(np.mean(speed**2, axis=0))
+
+
+def force_sizes(
+    applied: Float[np.ndarray, "k n_q"], needed: Float[np.ndarray, "k n_q"]
+) -> Float[np.ndarray, "k n_q"]:
+    """Forces of the actuators, where a joint has none those that its motion needs."""
+    return np.where(applied.any(axis=0), applied, needed)
 
 
 def fold_pieces(part: Columns, records: int) -> list[np.ndarray]:
@@ -103,7 +105,7 @@ def sum_up(parts: Sequence[Columns]) -> ForceSums:
     Folds are records, or some of these together where there are many, or five pieces of each of
     one or two.
     """
-    slow = rest_speeds(parts)
+    slow = rest_speeds(np.concatenate([part.speed for part in parts]))
     sums = [_sum_up(part[piece], slow) for part in parts for piece in fold_pieces(part, len(parts))]
     together = np.array_split(np.arange(len(sums)), min(len(sums), _MOST_FOLDS))
     folds = [[sum(x) for x in zip(*(sums[i] for i in some), strict=True)] for some in together]
