@@ -55,14 +55,15 @@ def neural_ode(seed: int, channels=CHANNELS) -> tn.Model:
 
 def every_family(channels=CHANNELS) -> list[tn.Model]:
     """Nine models of six families, some alike, none of those beside one another."""
-    linear = LINEAR.builder(LinearHyper(kind="linear", internal=1), records(), "auto", None)
+    hyper = LinearHyper(kind="linear", internal=1)
+    linear = LINEAR.one_step_model(hyper, records(), "auto")
     return [
         network(0, channels, times=(0.5,)),
         physics(channels),
         hybrid(1, channels, taps=(-1, 0, 1)),
         random_gru(channels, scaling(), jax.random.key(2), 3, 8),
         network(3, channels, times=(0.5,)),
-        replace(linear(jax.random.key(4)), channels=channels),
+        replace(linear, channels=channels),
         neural_ode(5, channels),
         hybrid(6, channels, taps=(-1, 0, 1), gravity=1.2),
         network(7, channels, taps=(0, 1)),

@@ -70,7 +70,7 @@ committees = [{ name = "best two", best = 2 }]
 rounds = [{ folds = 1, keep = 0.6 }, { folds = 2 }]
 """
 RECIPES = {
-    "linear": _shortened(NETWORK).replace("hidden = [6]", 'kind = "linear"'),
+    "linear": 'name = "solved"\n[model]\nkind = "linear"\n',
     "mechanism": GREY.replace("[search]", 'system = "mechanism"\n[search]\niterations = 3'),
     "network": _shortened(NETWORK),
     "hybrid": _shortened(HYBRID),

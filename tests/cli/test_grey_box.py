@@ -505,7 +505,7 @@ GREY = ["--recipe", "grey", "--system", "{}"]
         ([*GREY, "--seeds", "2"], ["--seeds", "'grey' identifies", "no seeds"]),
         ([*GREY, "--seeds", "1"], ["--seeds", "no seeds"]),
         ([*GREY, "--set", "rates=[1,0.5]"], ["recipe 'grey', rates", "unknown key"]),
-        ([*GREY, "--resume"], ["--resume", "an identification is not resumed"]),
+        ([*GREY, "--resume"], ["--resume", "a fit that is no training is not resumed"]),
     ],
     ids=lambda part: " ".join(part),
 )

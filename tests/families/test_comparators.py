@@ -1,4 +1,4 @@
-"""The kinds without mechanical structure: GRU, neural ODE, linear state-space model."""
+"""The kinds without mechanical structure that train: GRU, neural ODE."""
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,6 @@ STAGE = {
 KINDS = {
     "gru": {"hidden": 6, "warm_up": 8},
     "neural-ode": {"hidden": [8]},
-    "linear": {"internal": 1},
 }
 
 
@@ -135,39 +134,6 @@ def test_a_neural_odes_positions_are_bound_by_no_rule(trained):
     slope = model.continuous.derivative(jnp.array([0.1, 2.0]), jnp.array([0.0]))
     assert slope.shape == (2,)
     assert float(slope[0]) != 2.0
-
-
-def test_a_linear_model_finds_a_linear_system():
-    """Least squares and simulation error agree where the system is linear."""
-    dt, k, d = 0.05, 4.0, 0.4
-    a = np.array([[1.0, dt], [-dt * k, 1.0 - dt * d]])
-    records = []
-    for i, split in enumerate(("train", "train", "validation")):
-        u = np.random.default_rng(i).normal(size=150)
-        x = np.zeros((150, 2))
-        x[0] = [0.5 - 0.3 * i, 0.1]
-        for n in range(149):
-            x[n + 1] = a @ x[n] + [0.0, dt * u[n]]
-        records.append(
-            tn.from_arrays(
-                x[:, 0],
-                u,
-                v=x[:, 1],
-                dt=dt,
-                coordinates={"s": "linear"},
-                inputs=[tn.Input("f", "N", "zero-order", is_delay_declared=True)],
-                name=f"r{i}",
-                split=split,
-            )
-        )
-    data = tn.DataSet("linear", tuple(records))
-    plain = {
-        "name": "l",
-        "model": {"kind": "linear"},
-        "stages": [{**STAGE, "epochs": 1, "rate": 1e-6}],
-    }
-    model = tn.fit(data, plain).model
-    assert tn.mean_rmse(tn.evaluate(model, list(data.split("validation")), "file")) < 1e-3
 
 
 def test_a_gru_corrects_it_or_it_is_refused_as_trained_already(trained, pendulum):

@@ -257,7 +257,7 @@ def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):
 
 
 def test_substeps_mean_nothing_to_physics_that_is_not_integrated(records):
-    linear = tn.fit(records, tn.read_recipe("linear", ["stages.*.epochs=1"])).model
+    linear = tn.fit(records, "linear").model
     recipe = {**RECIPE, "model": {**RECIPE["model"], "substeps": 2}}
     with pytest.raises(tn.InputError, match=r"model\.substeps: physics that is not integrated"):
         tn.fit(records, recipe, physics=linear)

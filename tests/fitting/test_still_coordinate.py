@@ -81,7 +81,7 @@ def test_a_network_and_a_linear_model_are_still_fitted(
 ) -> None:
     data = with_still(pendulum, kind, 0.3)
     quick = ["stages.*.epochs=2"]
-    for recipe in (tn.read_recipe(tiny_recipe, quick), tn.read_recipe("linear", quick)):
+    for recipe in (tn.read_recipe(tiny_recipe, quick), tn.read_recipe("linear")):
         result = tn.fit(data, recipe)
         assert result.finished
         for score in tn.evaluate(result.model, list(data), start="derived-6"):

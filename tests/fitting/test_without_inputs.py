@@ -30,7 +30,6 @@ TRAINED = {
     },
     "gru": {"kind": "gru", "hidden": 3, "warm_up": 6},
     "neural-ode": {"kind": "neural-ode", "hidden": [4]},
-    "linear": {"kind": "linear"},
     "hybrid": {"kind": "hybrid", "correction": {"hidden": [4]}},
 }
 

@@ -31,7 +31,7 @@ def classes_of_families() -> set[str]:
     return {node.name for node in nodes if isinstance(node, ast.ClassDef)}
 
 
-WAYS_OF_FITTING = {"TrainedFamily", "IdentifiedFamily"}  # each has a type of recipe
+WAYS_OF_FITTING = {"TrainedFamily", "SolvedFamily", "IdentifiedFamily"}  # each has a type of recipe
 
 
 def names_in(node: ast.AST) -> set[str]:

@@ -120,7 +120,11 @@ def test_too_few_folds_or_records_are_refused(kinds, count, told):
     [
         ("standard", {"physics": "best-grey"}, "`physics=`: not applicable to .* 'tustin-net'"),
         ("grey", {"physics": "best-grey"}, "`physics=`: not applicable to .* 'euler-lagrange'"),
-        ("grey", {"seeds": (0, 1), "system": SWING}, "`seeds=`: an identification has no seeds"),
+        (
+            "grey",
+            {"seeds": (0, 1), "system": SWING},
+            "`seeds=`: a fit that is no training has no seeds",
+        ),
         ("standard", {"system": SWING}, "`system=`: a system, not applicable"),
         ("grey", {}, "`system=`: no system"),
         ("best-hybrid", {}, "`system=`: no system"),

@@ -27,7 +27,6 @@ KINDS = {
     "tustin-net": "hidden = [8, 6]\nstem = 5",
     "gru": "hidden = 6\nwarm_up = 8",
     "neural-ode": "hidden = [8]",
-    "linear": "internal = 1",
     "hybrid": 'correction = { kind = "tustin-net", hidden = [8, 6] }',
 }  # every family that trains, and what its table [model] says
 
@@ -56,7 +55,7 @@ batch = 16
 """
 SELECTION = {
     "tustin-net-short.toml": _NETWORK,
-    "linear-short.toml": _NETWORK.replace("hidden = [6]", 'kind = "linear"'),
+    "linear-short.toml": 'name = "solved"\n[model]\nkind = "linear"\n',
     "plan.toml": """
 name = "small"
 folds = 3

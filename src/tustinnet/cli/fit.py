@@ -216,7 +216,7 @@ def _fit_recipe(
     remedy = (
         "--resume continues from the checkpoint"
         if recipe.family.resumable
-        else "an identification cannot be resumed; start it again, if necessary with --overwrite"
+        else "only a training can be resumed; start it again, if necessary with --overwrite"
     )
     with (
         FitProgress(console, quiet=fit_options.quiet) as progress,

@@ -91,9 +91,8 @@ def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
     if seeds is not None and not recipe.family.has_seeds:
         raise InputError(
             "--seeds",
-            f"an option of a training; '{recipe.name}' identifies",
-            "a recipe of a kind with weights",
-            "an identification has no seeds",
+            f"an option of a training; nothing in '{recipe.name}' is random",
+            "a recipe whose models are trained",
         )
     return [Member(seed) for seed in parse_seeds("1" if seeds is None else seeds)]
 

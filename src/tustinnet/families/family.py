@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -101,7 +102,7 @@ class LayeredStage(StageKeys):
 class Family(ABC):
     """A kind of model.
 
-    Kinds that a recipe may name are a `TrainedFamily` or an `IdentifiedFamily`.
+    Kinds that a recipe may name are a `TrainedFamily`, a `SolvedFamily` or an `IdentifiedFamily`.
 
     Attributes:
         kind: its name in recipes and model files.
@@ -139,9 +140,10 @@ class Family(ABC):
         where = f"class {cls.__module__}.{cls.__qualname__}"
         refuse_old_names(where, vars(cls), FAMILY_METHODS)
         if "kind" in vars(cls) and not (
-            cls.remedy or issubclass(cls, TrainedFamily | IdentifiedFamily)
+            cls.remedy or issubclass(cls, TrainedFamily | SolvedFamily | IdentifiedFamily)
         ):
-            raise InputError(where, "a class Family", "TrainedFamily or IdentifiedFamily")
+            expected = "TrainedFamily, SolvedFamily or IdentifiedFamily"
+            raise InputError(where, "a class Family", expected)
 
     def select_seeds(self, seeds: Iterable[int]) -> tuple[int, ...]:
         """The seeds of fits: those given, or 0 alone where a fit does not depend on one."""
@@ -291,6 +293,47 @@ class TrainedFamily(Family):
             experiments: the training records.
         """
         return physics
+
+
+@dataclass(frozen=True)
+class SolvedRecords:
+    """The records of a fit by least squares.
+
+    Attributes:
+        train: the model is fitted to them.
+        validation: their free runs choose between the stages of the search; may be none.
+        velocity: which velocities are used.
+        horizon: how long a free run lasts at most [s], None for whole records.
+    """
+
+    train: Sequence[Experiment]
+    validation: Sequence[Experiment]
+    velocity: VelocitySource
+    horizon: float | None
+
+
+class SolvedFamily(Family):
+    """A kind of model that least squares find in seconds, by a `SolvedRecipe`; without seeds."""
+
+    @abstractmethod
+    def solve(
+        self,
+        hyper: Any,
+        records: SolvedRecords,
+        origin: Model | None,
+        should_stop: Callable[[], bool],
+    ) -> tuple[Model, bool]:
+        """The model of records, and whether there was time for the whole search.
+
+        Args:
+            hyper: the recipe's table `[model]`.
+            records: the records.
+            origin: a model of this family to begin with, or None.
+            should_stop: asked often: whether the search ends early.
+
+        Raises:
+            InputError: records that the family cannot be fitted to, or an origin of other sizes.
+        """
 
 
 class IdentifiedFamily(Family):

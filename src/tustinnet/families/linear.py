@@ -1,33 +1,36 @@
-"""A linear state-space model, fitted by its simulation error."""
+"""A linear state-space model, found by least squares of its free runs."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
+from tustinnet.errors import InputError
 from tustinnet.families.descriptions import Description, Entries
 from tustinnet.families.family import (
     Arrays,
     Header,
     Hyper,
     Lines,
-    TrainedFamily,
+    SolvedFamily,
+    SolvedRecords,
     named_arrays,
     restore_arrays,
 )
+from tustinnet.families.linear_search import LinearRecord, LinearSearch, PositionResidual
 from tustinnet.models.blocks import Affine, root_mean_square
 from tustinnet.models.contract import InputVector, Model, State
 from tustinnet.models.sizes import MOST_STATES
 
-_INITIAL_COUPLING = 0.1  # standard deviation of the weights that random internal states begin with
+_INITIAL_COUPLING = 0.1  # size of the weights with which internal states begin
 
 
 class LinearModel(Model):
@@ -92,7 +95,7 @@ class LinearDescription(Description):
     structure: LinearEntries
 
 
-class LinearFamily(TrainedFamily):
+class LinearFamily(SolvedFamily):
     """The family of linear state-space models."""
 
     kind = "linear"
@@ -101,14 +104,50 @@ class LinearFamily(TrainedFamily):
     correctable = True
     model = LinearModel
 
-    def builder(
+    def solve(
         self,
         hyper: LinearHyper,
-        experiments: Sequence[Experiment],
-        velocity: VelocitySource,
-        physics: Model | None,
-    ) -> Callable[[PRNGKeyArray], LinearModel]:
-        """A function that makes a model by one-step least squares, random in internal states."""
+        records: SolvedRecords,
+        origin: Model | None,
+        should_stop: Callable[[], bool],
+    ) -> tuple[LinearModel, bool]:
+        """The model whose free runs are closest; the search begins with one step ahead."""
+        channels = records.train[0].channels
+        model = self.one_step_model(hyper, records.train, records.velocity)
+        if origin is not None:
+            model = self._require_same_size(origin, model)
+        measured, position = channels.measured, channels.position
+        offset, unit, moved, size = (
+            np.asarray(a, float) for a in (model.offset, model.unit, model.moved, model.input)
+        )
+        per_period = moved / unit
+
+        def scale(e: Experiment) -> LinearRecord:
+            states = (e.measured_states(records.velocity) - offset[measured]) / unit[measured]
+            # what acts after the last sample moves nothing that was recorded
+            drive = np.zeros((len(e), channels.n_u + 1))
+            drive[:-1] = np.hstack([e.held_inputs / size, np.ones((len(e) - 1, 1))])
+            return LinearRecord(states, drive)
+
+        train = [scale(e) for e in records.train]
+        horizon = None if records.horizon is None else round(records.horizon / channels.dt)
+        search = LinearSearch(
+            train,
+            [scale(e) for e in records.validation] or train,
+            PositionResidual(unit[position], channels.angular),
+            horizon,
+        )
+        assert model.change.bias is not None
+        solution = np.hstack([model.change.weight, np.asarray(model.change.bias)[:, None]])
+        solution, is_complete = search.run(per_period[:, None] * solution, should_stop)
+        solution = jnp.asarray(solution / per_period[:, None], jnp.float32)
+        change = Affine(solution[:, :-1], solution[:, -1])
+        return replace(model, change=change), is_complete
+
+    def one_step_model(
+        self, hyper: LinearHyper, experiments: Sequence[Experiment], velocity: VelocitySource
+    ) -> LinearModel:
+        """The model by least squares of one step; internal states are weakly coupled."""
         channels, n_z = experiments[0].channels, hyper.internal
         x = [e.measured_states(velocity) for e in experiments]
         before, change = (
@@ -128,12 +167,19 @@ class LinearFamily(TrainedFamily):
             for a, fill in ((offset, 0.0), (unit, 1.0), (moved, channels.dt))
         ]
         arrays = [jnp.asarray(a, jnp.float32) for a in (*padded, size)]
+        return LinearModel(_widen_map(solution, channels, n_z), *arrays, channels=channels)
 
-        def build(key: PRNGKeyArray) -> LinearModel:
-            change = _widen_map(solution, channels, n_z, key)
-            return LinearModel(change, *arrays, channels=channels)
-
-        return build
+    def _require_same_size(self, origin: Model, like: LinearModel) -> LinearModel:
+        """The model to begin with, which has as many internal states as the recipe says."""
+        self.require_own(origin)
+        model = cast(LinearModel, origin)
+        if len(model.internal) != len(like.internal):
+            raise InputError(
+                "`origin=`",
+                f"a model with {len(model.internal)} internal states",
+                f"{len(like.internal)}, as the recipe has it",
+            )
+        return model
 
     def describe(self, model: LinearModel) -> tuple[Header, Arrays]:
         """The number of internal states for the header; all arrays."""
@@ -163,13 +209,15 @@ class LinearFamily(TrainedFamily):
 FAMILY = LinearFamily()
 
 
-def _widen_map(solution: np.ndarray, channels: Channels, n_z: int, key: PRNGKeyArray) -> Affine:
+def _widen_map(solution: np.ndarray, channels: Channels, n_z: int) -> Affine:
     """The least-squares map, widened by internal states that decay and are weakly coupled."""
     n, n_u = 2 * channels.n_q, channels.n_u
-    drawn = _INITIAL_COUPLING * jax.random.normal(key, (n + n_z, n + n_z + n_u), jnp.float32)
-    drawn = drawn.at[:n].set(0.0).at[:n, n : n + n_z].set(drawn[:n, n : n + n_z])
-    least_squares = jnp.asarray(solution, jnp.float32)
-    weight = drawn.at[:n, :n].set(least_squares[:, :n])
-    weight = weight.at[:n, n + n_z :].set(least_squares[:, n:-1])
-    weight = weight.at[n:, n : n + n_z].add(-jnp.eye(n_z, dtype=jnp.float32))
-    return Affine(weight, jnp.pad(least_squares[:, -1], (0, n_z)))
+    generator = np.random.default_rng(0)
+    weight = _INITIAL_COUPLING * generator.normal(size=(n + n_z, n + n_z + n_u))
+    weight[:n, :n] = solution[:, :n]
+    weight[:n, n + n_z :] = solution[:, n:-1]
+    weight[n:, n : n + n_z] -= np.eye(n_z)
+    return Affine(
+        jnp.asarray(weight, jnp.float32),
+        jnp.asarray(np.pad(solution[:, -1], (0, n_z)), jnp.float32),
+    )

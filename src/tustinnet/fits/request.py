@@ -94,12 +94,11 @@ def prepare(
     )
     recipe, (fold,) = task.recipe, task.folds
     model = fold.physics or (fold.origin and fold.origin.model)
-    is_by_forces = isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
-    if is_by_forces and isinstance(task.system, LagrangianSystem):
+    if recipe.is_by_forces and isinstance(task.system, LagrangianSystem):
         require_possible(task.system, request.data.experiments)  # before time is spent
     options = PreparationOptions(
         system=task.system,
-        finds_timing=model is None and not (is_by_forces or is_published(recipe)),
+        finds_timing=model is None and not (recipe.is_by_forces or is_published(recipe)),
         keeps_unknown_delays=isinstance(recipe, IdentificationRecipe),
         leaves_out_spoiled=request.leaves_out_spoiled,
         should_stop=should_stop,

@@ -261,7 +261,7 @@ def run_fit(
             {} if fold.origin is None else fold.origin.provenance,
             left_out=fit.records.left_out,
         )
-        if judges_records or not family.has_seeds:
+        if judges_records or "system" in family.needs:
             run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
         write_specification(folder, specification)
         if system is not None:

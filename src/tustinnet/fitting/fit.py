@@ -1,4 +1,4 @@
-"""Fits of tasks: trainings or identifications, those that are alike together."""
+"""Fits of tasks: trainings, those that are alike together; identifications; least squares."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,9 +7,10 @@ from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike, make_pla
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.identify import identify_task
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import TrainingRecipe
+from tustinnet.fitting.recipe import SolvedRecipe, TrainingRecipe
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.solve import solve_task
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.programs import make_room
 
@@ -43,6 +44,12 @@ def fit_task(
         InputError: see `tustinnet.fit`; also if an identification was stopped without a model.
     """
     make_room()
+    if isinstance(task.recipe, SolvedRecipe):
+        recipe, listener = task.recipe, make_listener(task)
+        return [
+            solve_task(task, recipe, member, listener, should_stop_search)
+            for member in task.members
+        ]
     if not isinstance(task.recipe, TrainingRecipe):
         listener = make_listener(task)
         return [

@@ -19,6 +19,7 @@ from tustinnet.families.family import (
     Hyper,
     IdentifiedFamily,
     IdentifiedHyper,
+    SolvedFamily,
     TrainedFamily,
 )
 from tustinnet.models.contract import Model
@@ -280,6 +281,16 @@ class Recipe(Declaration):
     def longest_run(self) -> float | None:
         """Length of the longest free run that is compared [s], None for whole records."""
 
+    @property
+    @abstractmethod
+    def usual_seconds(self) -> float:
+        """Roughly how long a fit takes, by which a selection orders what it has not tried [s]."""
+
+    @property
+    def is_by_forces(self) -> bool:
+        """Whether it compares forces along the measured motion, and simulates nothing."""
+        return False
+
     def from_model(self, model: Model, system: LagrangianSystem | None) -> "Recipe":
         """The recipe of a fit that begins with a fitted model of its kind.
 
@@ -352,10 +363,54 @@ class TrainingRecipe(Recipe):
         """Length of the longest validation free run [s], None for whole records."""
         return self.horizon
 
+    @property
+    def usual_seconds(self) -> float:
+        """Programs are compiled, then hundreds of thousands of steps are taken."""
+        return 40.0
+
     def with_stages(self, **changes: Any) -> "TrainingRecipe":
         """Copy of the recipe with other values in every stage."""
         stages = [stage.model_copy(update=changes) for stage in self.stages]
         return self.model_copy(update={"stages": stages})
+
+
+class SolvedRecipe(Recipe):
+    """The recipe of a model that least squares find.
+
+    Attributes:
+        velocity: where the velocities come from (`Experiment.velocities`).
+        start: where free runs start; when left out, the default start of the records.
+        horizon: how long a free run lasts at most [s]; none for whole records.
+    """
+
+    velocity: VelocitySource = "auto"
+    start: str | None = None
+    horizon: Horizon | None = None
+
+    @property
+    def family(self) -> SolvedFamily:
+        """The family of its models."""
+        return FAMILIES[self.model.kind]
+
+    @field_validator("start")
+    @classmethod
+    def _check_start(cls, start: str | None) -> str | None:
+        return start and start_named(start, "").name
+
+    @property
+    def needs_validation(self) -> bool:
+        """Whether validation records choose between the stages of the search."""
+        return True
+
+    @property
+    def longest_run(self) -> float | None:
+        """Length of the longest free run that is compared [s], None for whole records."""
+        return self.horizon
+
+    @property
+    def usual_seconds(self) -> float:
+        """Nothing is compiled, a few dozen steps are taken."""
+        return 1.0
 
 
 class IdentificationRecipe(Recipe):
@@ -384,6 +439,16 @@ class IdentificationRecipe(Recipe):
         """Length of the longest segment that is compared [s], None for whole records."""
         return self.search.horizon
 
+    @property
+    def usual_seconds(self) -> float:
+        """Forces take a moment, simulations of all records a few."""
+        return 2.0 if self.is_by_forces else 10.0
+
+    @property
+    def is_by_forces(self) -> bool:
+        """Whether it compares forces along the measured motion, and simulates nothing."""
+        return self.search.is_by_forces
+
     def from_model(self, model: Model, system: LagrangianSystem | None) -> "IdentificationRecipe":
         """The recipe of an identification that begins at the values of an identified model."""
         table = self.family.with_initial_values(self.model, model, system)
@@ -391,12 +456,11 @@ class IdentificationRecipe(Recipe):
 
 
 @cache
-def recipe_type(family: TrainedFamily | IdentifiedFamily) -> type[Recipe]:
+def recipe_type(family: TrainedFamily | SolvedFamily | IdentifiedFamily) -> type[Recipe]:
     """The type of the recipes of a family, with its keys of `[model]` and of stages."""
-    if isinstance(family, IdentifiedFamily):
-        return create_model(
-            "IdentificationRecipe", __base__=IdentificationRecipe, model=(family.hyper, ...)
-        )
+    if not isinstance(family, TrainedFamily):
+        base = SolvedRecipe if isinstance(family, SolvedFamily) else IdentificationRecipe
+        return create_model(base.__name__, __base__=base, model=(family.hyper, ...))
     stage = create_model("StageRecipe", __base__=(StageRecipe, family.stage))
     return create_model(
         "TrainingRecipe",

@@ -225,7 +225,7 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
     """Raises unless seeds and rates of members are possible for a recipe, and all different."""
     if not recipe.family.has_seeds and list(members) != [Member()]:
         raise InputError(
-            "seeds", "an identification has no seeds", "a recipe of a kind with weights"
+            "seeds", "a fit that is no training has no seeds", "a recipe whose models are trained"
         )
     rates = [m.rate for m in members]
     if not members or not all(r > 0 for r in rates) or len(set(members)) < len(members):

@@ -162,7 +162,9 @@ def make_cross_validation_options(
             "a recipe that corrects physics",
         )
     if seeds is not None and not family.has_seeds:
-        raise InputError("`seeds=`", "an identification has no seeds", "a recipe with weights")
+        raise InputError(
+            "`seeds=`", "a fit that is no training has no seeds", "a recipe that trains"
+        )
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("`seeds=`", f"{list(seeds)}", "at least one, all different")
     identification = read_recipe(physics or DEFAULT_PHYSICS) if corrects else recipe

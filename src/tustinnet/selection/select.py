@@ -341,7 +341,7 @@ def _find_spoiled(
         for name in ranked
         if name in models
         and name not in candidates.committees
-        and not candidates.plan.candidate(name).content.family.has_seeds
+        and "system" in candidates.plan.candidate(name).content.family.needs
     ]
     if not identified:
         return ()

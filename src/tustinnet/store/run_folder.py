@@ -47,7 +47,7 @@ def prepare_run_folder(
     """Refuses, discards or keeps the files of an earlier run in a folder."""
     if earlier == "resume" and not resumable:
         raise InputError(
-            "`resume=`", "an identification is not resumed", "a training", "leave it out"
+            "`resume=`", "a fit that is no training is not resumed", "a training", "leave it out"
         )
     if earlier == "resume":
         require_same_specification(folder, specification, MODEL)

@@ -383,7 +383,7 @@ def test_a_fit_of_a_system_is_its_identification(clean):
         "equation-error estimate",
         "whole records, anchored start",
     }
-    with pytest.raises(tn.InputError, match="an identification has no seeds"):
+    with pytest.raises(tn.InputError, match="a fit that is no training has no seeds"):
         tn.fit(data_set(records()), system=SWING, seed=3)
 
 
