@@ -2,7 +2,7 @@
 
     python benchmarks/cluster.py FOLDER [ADDRESS]
 
-Linear models in few epochs, 5 folds with some seeds each, a job each, one core for a job. Then the
+Networks in few epochs, 5 folds with some seeds each, a job each, one core for a job. Then the
 same jobs once more, which find that they are done: that is what a job costs beside its fit.
 """
 
@@ -11,6 +11,7 @@ import pickle
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import jax
@@ -23,29 +24,35 @@ import numpy as np
 import tustinnet as tn
 from tustinnet.selection.cluster import AUTO, cluster
 from tustinnet.selection.jobs import Job, JobResult, RunContext
-from tustinnet.selection.runner import Executor, InProcess, MakeExecutor, run_jobs
+from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
 
 FOLDS, SEEDS, EPOCHS = 5, 4, 6
 
 
-def do_all(executor: Executor, jobs: Sequence[Job]) -> list[JobResult]:
+def do_all(context: RunContext, executor: Executor | None, jobs: Sequence[Job]) -> list[JobResult]:
     """Does jobs, as many at once as the executor takes."""
-    results = run_jobs(jobs, executor)
+    waiting, results = list(jobs), list[JobResult]()
+    run_jobs(
+        lambda: [waiting.pop(0)] if waiting else [],
+        results.append,
+        lambda: context,
+        Workplace(executor),
+    )
     assert all(result.ended == "done" for result in results), results
     return results
 
 
-def measure(name: str, make: MakeExecutor, data: tn.DataSet) -> None:
+def measure(name: str, executor: Executor | None, data: tn.DataSet) -> None:
     """Prints how long the jobs take with an executor, and how long when they are done already."""
-    recipe = tn.read_recipe("linear", [f"stages.*.epochs={EPOCHS}"])
-    jobs = [Job("linear", recipe, f, (seed,)) for seed in range(SEEDS) for f in range(FOLDS)]
+    recipe = tn.read_recipe("network", [f"stages.*.epochs={EPOCHS}"])
+    jobs = [Job("network", recipe, f, (seed,)) for seed in range(SEEDS) for f in range(FOLDS)]
     with tempfile.TemporaryDirectory() as folder:
         context = RunContext(data, Scorer(FOLDS, "model-20"), Path(folder))
-        executor, begun = make(context), time.monotonic()
-        seconds = [result.seconds for result in do_all(executor, jobs)]
+        begun = time.monotonic()
+        seconds = [result.seconds for result in do_all(context, executor, jobs)]
         whole, begun = time.monotonic() - begun, time.monotonic()
-        do_all(executor, jobs)
+        do_all(context, executor, jobs)
         again = time.monotonic() - begun
         files = sum(path.stat().st_size for path in context.folder.rglob("*") if path.is_file())
     sent, order = len(pickle.dumps(context)), len(pickle.dumps(jobs[0]))
@@ -63,11 +70,11 @@ def main() -> None:
     parser.add_argument("address", nargs="?", default=AUTO)
     args = parser.parse_args()
     data = tn.load(args.folder)
-    measure("in process", InProcess, data)
+    measure("in process", None, data)
     begun = time.monotonic()
-    with cluster(args.address) as workers:
+    with cluster(args.address) as executor:
         print(f"joined in {time.monotonic() - begun:.1f} s", flush=True)
-        measure("cluster", workers, data)
+        measure("cluster", executor, data)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
     verb = ("fit", folder, "--plan", plan, "--system", system, "--out", out)
     code, printed, err = tustinnet(capsys, *verb, "--budget", "5min")
     assert code == 0, err
-    assert "round 1 of 2, one fold: " in err
+    assert "best so far: " in err
     assert "grey, all training records: " in err
     assert "free runs of records that a model was not fitted to" in printed
     assert "* chosen: grey, identified from all 5 records" in printed

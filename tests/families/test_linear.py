@@ -121,7 +121,7 @@ def test_what_diverges_is_left_and_stages_are_not_trained():
     record = LinearRecord(states, np.ones((len(states), 1)))
     residual = PositionResidual(np.ones(1), np.zeros(1, bool))
     search = LinearSearch([record], [record], residual, options=LinearSearchOptions((50,)))
-    unstable = np.column_stack([10 * np.eye(2), np.zeros(2)])
+    unstable = np.column_stack([1e30 * np.eye(2), np.zeros(2)])
     found, is_complete = search.run(unstable, lambda: False)
     assert is_complete
     np.testing.assert_array_equal(found, unstable)

@@ -295,7 +295,7 @@ class OldModel(Model):
             r"class outdated\.Old: names of an earlier version: trainable, begun, shown; "
             "expected trainable_mask, with_weights_from, summarise$",
         ),
-        ("Family, Hyper", "Family", "", "class Family; expected TrainedFamily or Identified"),
+        ("Family, Hyper", "Family", "", "class Family; expected TrainedFamily, Solved"),
         (
             "TrainedFamily, Hyper",
             "TrainedFamily",

@@ -89,8 +89,6 @@ def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tm
             folder,
             "--recipe",
             "linear",
-            "--set",
-            "stages.*.epochs=2",
             "--out",
             tmp_path / "f",
             "--quiet",

@@ -4,11 +4,10 @@ import contextlib
 import os
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
-from importlib import import_module
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,12 +17,12 @@ from swinging import SWING
 
 from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
-from tustinnet.fits.deadline import NEVER
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection import cluster as room
-from tustinnet.selection.cluster import _make_work, cluster, perform_here, versions
+from tustinnet.selection.cluster import _call, cluster, versions
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
-from tustinnet.selection.jobs import Job, RunContext
+from tustinnet.selection.jobs import Job, JobResult, RunContext
+from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import SystemFile
@@ -34,10 +33,9 @@ PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
 @pytest.fixture(scope="module")
 def machine():
-    """This machine as a cluster, and what was said of its jobs."""
-    said: list[str] = []
-    with cluster(on_message=said.append) as workers:
-        yield workers, said
+    """This machine as a cluster."""
+    with cluster() as workers:
+        yield workers
 
 
 def arrays_below(folder: Path) -> dict[str, dict]:
@@ -69,7 +67,7 @@ def worker_of(driver: int) -> int | None:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(machine, tmp_path):
-    workers, said = machine
+    said: list[str] = []
     options = SelectionOptions(plan_in(tmp_path, PLAN[: PLAN.rindex("[[rounds]]")]), SWING)
     here = select_model(swings(), tmp_path / "here", options)
     killed: list[int] = []
@@ -85,10 +83,14 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    there = select_model(swings(), tmp_path / "there", options, "refuse", Reporter(), workers)
+    there = select_model(
+        swings(), tmp_path / "there", options, "refuse", Reporter(said.append), machine
+    )
     killer.join(10)
     assert len(killed) == 1
-    assert len([line for line in said if line.endswith("its worker died, done again")]) == 1
+    assert sum(": done in " in line for line in said) == sum(
+        len(r.fits) for r in there.candidates.results
+    )
     assert (there.best, there.sentences[1:]) == (here.best, here.sentences[1:])
     for name in ("grey", "network", "hybrid"):
         assert there.result(name).fits_by_fold == here.result(name).fits_by_fold
@@ -97,41 +99,47 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
     for path, arrays in wanted.items():
         for name, array in arrays.items():
             assert (found[path][name] == array).all(), (path, name)
-    assert len(list((tmp_path / "there").rglob(".*"))) == 1  # the mark, until the workers end
 
 
 def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path):
-    workers, said = machine
+    said: list[str] = []
     recipe = read_recipe(parse_toml(NETWORK), ["stages.*.epochs=5"])
     options = make_cross_validation_options(recipe, folds=3, seeds=(0, 1))
     here, there = (
         cross_validate(swings(), options),
-        cross_validate(swings(), options, folder=tmp_path, executor=workers),
+        cross_validate(
+            swings(), options, folder=tmp_path, executor=machine, on_message=said.append
+        ),
     )
     assert sorted(there.scores, key=str) == sorted(here.scores, key=str)
-    assert sum(line.startswith("recipe, fold") and "done on" in line for line in said) == 3
+    assert sum(line.startswith("recipe, fold") and "done in" in line for line in said) == 3
+
+
+def done(machine, context: RunContext, job: Job) -> JobResult:
+    """The result of a single job."""
+    results: list[JobResult] = []
+    waiting = [[job]]
+    run_jobs(
+        lambda: waiting.pop() if waiting else [],
+        results.append,
+        lambda: context,
+        Workplace(machine),
+    )
+    return results[0]
 
 
 def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
-    workers, said = machine
     system = SystemFile(Path("deadly.py"), PARTED)
-    executor = workers(RunContext(swings(), SCORING, tmp_path, system=system))
-    executor.submit(Job("grey", read_recipe("grey"), 1), NEVER)
-    found = executor.result()
+    context = RunContext(swings(), SCORING, tmp_path, system=system)
+    found = done(machine, context, Job("grey", read_recipe("grey"), 1))
     assert (found.candidate, found.fold, found.ended) == ("grey", 1, "failed")
-    assert found.why.startswith("its worker died 3 times (WorkerCrashedError: ")
-    assert said[-3:] == ["grey, fold 1: begins", *2 * ["grey, fold 1: its worker died, done again"]]
+    assert "WorkerCrashedError" in found.why
 
 
 def test_what_goes_wrong_in_a_job_is_told_as_in_one_process(machine, tmp_path):
-    workers, _ = machine
     system = SystemFile(Path("arm.py"), "SYSTEM = 1 / 0\n")
-    executor = workers(RunContext(swings(), SCORING, tmp_path, system=system))
-    assert executor.is_free
-    executor.submit(Job("grey", read_recipe("grey"), 0), NEVER)
-    assert executor.is_free == (executor._places > 1)
-    found = executor.result()
-    assert executor.is_free
+    context = RunContext(swings(), SCORING, tmp_path, system=system)
+    found = done(machine, context, Job("grey", read_recipe("grey"), 0))
     assert found.ended == "failed"
     assert "arm.py" in found.why
     assert "line 1" in found.why
@@ -189,32 +197,26 @@ def test_without_ray_the_extra_is_named(monkeypatch):
         pass
 
 
-def test_a_machine_with_other_packages_or_another_folder_does_nothing(tmp_path):
-    about = {"mark": str(tmp_path / "mark"), "versions": versions()}
-    assert "does not see" in perform_here(b"", b"", about)[0]  # pyright: ignore[reportIndexIssue]
-    other = {**about, "versions": {**versions(), "jax": "0.0.1"}}
-    assert perform_here(b"", b"", other) == (
-        f"has jax {versions()['jax']}",
-        "the versions of the process that asks: jax 0.0.1",
-    )
+def test_a_machine_with_other_packages_does_nothing(machine, monkeypatch):
+    other = {**versions(), "jax": "0.0.1"}
+    with pytest.raises(InputError, match=r"has jax .*expected the versions of the process .*0.0.1"):
+        _call(other, print, b"")
+    monkeypatch.setattr(room, "versions", lambda: other)
+    with pytest.raises(InputError, match=r"worker on .* has jax"):
+        done(machine, RunContext(swings(), SCORING, Path("x")), Job("l", read_recipe("linear"), 0))
 
 
-def test_a_folder_that_a_worker_does_not_see_ends_the_selection(machine, tmp_path):
-    executor = machine[0](RunContext(swings(), SCORING, tmp_path))
-    executor._mark.unlink()  # as on a machine that has a folder of its own there
-    executor.submit(Job("linear", read_recipe("linear"), 0), NEVER)
-    with pytest.raises(InputError, match=r"worker on .*: does not see .*all machines share"):
-        executor.result()
-
-
-def test_a_worker_without_the_package_says_so():
-    cloudpickle = import_module("ray.cloudpickle")
-    code = f"""
-import pickle, sys
-sys.modules["tustinnet"] = None
-work = pickle.loads({cloudpickle.dumps(_make_work())!r})
-print(work(b"", b"", {{"jax": {{}}}}))
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "cannot load tustinnet" in run.stdout, run.stderr
-    assert "pip install tustinnet there" in run.stdout
+def test_a_folder_that_a_worker_does_not_share_ends_the_selection(machine, tmp_path, monkeypatch):
+    context = RunContext(swings(), SCORING, tmp_path / "there")
+    elsewhere = replace(context, folder=tmp_path / "here")
+    contexts = iter([context, elsewhere])
+    waiting = [[Job("linear", read_recipe("linear"), 0)]]
+    with pytest.raises(
+        InputError, match=r"here lacks .*linear.*expected a folder that all workers"
+    ):
+        run_jobs(
+            lambda: waiting.pop() if waiting else [],
+            lambda result: None,
+            lambda: next(contexts),
+            Workplace(machine),
+        )

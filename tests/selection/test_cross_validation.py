@@ -1,5 +1,6 @@
 """Cross-validation by jobs comes to what it comes to in one piece."""
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -8,36 +9,31 @@ from swinging import SWING
 
 import tustinnet as tn
 from tustinnet.data.declaration import parse_toml
-from tustinnet.fitting.listener import SILENT
 from tustinnet.selection.cross_validation import (
     CrossValidationOptions,
     cross_validate,
     make_cross_validation_options,
     remove_results,
 )
-from tustinnet.selection.jobs import Job, RunContext
-from tustinnet.selection.runner import InProcess
+from tustinnet.selection.jobs import JobResult
 from tustinnet.store.header import read_header
 
 
-def here(context: RunContext) -> InProcess:
-    return InProcess(context)
+class Counting(ThreadPoolExecutor):
+    """Threads; counts the jobs that were not done before."""
 
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.fitted: set[tuple[str, int]] = set()
 
-class Counting(InProcess):
-    """In this process; counts the jobs that were not done before."""
+    def submit(self, fn, /, *args, **named) -> Future:  # pyright: ignore[reportIncompatibleMethodOverride]
+        def call() -> JobResult:
+            result = fn(*args, **named)
+            if not result.earlier:
+                self.fitted.add((result.candidate, result.fold))
+            return result
 
-    def __init__(self, context: RunContext) -> None:
-        self.fitted: list[tuple[str, int]] = []
-
-        def tell(job: Job):
-            def begun(prepared):
-                self.fitted.append((job.candidate, job.fold))
-                return SILENT
-
-            return begun
-
-        super().__init__(context, tell)
+        return super().submit(call)
 
 
 def options_for(kind: str) -> CrossValidationOptions:
@@ -54,50 +50,49 @@ def options_for(kind: str) -> CrossValidationOptions:
 
 @pytest.mark.parametrize("kind", ["network", "hybrid"])
 def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp_path):
-    options, made = options_for(kind), []
-
-    def executor(context: RunContext) -> Counting:
-        made.append(Counting(context))
-        return made[-1]
-
+    options, made = options_for(kind), [Counting() for _ in range(3)]
     whole = cross_validate(swings(), options)
     system = SWING if kind == "hybrid" else None
     found = [
         cross_validate(swings(), options, folder=tmp_path, executor=executor, system=system)
-        for _ in range(2)
+        for executor in made[:2]
     ]
     for of in found:
         assert of.outcomes == whole.outcomes
         assert (of.recipe, of.unit) == (whole.recipe, whole.unit)
         assert sorted(of.scores, key=str) == sorted(whole.scores, key=str)
-    folds = [("recipe", fold) for fold in range(3)]
-    physics = [("physics", fold) for fold in range(3)] if kind == "hybrid" else []
-    assert [of.fitted for of in made] == [physics + folds, []]
+    folds = {("recipe", fold) for fold in range(3)}
+    physics = {("physics", fold) for fold in range(3)} if kind == "hybrid" else set()
+    assert [of.fitted for of in made[:2]] == [physics | folds, set()]
     (tmp_path / "folds.json").touch()
     remove_results(tmp_path, ["folds.json", "folds.md"], jobs=True)
     assert not (tmp_path / "folds.json").exists()
-    cross_validate(swings(), options, folder=tmp_path, executor=executor, system=system)
-    assert made[-1].fitted == physics + folds
+    cross_validate(swings(), options, folder=tmp_path, executor=made[2], system=system)
+    assert made[2].fitted == physics | folds
 
 
 def test_a_job_that_fails_is_told_with_its_fold(tmp_path):
     short = tn.DataSet("short", tuple(e[:18] for e in swings()))
     with pytest.raises(tn.InputError, match=r"fold 0: .*18 samples; expected more than a window"):
-        cross_validate(short, options_for("network"), folder=tmp_path, executor=here)
+        cross_validate(
+            short, options_for("network"), folder=tmp_path, executor=ThreadPoolExecutor(1)
+        )
 
 
 def test_a_horizon_that_no_record_has_is_refused_before_anything_is_fitted(tmp_path):
     options = options_for("network")
     far = options.recipe.model_copy(update={"horizon": 100.0})
     with pytest.raises(tn.InputError, match="horizon"):
-        cross_validate(swings(), replace(options, recipe=far), folder=tmp_path, executor=here)
+        cross_validate(
+            swings(), replace(options, recipe=far), folder=tmp_path, executor=ThreadPoolExecutor(1)
+        )
     assert not list(tmp_path.iterdir())
 
 
 def test_the_header_of_a_fold_s_model_has_the_horizon_of_its_scores(tmp_path):
     recipe = tn.read_recipe(parse_toml(GREY), ["search.horizon=1.0"])
     options = make_cross_validation_options(recipe, system=SWING, folds=3)
-    cross_validate(swings(), options, folder=tmp_path, executor=here)
+    cross_validate(swings(), options, folder=tmp_path, executor=ThreadPoolExecutor(1))
     paths = sorted(tmp_path.glob("candidates/**/model.safetensors"))
     assert len(paths) == 3
     for path in paths:

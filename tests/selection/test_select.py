@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import signal
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.report.selection import candidates_table
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import final_models, halving, jobs, scoring
+from tustinnet.selection import final_models, jobs, queue, scoring
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import combine, score_committee, score_committees
@@ -43,7 +44,7 @@ from tustinnet.systems.files import find_system
 def _rough_models():
     """Networks of a few epochs are far off over whole records, by which they are judged here."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(halving, "_FAR", 1.0)
+        patched.setattr(queue, "DEFAULTS", queue.QueueOptions(far=1.0))
         yield
 
 
@@ -225,7 +226,7 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     assert set(made.choice.whole) == {e.name for e in made.choice.context.data}
     assert told[3].startswith("a new record of these kinds: typically ")
     assert " than the next, " in told[4]
-    assert any(line.startswith("round 1 of 3, one fold: ") for line in made.said)
+    assert any(line.startswith("best so far: grey, off by ") for line in made.said)
 
 
 def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):
@@ -482,10 +483,72 @@ def test_an_identification_from_all_records_that_raises_leaves_the_models_of_fol
     assert (tmp_path / "run" / "model.safetensors").is_file()
 
 
-def test_an_interruption_ends_the_selection(tmp_path, monkeypatch):
+def test_an_interruption_before_the_first_score_ends_the_selection(tmp_path, monkeypatch):
     failing(monkeypatch, {"network"}, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         selected(tmp_path)
+    assert not (tmp_path / "run" / "model.safetensors").exists()
+
+
+class Signal(KeyboardInterrupt):
+    """An interruption as the command raises it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def test_an_interruption_ends_with_the_best_so_far_and_a_resumed_run_goes_on(tmp_path, monkeypatch):
+    said: list[str] = []
+    options = SelectionOptions(plan_in(tmp_path, TWO), SWING)
+    with monkeypatch.context() as patch:
+        failing(patch, {"network"}, Signal(signal.SIGINT))
+        choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
+    assert choice.best == "grey"
+    assert choice.origins["grey"].startswith("the ")
+    assert "interrupted: ends with the best so far, grey; once more: at once" in said
+    assert choice.sentences[-1].startswith("interrupted: the best so far was taken")
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["best"] == "grey"
+    model = tn.load_model(tmp_path / "run" / "model.safetensors", SWING)
+    assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
+    again = select_model(swings(), tmp_path / "run", options, "resume")
+    assert again.result("network").fits_by_fold.keys() == {0, 1, 2}
+    assert again.result("grey").rmse() == choice.result("grey").rmse()
+
+
+def test_another_signal_and_a_second_interruption_end_it_at_once(tmp_path, monkeypatch):
+    options = SelectionOptions(plan_in(tmp_path, TWO), SWING)
+    with monkeypatch.context() as patch:
+        failing(patch, {"network"}, Signal(signal.SIGTERM))
+        with pytest.raises(Signal):
+            select_model(swings(), tmp_path / "run", options)
+    failing(monkeypatch, {"network"}, Signal(signal.SIGINT))
+    monkeypatch.setattr("tustinnet.selection.select.score_committees", _interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        select_model(swings(), tmp_path / "run", options, "discard")
+    assert not (tmp_path / "run" / "model.safetensors").exists()
+    assert not (tmp_path / "run" / "summary.json").exists()
+
+
+def _interrupted(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def test_an_interruption_of_what_comes_after_the_candidates_ends_with_the_best(
+    tmp_path, monkeypatch
+):
+    times = iter([True, False])
+
+    def committees(*arguments: Any) -> dict[str, Any]:
+        if next(times):
+            raise KeyboardInterrupt
+        assert arguments[-1].remaining <= 0
+        return {}
+
+    monkeypatch.setattr("tustinnet.selection.select.score_committees", committees)
+    choice, _ = selected(tmp_path)
+    assert choice.best == "network"
+    assert choice.sentences[-1].startswith("interrupted: ")
 
 
 def outcomes(choice: Choice) -> list[tuple[str, str]]:

@@ -92,7 +92,7 @@ def cross_validate(
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
         terminal.interruptible("" if cluster is None else remedy),
-        open_cluster(cluster, terminal.make_printer(quiet=quiet)) as executor,
+        open_cluster(cluster) as executor,
         lock_folder(out),
         FitProgress(console, quiet=quiet) as progress,
     ):

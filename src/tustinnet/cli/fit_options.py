@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from tustinnet.cli.automatic_report import AutomaticReport
     from tustinnet.cli.options import Hardware
     from tustinnet.data.dataset import DataSet
     from tustinnet.fitting.recipe import Recipe
     from tustinnet.fitting.task import Member
-    from tustinnet.selection.runner import MakeExecutor
     from tustinnet.store.run_folder import Earlier
     from tustinnet.systems.files import SystemFile
 
@@ -54,15 +55,13 @@ def require_cores(cluster: str | None, device: "Hardware | None") -> None:
         )
 
 
-def open_cluster(
-    address: str | None, on_message: "Callable[[str], None]"
-) -> "AbstractContextManager[MakeExecutor | None]":
+def open_cluster(address: str | None) -> "AbstractContextManager[Executor | None]":
     """Context with an executor of jobs on a cluster; with None without an address."""
     if address is None:
         return nullcontext()
     from tustinnet.selection.cluster import cluster
 
-    return cluster(address, on_message)
+    return cluster(address)
 
 
 def choose_recipe(

@@ -85,7 +85,7 @@ def select(
         reporter = make_reporter(progress, quiet=quiet)
         with (
             terminal.interruptible("--resume continues with what is done"),
-            open_cluster(cluster_address, reporter.on_message) as executor,
+            open_cluster(cluster_address) as executor,
         ):
             choice = select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor

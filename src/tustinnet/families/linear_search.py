@@ -27,7 +27,7 @@ class LinearSearchOptions:
             parameters of many coordinates would take minutes, and need no more.
     """
 
-    lengths: tuple[int, ...] = (150, 400)
+    lengths: tuple[int, ...] = (100, 200, 400)
     iterations: int = 20
     gain: float = 1e-3
     damping: tuple[float, float] = (1e-3, 1e6)
@@ -96,7 +96,7 @@ class LinearSearch:
         self._options = options or LinearSearchOptions()
         self._longest = max(len(r.states) for r in (*train, *choosing))
         self._longest = min(self._longest, longest or self._longest)
-        self._judging = _cut(choosing, self._longest)
+        self._choosing = choosing
 
     def run(self, initial: Change, should_stop: Callable[[], bool]) -> tuple[Change, bool]:
         """The best change after all stages, and whether there was time for all of them.
@@ -105,16 +105,34 @@ class LinearSearch:
             initial: where the search begins.
             should_stop: asked before every step.
         """
-        best, lowest, change = initial, self._cost(initial, self._judging), initial
-        for length in (*self._options.lengths, self._longest):
-            segments = _cut(self._train, min(length, self._longest))
-            change, is_complete = self._descend(change, segments, should_stop)
-            cost = self._cost(change, self._judging)
-            if cost < lowest:
-                best, lowest = change, cost
+        stages, change, is_complete = [initial], initial, True
+        for length in self._lengths:
+            change, is_complete = self._descend(change, _cut(self._train, length), should_stop)
+            stages.append(change)
             if not is_complete:
-                return best, False
-        return best, True
+                break
+        return self._choose(stages), is_complete
+
+    @property
+    def _lengths(self) -> list[int]:
+        """Samples of the segments of every stage."""
+        lengths = (*self._options.lengths, self._longest)
+        return sorted({min(length, self._longest) for length in lengths})
+
+    def _choose(self, stages: Sequence[Change]) -> Change:
+        """The stage with the best free runs over the longest segments that one of them follows.
+
+        That is: better than a position that stays at its mean. Whole records of a plant that a
+        controller holds are followed by none.
+        """
+        best = stages[-1]
+        for length in self._lengths:
+            segments = _cut(self._choosing, length)
+            still = sum(self._sum_of_squares(self._positions(s)) for s in segments)
+            costs = [self._cost(change, segments) for change in stages]
+            if length == self._lengths[0] or min(costs) < still / _count(segments):
+                best = stages[int(np.argmin(costs))]
+        return best
 
     def _descend(
         self, change: Change, segments: Sequence[LinearRecord], should_stop: Callable[[], bool]
@@ -150,7 +168,7 @@ class LinearSearch:
                 error = _FreeRun(change, segment).states[..., : self._outputs] - self._positions(
                     segment
                 )
-                total += float(np.sum(self._residual.compute(error)[0] ** 2))
+                total += self._sum_of_squares(error)
         return total / _count(segments) if np.isfinite(total) else np.inf
 
     def _normal_equations(
@@ -172,6 +190,9 @@ class LinearSearch:
             normal += jacobian.T @ jacobian
             gradient += jacobian.T @ residual.ravel()
         return normal, gradient
+
+    def _sum_of_squares(self, error: np.ndarray) -> float:
+        return float(np.sum(self._residual.compute(error)[0] ** 2))
 
     @property
     def _outputs(self) -> int:
@@ -243,11 +264,14 @@ def _filter_triangular(
 
 
 def _cut(records: Sequence[LinearRecord], length: int) -> list[LinearRecord]:
-    """Segments of records, those of one length together, (segments, samples, ...)."""
+    """Segments of records, each begins in the middle of the one before.
+
+    Those of one length are together, (segments, samples, ...).
+    """
     by_length: dict[int, list[LinearRecord]] = {}
     for r in records:
         samples = min(length, len(r.states))
-        for begin in range(0, len(r.states) - samples + 1, samples):
+        for begin in range(0, len(r.states) - samples + 1, max(1, samples // 2)):
             part = slice(begin, begin + samples)
             piece = LinearRecord(r.states[part], r.drive[part])
             by_length.setdefault(samples, []).append(piece)

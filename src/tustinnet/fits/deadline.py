@@ -41,6 +41,7 @@ class Deadline:
 
 
 NEVER = Deadline()
+OVER = Deadline(0.0)
 
 
 class Stopwatch:

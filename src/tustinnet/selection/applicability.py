@@ -114,8 +114,13 @@ def _inverse_dynamics_problem(context: RunContext) -> str:
     return "" if are_all_driven(system, records) else "as inputs do not drive every coordinate"
 
 
-def force_cutoff(context: RunContext) -> float | None:
-    """The frequency up to which forces along records are compared [Hz]; None without a system."""
+def force_cutoff(context: RunContext, candidates: Sequence[Candidate]) -> float | None:
+    """The frequency up to which forces along records are compared [Hz].
+
+    None without a system, and where no candidate compares them.
+    """
+    if not any(c.content.is_by_forces for c in candidates):
+        return None
     system, records = context.loaded_system, records_without_test(context.data)
     if system is None or isinstance(system, SystemTemplate):
         return None

@@ -32,6 +32,7 @@ from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run_folder import MODEL
+from tustinnet.wording import percent
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
 _POOR = 0.2  # of that of the reference, an error with which a model is of little use
@@ -124,11 +125,11 @@ class Choice:
         length = "" if horizon is None else f"over {horizon:.3g} s "
         sentences.append(
             f"free runs {length}of {count} record{plural} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {unit}, {_percent(share)} % of the error of {reference.label} "
+            f"{mean:.3g}{spread} {unit}, {percent(share)} % of the error of {reference.label} "
             f"({reference.mean:.3g} {unit}); worst {worst}, {rmse[worst]:.3g} {unit}{few}"
         )
         if best.unexplained:
-            shares = ", ".join(f"{name} {_percent(x)} %" for name, x in best.unexplained.items())
+            shares = ", ".join(f"{name} {percent(x)} %" for name, x in best.unexplained.items())
             sentences.append(f"forces along these records that it does not explain: {shares}")
         if self.whole:
             records = [self.context.data[name] for name in self.whole]
@@ -332,11 +333,6 @@ class Choice:
             },
             "models": [fit.model for fit in result.fits if fit.model],
         }
-
-
-def _percent(share: float) -> str:
-    """Hundredths of a share, two digits of a small one."""
-    return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.0f}"
 
 
 def _count_stopped(stopped: int, total: int, noun: str) -> str:

@@ -1,6 +1,7 @@
 """Cross-validation: every record scored by models that never saw it."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FOLDS, split_into_folds
 from tustinnet.selection.jobs import Job, JobResult, RunContext
-from tustinnet.selection.runner import InProcess, MakeExecutor, run_jobs
+from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
@@ -196,7 +197,7 @@ def cross_validate(
     make_listener: MakeListener = lambda prepared: SILENT,
     *,
     folder: Path | None = None,
-    executor: MakeExecutor | None = None,
+    executor: Executor | None = None,
     system: AnySystem | None = None,
     on_message: Callable[[str], None] = lambda sentence: None,
 ) -> CrossValidationResult:
@@ -212,7 +213,7 @@ def cross_validate(
         make_listener: given what is fitted together in this process, the plan of trainings or the
             task of an identification, returns the listener of its progress.
         folder: where an executor's jobs write models and logs, below `candidates`.
-        executor: where the jobs are done, as `cluster` gives it; by default in this process, and
+        executor: where the jobs are done, as for `select_model`; by default in this process, and
             nothing is written.
         system: the system of the options as it was named, for workers to load.
         on_message: called with sentences on the holds and delays of inputs, which are searched for
@@ -246,30 +247,39 @@ def cross_validate(
         # in this process the system is loaded already; a worker loads its file
         system=options.system if executor is None else system or options.system,
     )
-    if executor is None:
-        workers = InProcess(context, lambda job: make_listener, raises=True, together=True)
-    else:
-        workers = executor(context)
-    jobs, physics = [], dict[int, str]()
+    waiting, results, physics = list[Job](), list[JobResult](), dict[int, str]()
     if options.physics is not None:
-        jobs += [Job(_PHYSICS, options.physics, fold) for fold in range(folds)]
+        waiting += [Job(_PHYSICS, options.physics, fold) for fold in range(folds)]
     seeds = recipe.family.select_seeds(options.seeds)
-    jobs += [Job(_RECIPE, recipe, f, seeds, waits_for=(_PHYSICS,)) for f in range(folds)]
+    waiting += [Job(_RECIPE, recipe, fold, seeds) for fold in range(folds)]
+
+    def choose() -> list[Job]:
+        """The next job; in this process with all others of its kind, which train together."""
+        has_physics = options.physics is None
+        ready = [
+            job
+            for job in waiting
+            if job.candidate == _PHYSICS or has_physics or job.fold in physics
+        ]
+        if executor is None:
+            ready = [job for job in ready if job.candidate == ready[0].candidate]
+        chosen = ready if executor is None else ready[:1]
+        for job in chosen:
+            waiting.remove(job)
+        return [
+            replace(job, physics=physics.get(job.fold)) if job.candidate == _RECIPE else job
+            for job in chosen
+        ]
 
     def on_result(result: JobResult) -> None:
         if result.ended != "done":
             raise InputError(f"fold {result.fold}", result.why)
         if result.candidate == _PHYSICS:
             physics[result.fold] = result.scores[0].model
+        results.append(result)
 
-    results = run_jobs(
-        jobs,
-        workers,
-        on_result=on_result,
-        prepare=lambda job: (
-            replace(job, physics=physics.get(job.fold)) if job.candidate == _RECIPE else job
-        ),
-    )
+    workplace = Workplace(executor, lambda job: make_listener, on_message, raises=True)
+    run_jobs(choose, on_result, lambda: context, workplace)
     fits = sorted((r for r in results if r.candidate == _RECIPE), key=lambda r: r.fold)
     return CrossValidationResult(
         recipe=recipe.name,

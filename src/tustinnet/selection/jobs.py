@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -24,12 +24,13 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.scores import Score, evaluate, scores_header
 from tustinnet.families.family import family_of
-from tustinnet.fits.deadline import NEVER, Deadline, StopCheck
+from tustinnet.fits.deadline import Deadline, StopCheck
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.record_forces import unexplained_forces
+from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
@@ -48,7 +49,7 @@ from tustinnet.store.files import (
 from tustinnet.store.kept_system import CANDIDATES, system_header
 from tustinnet.store.model_file import load_model, read_system_name, save
 from tustinnet.store.run_folder import MODEL, SCORES
-from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate
+from tustinnet.systems.files import AnySystem, SystemFile, SystemTemplate, find_system
 from tustinnet.systems.loading import load_system_or_template
 
 SPENT = "its share of the budget was spent"
@@ -69,7 +70,6 @@ class Job:
         seeds: those that train together; an identification has the seed 0.
         physics: the model that a network corrects, as `FitScore.model` names it, or None.
         origin: the model that the fit begins with, as `FitScore.model` names it, or None.
-        waits_for: candidates whose jobs of this fold come first, where there are any.
         limit: how long it may take [s]; what is done by then is scored.
         continues: whether it goes on from where it was stopped before.
         is_final: whether it fits all training records instead of a fold's.
@@ -81,7 +81,6 @@ class Job:
     seeds: tuple[int, ...] = (0,)
     physics: str | None = None
     origin: str | None = None
-    waits_for: tuple[str, ...] = ()
     limit: float = math.inf
     continues: bool = False
     is_final: bool = False
@@ -205,13 +204,20 @@ class RunContext:
         """
         return None if self.system is None else load_system_or_template(self.system)
 
-    def with_changes(self, **fields: Any) -> "RunContext":
+    def __getstate__(self) -> dict[str, Any]:
+        """What a worker is sent: nothing that was computed here, and the system's file itself."""
+        state = {f.name: getattr(self, f.name) for f in fields(self)}
+        if isinstance(self.system, str | Path):
+            state["system"] = find_system(self.system)
+        return state | {"folder": self.folder.resolve()}
+
+    def with_changes(self, **changes: Any) -> "RunContext":
         """Copy of the context with other fields than `system`; the system's file is not run again.
 
         Args:
-            fields: the fields that change, by name.
+            changes: the fields that change, by name.
         """
-        other = replace(self, **fields)
+        other = replace(self, **changes)
         # programs are kept by the system: another copy of it would be compiled anew
         vars(other)["loaded_system"] = self.loaded_system
         return other
@@ -300,14 +306,13 @@ def perform_jobs(
     jobs: Sequence[Job],
     context: RunContext,
     make_listener: MakeListener,
-    deadline: Deadline = NEVER,
     *,
     raises: bool = False,
 ) -> list[JobResult]:
     """Fits the models of jobs and scores each on the records that it was not fitted to.
 
     In a folder, models, logs and checkpoints are below the job's folder; `scores.json` is written
-    last. A training that the deadline stops is scored with its best weights so far, an
+    last. A training that its limit stops is scored with its best weights so far, an
     identification with the model of its last finished stage.
 
     Args:
@@ -315,14 +320,13 @@ def perform_jobs(
         context: records, folder, system, scoring.
         make_listener: given the plan of a training, or the task of an identification, returns the
             listener of its progress.
-        deadline: when it has to end.
         raises: whether errors are raised; otherwise they are results.
 
     Returns:
         A result a job.
     """
     started = time.monotonic()
-    deadline = deadline.at_most(min(job.limit for job in jobs))
+    deadline = Deadline.after(min(job.limit for job in jobs))
 
     def spent() -> float:
         return (time.monotonic() - started) / len(jobs)
@@ -368,6 +372,11 @@ def perform_jobs(
         content = {"fit": digest, "judging": context.scoring.as_plain(), "result": plain}
         write_into(context.folder, f"{job.folder}/{SCORES}", to_json(content))
     return [result]
+
+
+def perform_job(context: RunContext, job: Job) -> JobResult:
+    """Does a job in silence, as a worker does it; see `perform_jobs`."""
+    return perform_jobs([job], context, lambda prepared: SILENT)[0]
 
 
 def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
@@ -515,8 +524,8 @@ def _has_useful_model(fit: FitResult) -> bool:
 
     A search has a model wherever it was stopped.
     """
-    if fit.identification is not None:
+    training = fit.details.get("training")
+    if training is None:
         return True
-    training = fit.details["training"]
     started = training["kept_epoch"] > 0 or len(training["epochs"]) > 1
     return started and (fit.validation_rmse is None or math.isfinite(fit.validation_rmse))

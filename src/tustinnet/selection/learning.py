@@ -32,8 +32,7 @@ from tustinnet.selection.cross_validation import (
     make_cross_validation_options,
 )
 from tustinnet.selection.folds import FOLDS, FoldSplit, split_into_folds
-from tustinnet.selection.jobs import Job, RunContext
-from tustinnet.selection.runner import InProcess, run_jobs
+from tustinnet.selection.jobs import Job, JobResult, RunContext, perform_jobs
 from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.simulate.starts import default_start, start_named
 from tustinnet.systems.files import AnySystem, SystemTemplate
@@ -393,11 +392,13 @@ class DrawFitter:
             system=system,
             drawn=tuple(draw.split for draw in draws),
         )
-        executor = InProcess(
-            context, lambda job: self._make_listener, raises=together, together=together
-        )
+
+        def perform(jobs: Sequence[Job]) -> list[JobResult]:
+            return perform_jobs(jobs, context, self._make_listener, raises=together)
+
+        done = perform(jobs) if together and jobs else [r for job in jobs for r in perform([job])]
         results = []
-        for result in sorted(run_jobs(jobs, executor), key=lambda r: r.fold):
+        for result in done:
             if not result.scores:
                 results.append(DrawResult(None, result.why, {}))
                 continue

@@ -41,8 +41,7 @@ class Candidate(Declaration):
             samples in a period of its dominant frequency, or none has; or only where `no-system` is
             given; or only for systems that are `fully-actuated`: whose inputs drive all
             coordinates, so that inverse dynamics tells all forces.
-        last: whether it is tried for the first time after all others, where time is left; what
-            corrects it does not wait for it then.
+        last: whether it is rarely the best, so that it is tried after others that take as long.
     """
 
     name: Name
@@ -61,12 +60,6 @@ class Candidate(Declaration):
             InputError: no such recipe, or changes that it does not take.
         """
         return read_recipe(self.recipe, self.set)
-
-    @property
-    def is_by_forces(self) -> bool:
-        """Whether it compares forces along the measured motion, and simulates nothing."""
-        recipe = self.content
-        return isinstance(recipe, IdentificationRecipe) and recipe.search.is_by_forces
 
     def recipe_over(self, horizon: float) -> Recipe:
         """The recipe, a search that begins with other candidates over a horizon [s].
@@ -110,7 +103,7 @@ class Average(Declaration):
 
 
 class Round(Declaration):
-    """Folds and seeds that candidates are fitted to before some of them are left behind.
+    """Folds and seeds of a round, to which the best candidates of the one before are fitted.
 
     Attributes:
         folds: on how many of the folds, from the first on.
@@ -135,7 +128,7 @@ class SelectionPlan(Declaration):
         horizon: how long a free run that judges lasts at most [s]; none for whole records.
         candidates: from the simplest to the most complex, which is also by increasing cost.
         committees: averages of candidates.
-        rounds: successive halving: the folds and seeds of each round.
+        rounds: the folds and seeds of each round, which candidates climb one by one.
     """
 
     name: Name

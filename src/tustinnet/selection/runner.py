@@ -1,126 +1,103 @@
-"""The runner of jobs: in their order, in this process or wherever an executor has room."""
+"""The runner of jobs: one after another in this process, or several at once by an executor."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass
 
-from tustinnet.fits.deadline import NEVER, Deadline
+from tustinnet.errors import InputError, error_message
 from tustinnet.fitting.listener import SILENT
-from tustinnet.selection.jobs import Job, JobResult, MakeJobListener, RunContext, perform_jobs
+from tustinnet.selection.jobs import (
+    Job,
+    JobResult,
+    MakeJobListener,
+    RunContext,
+    perform_job,
+    perform_jobs,
+)
 
 
-class Executor(Protocol):
-    """Does jobs, in any order, several at once where it can."""
+@dataclass(frozen=True)
+class Workplace:
+    """Where jobs are done.
 
-    @property
-    def is_free(self) -> bool:
-        """Whether another job could begin now."""
-        ...
-
-    def submit(self, job: Job, deadline: Deadline) -> None:
-        """Takes a job that has to end in time."""
-        ...
-
-    def result(self) -> JobResult:
-        """Waits for the next job that ends, of those that were taken."""
-        ...
-
-
-MakeExecutor = Callable[[RunContext], Executor]
-
-
-class InProcess:
-    """Does jobs in this process: one at a time, or in memory all of a candidate together.
-
-    Args:
-        context: records, folder, system, scoring.
-        make_job_listener: given a job, the `make_listener` of `perform_jobs`.
-        raises: whether an error in a job is raised; otherwise it is the job's result.
-        together: whether jobs that could begin at the same time train as one program, each on its
-            own fold; for runs in memory.
+    Attributes:
+        executor: any executor, of threads, processes or machines, that share the run's folder
+            under one path; None for this process.
+        make_job_listener: given a job, the `make_listener` of `perform_jobs` in this process.
+        on_message: called with a sentence on every job that an executor has done.
+        raises: whether an error in a job is raised in this process; otherwise it is its result.
     """
 
-    def __init__(
-        self,
-        context: RunContext,
-        make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT,
-        *,
-        raises: bool = False,
-        together: bool = False,
-    ) -> None:
-        self._context, self._make_job_listener = context, make_job_listener
-        self._raises, self._together = raises, together
-        self._waiting: list[Job] = []
-        self._deadline = NEVER
-        self._results: list[JobResult] = []
+    executor: Executor | None = None
+    make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT
+    on_message: Callable[[str], None] = lambda sentence: None
+    raises: bool = False
 
     @property
-    def is_free(self) -> bool:
-        """Whether no job waits, or together with those that wait others could be done."""
-        return not self._results and (self._together or not self._waiting)
-
-    def submit(self, job: Job, deadline: Deadline = NEVER) -> None:
-        """Takes a job; it is done when its result is needed."""
-        self._waiting.append(job)
-        self._deadline = deadline
-
-    def result(self) -> JobResult:
-        """Does the first job that waits, and the others of its candidate."""
-        if not self._results:
-            candidate = self._waiting[0].candidate
-            jobs = [job for job in self._waiting if job.candidate == candidate]
-            self._waiting = [job for job in self._waiting if job.candidate != candidate]
-            self._results = perform_jobs(
-                jobs,
-                self._context,
-                self._make_job_listener(jobs[0]),
-                self._deadline,
-                raises=self._raises,
-            )
-        return self._results.pop(0)
+    def places(self) -> int:
+        """How many jobs can be done at once: as an executor says (`places`), or has workers."""
+        executor = self.executor
+        return getattr(executor, "places", 0) or getattr(executor, "_max_workers", 1)
 
 
 def run_jobs(
-    jobs: Sequence[Job],
-    executor: Executor,
-    deadline: Deadline = NEVER,
-    *,
-    prepare: Callable[[Job], Job | None] = lambda job: job,
-    on_result: Callable[[JobResult], None] = lambda result: None,
-) -> list[JobResult]:
-    """Runs jobs in their order, each as soon as those are done that it waits for.
+    choose: Callable[[], Sequence[Job]],
+    on_result: Callable[[JobResult], None],
+    find_context: Callable[[], RunContext],
+    workplace: Workplace,
+) -> None:
+    """Runs jobs as long as there are any.
 
     Args:
-        jobs: the jobs.
-        executor: where they are done.
-        deadline: when each of them has to end.
-        prepare: called with a job just before it begins; returns it complete, with the model that
-            it corrects, or None to leave it out.
+        choose: the next job, whenever one could begin; of a run in memory also several of one
+            candidate, which train together; none where nothing can begin at present.
         on_result: called with every result at once.
-
-    Returns:
-        The results, in the order in which the jobs ended.
+        find_context: records, folder, system and scoring of the jobs that begin.
+        workplace: where they are done.
     """
-    waiting, running, results = list(jobs), set[tuple[str, int]](), list[JobResult]()
-    while waiting or running:
-        index = None
-        if executor.is_free:
-            busy = running | {(job.candidate, job.fold) for job in waiting}
-            index = next(
-                (
-                    i
-                    for i, job in enumerate(waiting)
-                    if not any((name, job.fold) in busy for name in job.waits_for)
-                ),
-                None,
-            )
-        if index is not None:
-            job = prepare(waiting.pop(index))
-            if job is not None:
-                running.add((job.candidate, job.fold))
-                executor.submit(job, deadline)
-            continue
-        result = executor.result()
-        running.remove((result.candidate, result.fold))
-        results.append(result)
-        on_result(result)
-    return results
+    running: dict[Future[JobResult], Job] = {}
+    try:
+        while True:
+            while len(running) < workplace.places and (jobs := choose()):
+                if workplace.executor is not None:
+                    for job in jobs:
+                        context = find_context()
+                        running[workplace.executor.submit(perform_job, context, job)] = job
+                    continue
+                listener = workplace.make_job_listener(jobs[0])
+                for result in perform_jobs(jobs, find_context(), listener, raises=workplace.raises):
+                    on_result(result)
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job = running.pop(future)
+                result = _take_result(future, job, find_context())
+                ended = f"{job.label}: {result.ended} in {result.seconds:.1f} s"
+                workplace.on_message(f"{job.label}: was done before" if result.earlier else ended)
+                on_result(result)
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _take_result(future: Future[JobResult], job: Job, context: RunContext) -> JobResult:
+    """The result of a job that an executor has done; a failure where its worker died.
+
+    Raises:
+        InputError: a worker of another version, or that does not share the folder.
+    """
+    try:
+        result = future.result()
+    except InputError:
+        raise
+    except Exception as error:  # of any kind: of the worker, as those of a job are its result
+        return JobResult(job.candidate, job.fold, 0.0, "failed", why=error_message(error))
+    missing = [s.model for s in result.scores if not (context.folder / s.model).is_file()]
+    if missing:
+        raise InputError(
+            "executor",
+            f"{context.folder} lacks {missing[0]}, which a worker wrote",
+            "a folder that all workers share, under one path",
+            "choose another folder",
+        )
+    return result

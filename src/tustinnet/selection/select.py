@@ -1,11 +1,11 @@
 """Selection: tries a plan's candidates within a budget and writes the best model."""
 
+import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
@@ -13,7 +13,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import Score
 from tustinnet.evaluate.spoiled import find_spoiled
-from tustinnet.fits.deadline import NEVER, Deadline, Stopwatch
+from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.roles import records_without_test
@@ -24,14 +24,13 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
-from tustinnet.selection.halving import NO_TIME, Halving
 from tustinnet.selection.jobs import NO_STAGE, SPENT, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
+from tustinnet.selection.queue import NO_TIME, CandidateQueue
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
-from tustinnet.selection.runner import InProcess, MakeExecutor
+from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
 from tustinnet.simulate.horizon import effective_horizon
-from tustinnet.simulate.starts import start_named
 from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
 from tustinnet.store.kept_system import CANDIDATES, require_copy_fits, write_system_copy
 from tustinnet.store.model_file import save
@@ -54,8 +53,6 @@ from tustinnet.store.specification import (
 )
 from tustinnet.systems.files import AnySystem
 
-_TENTH = 0.1  # of a record, a horizon where no fit chose one
-_STARTS = 3  # a horizon is at least as many times as long as what a start is fitted to
 _ENDING = 0.07  # share of the budget for committees, the last fit and bands
 _LONGEST_ENDING = 60.0  # s
 _COMMITTEES = 0.5  # share of that for committees
@@ -63,6 +60,7 @@ _FILES = 0.03  # share of the budget for figures and the report, which come afte
 _LONGEST_FILES = 20.0  # s
 _FEWEST_FILES = 5.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
+INTERRUPTED = "interrupted: the best so far was taken; `resume=` goes on"
 
 
 @dataclass(frozen=True)
@@ -103,13 +101,15 @@ def select_model(
     options: SelectionOptions | None = None,
     earlier: Earlier = "refuse",
     reporter: Reporter | None = None,
-    executor: MakeExecutor | None = None,
+    executor: Executor | None = None,
 ) -> Choice:
     """Tries the candidates of a plan on folds of records, and makes the best one into one model.
 
-    Candidates are compared by successive halving; committees of those that remain are tried
-    last. Where the chosen family has weights, the model is a committee of the models of all folds.
-    Where it has parameters, they are identified once more from all records.
+    Candidates are tried in one queue, what could change the ranking soonest first; committees of
+    those that remain are tried last. From the first candidate on there is a result: Ctrl-C once
+    ends with the best so far, twice at once. Where the chosen family has weights, the model is a
+    committee of the models of all folds. Where it has parameters, they are identified once more
+    from all records.
 
     Args:
         data: the records; those of the split `test` take part in nothing.
@@ -118,7 +118,8 @@ def select_model(
         earlier: what to do with a selection that is in the folder: `refuse`, `resume` (jobs that
             are done are kept) or `discard`.
         reporter: functions that are called while it goes on; by default nothing is reported.
-        executor: where the jobs are done, as `cluster` gives it; by default in this process.
+        executor: where the jobs are done: an executor of `concurrent.futures` whose workers share
+            the folder, or what `cluster` gives; by default this process.
 
     Returns:
         The model, the table of candidates, and sentences on what was chosen and why.
@@ -183,30 +184,36 @@ def select_model(
     promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
     context = context.with_changes(data=prepare_for_folds(prepared.data)[0])
     folds = min(context.scoring.folds, len(context.data))
-    by_forces = any(c.is_by_forces for c in candidates)
     context = context.with_changes(
-        scoring=replace(context.scoring, folds=folds),
-        cutoff=force_cutoff(context) if by_forces else None,
+        scoring=replace(context.scoring, folds=folds), cutoff=force_cutoff(context, candidates)
     )
     notes = (*prepared.sentences, *before)
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
-        make = executor or (lambda context: InProcess(context, reporter.make_job_listener))
-        say_once = _make_say_once(reporter)
-        halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
-        remaining = halving.run(make(context))
-        if halving.hopeless:
-            context, note = _with_horizon(context, halving)
-            reporter.on_message(note)
-            notes = (*notes, note)
-            halving = Halving(plan, candidates, context, say_once, rounds_end, ending, promising)
-            remaining = halving.run(make(context))
-        if not remaining:
-            raise _nothing_fitted(halving)
-        stopwatch.end("candidates")
-        choice = _choose(
-            halving, remaining, context, reporter, models_end, prepared.left_out, stopwatch
+        queue = CandidateQueue(
+            plan, candidates, context, reporter.on_message, rounds_end, ending, promising
         )
+        workplace = Workplace(executor, reporter.make_job_listener, reporter.on_message)
+        is_interrupted = False
+        try:
+            run_jobs(queue.choose, queue.add, lambda: queue.context, workplace)
+        except KeyboardInterrupt as stop:
+            _require_result(queue, stop, reporter)
+            is_interrupted = True
+        queue.judge_by_pieces_if_lost()
+        if not queue.remaining():
+            raise _nothing_fitted(queue)
+        stopwatch.end("candidates")
+        try:
+            end = OVER if is_interrupted else models_end
+            choice = _choose(queue, reporter, end, prepared.left_out, stopwatch)
+        except KeyboardInterrupt as stop:
+            if is_interrupted:
+                raise
+            _require_result(queue, stop, reporter)
+            is_interrupted = True
+            choice = _choose(queue, reporter, OVER, prepared.left_out, stopwatch)
+        notes = (*notes, *queue.notes, *([INTERRUPTED] if is_interrupted else []))
         choice = replace(
             choice,
             notes=notes,
@@ -219,45 +226,16 @@ def select_model(
     return choice
 
 
-def _make_say_once(reporter: Reporter) -> Callable[[str], None]:
-    """A function that reports a sentence unless it did before, as rounds that are repeated do."""
-    reported = set[str]()
-
-    def say_once(sentence: str) -> None:
-        if sentence not in reported:
-            reported.add(sentence)
-            reporter.on_message(sentence)
-
-    return say_once
-
-
-def _with_horizon(context: RunContext, halving: Halving) -> tuple[RunContext, str]:
-    """Scores over the shortest horizon that a fit chose, or a tenth of a record; and a note."""
-    dt = context.data.channels.dt
-    chosen = [m.horizon for r in halving.results.values() for m in r.fits if m.horizon]
-    usual = _TENTH * float(np.median([len(e) for e in context.data])) * dt
-    shortest = _STARTS * start_named(context.scoring.start).samples * dt
-    horizon = max(min(chosen, default=usual), shortest)
-    may_be_controlled = context.cutoff is not None and context.data.channels.controller is None
-    remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
-    remedy += "records be judged in its loop"
-    note = (
-        "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
-        f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
-        f"{remedy * may_be_controlled}"
-    )
-    scoring = replace(context.scoring, horizon=horizon)
-    # what this run has fitted is scored again, not gone on with
-    tried = [name for name, result in halving.results.items() if result.fits_by_fold]
-    has_simulated = not all(halving.plan.candidate(name).is_by_forces for name in tried)
-    resume = context.resume and not has_simulated
-    return context.with_changes(scoring=scoring, resume=resume), note
+def _require_result(queue: CandidateQueue, stop: KeyboardInterrupt, reporter: Reporter) -> None:
+    """Goes on after Ctrl-C where there is something to choose; raises other interruptions anew."""
+    if getattr(stop, "number", signal.SIGINT) != signal.SIGINT or not queue.remaining():
+        raise stop
+    best = queue.remaining()[0].name
+    reporter.on_message(f"interrupted: ends with the best so far, {best}; once more: at once")
 
 
 def _choose(
-    halving: Halving,
-    remaining: Sequence[CandidateResult],
-    context: RunContext,
+    queue: CandidateQueue,
     reporter: Reporter,
     deadline: Deadline,
     left_out: tuple[str, ...],
@@ -267,14 +245,15 @@ def _choose(
 
     `left_out` are the sentences on parts of records that were left out.
     """
-    before_final = deadline.earlier_by(halving.seconds_for_final(remaining[0].name))
+    context, remaining = queue.context, queue.remaining()
+    before_final = deadline.earlier_by(queue.seconds_for_final(remaining[0].name))
     committees_end = before_final.at_most(_COMMITTEES * max(before_final.remaining, 0.0))
     committees = score_committees(
-        halving.plan, remaining, context, reporter.on_message, committees_end
+        queue.plan, remaining, context, reporter.on_message, committees_end
     )
     stopwatch.end("committees")
     names = tuple(r.name for r in remaining)
-    candidates = SelectionResults(halving.plan, tuple(halving.results.values()), names, committees)
+    candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names, committees)
     best = rank(candidates.choosable)[0]
     simplest = find_simplest(candidates.choosable, best)
     if candidates.are_alike(simplest.name, best.name):
@@ -398,10 +377,10 @@ def _require_no_earlier(folder: Path) -> None:
         )
 
 
-def _nothing_fitted(halving: Halving) -> InputError:
+def _nothing_fitted(queue: CandidateQueue) -> InputError:
     """The error where no candidate was fitted."""
     reasons: dict[str, list[str]] = {}
-    for result in halving.results.values():
+    for result in queue.results.values():
         if result.why:
             reasons.setdefault(result.why, []).append(result.name)
     why = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())

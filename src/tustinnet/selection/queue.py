@@ -1,0 +1,440 @@
+"""The queue of a selection: which job is next, and what is known of the candidates by then.
+
+A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
+more folds and with more seeds. Of all that could change the ranking next is what takes least: the
+first round of what was never tried, and the following round of those that are among the best.
+"""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+import numpy as np
+
+from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.fits.deadline import NEVER, Deadline
+from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
+from tustinnet.selection.plan import Candidate, SelectionPlan
+from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
+from tustinnet.simulate.starts import start_named
+from tustinnet.store.run_folder import SCORES
+from tustinnet.wording import counted, percent
+
+NO_TIME = "no time was left for it"
+
+
+@dataclass(frozen=True)
+class QueueOptions:
+    """Numbers that decide in the queue.
+
+    Attributes:
+        first_try: share of the time left that a first fit may take while others wait for theirs:
+            as much is left for all of those.
+        least: seconds without which nothing is tried: a network is compiled before it learns; and
+            the share of a short time that is enough.
+        rarely: factor of the time of what is rarely the best: a second one of a kind, and what the
+            plan calls `last`.
+        again: times what a fit took before it was stopped, that have to be left for it to go on: it
+            compiles, or begins, anew.
+        fewest: kinds of candidates that go on to the next round, where there are as many.
+        far: of the motion within turns, an error of whole records that says little of a model.
+        explained: of the inputs' force, what equations leave unexplained that explain it.
+        horizon: of a record, the length of pieces where no fit chose one.
+        starts: the length of pieces is at least so many times what a start is fitted to.
+    """
+
+    first_try: float = 0.5
+    least: tuple[float, float] = (8.0, 0.25)
+    rarely: float = 2.0
+    again: float = 1.5
+    fewest: int = 2
+    far: float = 0.3
+    explained: float = 0.2
+    horizon: float = 0.1
+    starts: int = 3
+
+
+DEFAULTS = QueueOptions()
+
+
+class CandidateQueue:
+    """The jobs of a plan's candidates, in an order that follows from what is known of them.
+
+    Args:
+        plan: the plan.
+        candidates: those of its candidates that take part.
+        context: the records, how they are scored.
+        on_message: called with sentences on what happens.
+        deadline: when the last job has to end.
+        ending: seconds after that, in which the chosen system is identified from all records.
+        promising: names of candidates that the records speak for, however rarely they are best.
+        options: numbers that decide.
+
+    Attributes:
+        plan: the plan.
+        context: the records, how they are scored by now.
+        results: of each candidate, by name, from the simplest on.
+        notes: sentences on how records are scored.
+    """
+
+    def __init__(
+        self,
+        plan: SelectionPlan,
+        candidates: Sequence[Candidate],
+        context: RunContext,
+        on_message: Callable[[str], None],
+        deadline: Deadline = NEVER,
+        ending: float = 0.0,
+        promising: Collection[str] = (),
+        options: QueueOptions | None = None,
+    ) -> None:
+        self.plan, self.context, self.notes = plan, context, list[str]()
+        self.results = {c.name: CandidateResult(c.name) for c in candidates}
+        self._candidates, self._on_message = tuple(candidates), on_message
+        self._options = options or DEFAULTS
+        self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
+        self._promising = promising
+        self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
+        self._running = list[Job]()
+        self._jobs: dict[tuple[str, str], Job] = {}  # all that began, by candidate and name
+        self._stopped: dict[tuple[str, str], float] = {}  # seconds of jobs that may go on
+        self._reported: tuple[str, bool, float | None] | None = None
+
+    # --- what is next ---
+
+    def choose(self) -> list[Job]:
+        """The job that is next, complete; none where nothing can begin at present."""
+        rounds = self._climb()
+        steps = [(c, jobs) for c in self._candidates if (jobs := self._next_round(c, rounds))]
+        steps.sort(key=lambda step: self._weight(*step))
+        # before time goes into trainings, what decides over them says something
+        if (not steps or steps[0][0].content.family.has_seeds) and self._is_lost():
+            if self._running:
+                return []
+            self.judge_by_pieces_if_lost()
+            return self.choose()
+        earlier = {(job.candidate, job.fold) for job in self._running}  # or further ahead
+        for candidate, jobs in steps:
+            depends_on = {*candidate.corrects, *candidate.begins_with}
+            for job in jobs:
+                waits = any((name, job.fold) in earlier for name in depends_on)
+                begun = None if waits else self._begin(job, candidate, steps)
+                if begun is not None:
+                    return [begun]
+            earlier |= {(job.candidate, job.fold) for job in jobs}
+        return self._continue_stopped()
+
+    def remaining(self) -> list[CandidateResult]:
+        """The candidates that remain in the last round, the best first."""
+        return rank([self.results[name] for name in self._climb()[-1]])
+
+    def seconds_for_final(self, name: str) -> float:
+        """Expected time of fitting a candidate once more, to all records; 0 where that is not done.
+
+        It begins where a fold ended, and has more records.
+        """
+        is_fitted = not self.plan.candidate(name).content.family.averages_folds
+        return self._seconds.get(name, 0.0) if is_fitted else 0.0
+
+    def _next_round(self, candidate: Candidate, rounds: Sequence[Collection[str]]) -> list[Job]:
+        """The missing jobs of a candidate in its first round that is not complete.
+
+        None where it does not go on to that round.
+        """
+        for number, names in enumerate(rounds):
+            if jobs := self._missing(candidate, number):
+                return jobs if candidate.name in names else []
+        return []
+
+    def _missing(self, candidate: Candidate, number: int) -> list[Job]:
+        """The jobs of a candidate that a round has and that never began, fold after fold."""
+        stage = self.plan.rounds[number]
+        recipe, result = self.context.recipe_of(candidate), self.results[candidate.name]
+        seeds = recipe.family.select_seeds(range(stage.seeds))
+        jobs = []
+        for fold in range(min(stage.folds, self.context.scoring.folds)):
+            done = {fit.seed for fit in result.fits_by_fold.get(fold, ())}
+            missing = tuple(seed for seed in seeds if seed not in done)
+            job = Job(candidate.name, recipe, fold, missing)
+            if missing and (job.candidate, job.name) not in self._jobs:
+                jobs.append(job)
+        return jobs
+
+    def _climb(self) -> list[list[str]]:
+        """The candidates of every round: of the first all, then the best of the one before.
+
+        Of each kind of model the simplest that is as good as its best goes on, and the best that
+        it corrects or begins with.
+        """
+        rounds = [[c.name for c in self._candidates]]
+        for stage in self.plan.rounds[:-1]:
+            kinds = self._best_of_kinds(rank([self.results[name] for name in rounds[-1]]))
+            count = max(self._options.fewest, math.ceil(stage.keep * len(kinds)))
+            kept = {result.name for result in kinds[:count]}
+            for c in reversed(self._candidates):
+                if c.name in kept:
+                    needed = (self._best_of(c.corrects), self._best_of(c.begins_with))
+                    kept |= {result.name for result in needed if result}
+            rounds.append([name for name in rounds[-1] if name in kept])
+        return rounds
+
+    def _best_of_kinds(self, ranking: Sequence[CandidateResult]) -> list[CandidateResult]:
+        """The simplest of each kind of model that is as good as its best, in the order of these."""
+        kind = {c.name: c.content.family.kind for c in self._candidates}
+        by_kind: dict[str, list[CandidateResult]] = {}
+        for result in ranking:
+            by_kind.setdefault(kind[result.name], []).append(result)
+        place = list(kind).index
+        return [
+            find_simplest(sorted(results, key=lambda r: place(r.name)), results[0])
+            for results in by_kind.values()
+        ]
+
+    def _best_of(self, names: Sequence[str], fold: int | None = None) -> CandidateResult | None:
+        """The simplest of some candidates that is as good as their best, in a fold or anywhere.
+
+        None where none of them has a score.
+        """
+        results = [self.results[name] for name in names if name in self.results]
+        scored = [
+            r for r in results if (r.fits_by_fold if fold is None else fold in r.fits_by_fold)
+        ]
+        return find_simplest(scored, rank(scored)[0]) if scored else None
+
+    # --- what it costs ---
+
+    def _weight(self, candidate: Candidate, jobs: Sequence[Job]) -> float:
+        """Expected seconds of a candidate's round, more where it is rarely worth them."""
+        weight = sum(self._expected(job) for job in jobs)
+        if candidate.name not in {*self._seconds, *self._promising}:
+            family = candidate.content.family
+            is_second = any(
+                c.content.family is family and c.name in self._seconds for c in self._candidates
+            )
+            weight *= self._options.rarely ** (is_second + candidate.last)
+        return weight
+
+    def _expected(self, job: Job) -> float:
+        """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
+
+        Nothing where it is done already.
+        """
+        if self._is_on_disk(job):
+            return 0.0
+        seconds = self._seconds.get(job.candidate)
+        if seconds is None:
+            alike = [
+                self._seconds[c.name]
+                for c in self._candidates
+                if c.name in self._seconds
+                and c.content.family is job.recipe.family
+                and c.content.usual_seconds == job.recipe.usual_seconds
+            ]
+            seconds = fmean(alike) if alike else job.recipe.usual_seconds
+        return seconds * len(job.seeds)
+
+    def _is_on_disk(self, job: Job) -> bool:
+        """Whether a run that is resumed has the scores of a job."""
+        return self.context.resume and (self.context.folder / job.folder / SCORES).is_file()
+
+    def _limit(self, job: Job, others_wait: bool) -> float | None:
+        """Seconds that a job may take, None where not enough are left for it."""
+        remaining = self._deadline.remaining
+        if math.isinf(remaining) or self._is_on_disk(job):
+            return math.inf
+        scored = rank([*self.results.values()])
+        if job.candidate not in self._seconds:
+            seconds, share = self._options.least
+            least = min(seconds, share * self._time) if scored else 0.0
+            share = self._options.first_try if others_wait else 1.0
+            return max(share * remaining, least) if remaining > least else None
+        if scored:
+            remaining -= max(self.seconds_for_final(scored[0].name) - self._ending, 0.0)
+        return remaining if remaining > self._expected(job) else None
+
+    def _begin(
+        self, job: Job, candidate: Candidate, steps: Sequence[tuple[Candidate, Sequence[Job]]]
+    ) -> Job | None:
+        """The job with what it corrects, what it begins with and its limit.
+
+        None where it has to wait, or is left out for want of these.
+
+        Args:
+            job: the job.
+            candidate: its candidate.
+            steps: the candidates that have jobs, with these.
+        """
+        physics = self._best_of(candidate.corrects, job.fold)
+        if candidate.corrects and physics is None:
+            names = [name for name in candidate.corrects if name in self.results]
+            coming = [*self._running, *(other for _, jobs in steps for other in jobs)]
+            if not any(other.candidate in names and other.fold == job.fold for other in coming):
+                self._leave_out(job, "nothing to correct: " + ", ".join(names))
+            return None
+        limit = self._limit(job, others_wait=len(steps) > 1)
+        if limit is None:
+            self._leave_out(job, NO_TIME)
+            return None
+        origin = self._best_of(candidate.begins_with, job.fold)
+        return self._start(
+            replace(
+                job,
+                physics=None if physics is None else physics.fits_by_fold[job.fold][0].model,
+                origin=None if origin is None else origin.fits_by_fold[job.fold][0].model,
+                limit=limit,
+            )
+        )
+
+    def _start(self, job: Job) -> Job:
+        self._running.append(job)
+        self._jobs[job.candidate, job.name] = job
+        return job
+
+    def _leave_out(self, job: Job, why: str) -> None:
+        """Leaves out a job for good."""
+        self._jobs[job.candidate, job.name] = job
+        result = self.results[job.candidate]
+        if not result.fits_by_fold and not result.why:
+            self.results[job.candidate] = replace(result, why=why)
+            self._on_message(f"{job.candidate}: left out, {why}")
+
+    def _continue_stopped(self) -> list[Job]:
+        """Goes on with a job of the best candidates that its limit stopped, where time is left."""
+        remaining = self._deadline.remaining
+        if math.isinf(remaining) or self._running:
+            return []
+        names = [result.name for result in self.remaining()]
+        for key in sorted(self._stopped, key=lambda key: (key[0] not in names, key)):
+            if key[0] in names and remaining > self._options.again * self._stopped[key]:
+                del self._stopped[key]
+                return [self._start(replace(self._jobs[key], continues=True, limit=remaining))]
+        return []
+
+    # --- what came of it ---
+
+    def add(self, result: JobResult) -> None:
+        """Takes the result of a job."""
+        name = result.candidate
+        job = next(j for j in self._running if (j.candidate, j.fold) == (name, result.fold))
+        self._running.remove(job)
+        self.results[name] = self.results[name].with_job(result)
+        if result.ended != "failed":
+            self._seconds[name] = result.seconds / len(job.seeds)
+        if result.ended == "out of time":
+            self._stopped[name, job.name] = result.seconds
+        if result.ended != "done" and not result.earlier:  # what was said when it was done
+            self._on_message(f"{job.label}: {result.why}")
+        if any(self._explains_forces_and_is_lost(fit) for fit in result.scores):
+            self._judge_over(self._length_of_pieces())
+        elif self._by_pieces and result.scores:
+            whole = self.context.evaluate_folds({result.fold: result.scores}, None)
+            if self._follows(score.rmse for score in whole.values()):
+                self._judge_over(None)
+        self._report_best()
+
+    def _follows(self, errors: Iterable[float]) -> bool:
+        """Whether the errors of whole records say something of a model."""
+        mean, _ = mean_and_error(errors)
+        return bool(mean <= self._options.far * self.context.motion_within_turns)
+
+    def _explains_forces_and_is_lost(self, fit: FitScore) -> bool:
+        """Whether equations that explain the forces leave the records when they are simulated.
+
+        Then free runs of whole records say little of any model.
+        """
+        if self.context.scoring.horizon is not None or not fit.unexplained:
+            return False
+        mean = mean_and_error(next(iter(fit.rmse.values())).values())[0]
+        is_lost = not mean <= self.context.motion_within_turns
+        return is_lost and fmean(fit.unexplained.values()) < self._options.explained
+
+    def _is_lost(self) -> bool:
+        """Whether whole records are judged and no candidate follows them.
+
+        As where a plant is unstable, turns over or only integrates.
+        """
+        ranking = rank([*self.results.values()])
+        is_whole = self.context.scoring.horizon is None
+        return is_whole and bool(ranking) and not self._follows(ranking[0].rmse().values())
+
+    def judge_by_pieces_if_lost(self) -> None:
+        """Scores over pieces of records where no candidate follows whole ones."""
+        if self._is_lost():
+            self._judge_over(self._length_of_pieces())
+
+    def _length_of_pieces(self) -> float:
+        """The shortest horizon that a fit chose, or a part of a record [s]."""
+        context, dt = self.context, self.context.data.channels.dt
+        chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
+        usual = self._options.horizon * float(np.median([len(e) for e in context.data])) * dt
+        shortest = self._options.starts * start_named(context.scoring.start).samples * dt
+        return max(min(chosen, default=usual), shortest)
+
+    @property
+    def _by_pieces(self) -> bool:
+        """Whether pieces are judged because nobody followed whole records."""
+        return bool(self.notes)
+
+    def _judge_over(self, horizon: float | None) -> None:
+        """Scores again over pieces of records, or over whole ones.
+
+        Searches that begin at the values of others are over these pieces, too: fitted again.
+        """
+        before, self.notes = self.context, []
+        may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
+        remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
+        remedy += "records be judged in its loop"
+        if horizon is None:
+            self._on_message("free runs of whole records are followed after all: judged by these")
+        else:
+            self.notes = [
+                "free runs of whole records are further off than 0.3 of the motion: judged over "
+                f"pieces of {horizon:.3g} s instead, each from a start of its own (`horizon` in a "
+                f"plan){remedy * may_be_controlled}"
+            ]
+            self._on_message(self.notes[0])
+        self.context = before.with_changes(scoring=replace(before.scoring, horizon=horizon))
+        changed = set[str]()
+        for c in self._candidates:
+            if self.context.recipe_of(c) != before.recipe_of(c) or changed & set(c.corrects):
+                changed.add(c.name)
+                self.results[c.name] = CandidateResult(c.name)
+                self._jobs = {key: job for key, job in self._jobs.items() if key[0] != c.name}
+            else:
+                result = self.results[c.name]
+                self.results[c.name] = replace(result, fits_by_fold=self._score_again(result))
+        if changed:  # what this run has fitted is not gone on with
+            self.context = self.context.with_changes(resume=False)
+
+    def _score_again(self, result: CandidateResult) -> dict[int, tuple[FitScore, ...]]:
+        """The fits of a candidate with the scores of how records are scored now."""
+        context = self.context
+
+        def score(fit: FitScore, fold: int) -> FitScore:
+            rmse = context.score(context.load_model(fit.model), fit.horizon, fold)
+            return replace(fit, rmse=rmse)
+
+        return {
+            fold: tuple(score(fit, fold) for fit in fits)
+            for fold, fits in result.fits_by_fold.items()
+        }
+
+    def _report_best(self) -> None:
+        """Reports what is best by now and how good, where that is news."""
+        ranking = rank([*self.results.values()])
+        if not ranking:
+            return
+        best, folds = ranking[0], self.context.scoring.folds
+        news = (best.name, len(best.fits_by_fold) == folds, self.context.scoring.horizon)
+        if news == self._reported:
+            return
+        self._reported, rmse = news, best.rmse()
+        mean, motion = mean_and_error(rmse.values())[0], self.context.motion_within_turns
+        off = f"off by {mean:.3g} {self.context.data.channels.unit}"
+        share = f"{percent(mean / motion)} % of the motion"
+        self._on_message(
+            f"best so far: {best.name}, {f'{off} ({share})' if mean < motion else 'which is lost'} "
+            f"on {counted(len(rmse), 'record')}, "
+            f"{len(best.fits_by_fold)} of {counted(folds, 'fold')}"
+        )

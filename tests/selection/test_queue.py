@@ -1,0 +1,391 @@
+"""The queue of a selection, with jobs that only pretend."""
+
+import math
+import re
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from small_selection import swings
+
+from tustinnet.fits.deadline import NEVER, Deadline
+from tustinnet.selection import runner
+from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
+from tustinnet.selection.plan import SelectionPlan
+from tustinnet.selection.queue import CandidateQueue
+from tustinnet.selection.ranking import CandidateResult
+from tustinnet.selection.runner import Workplace, run_jobs
+from tustinnet.selection.scoring import Scorer
+
+PLAN = {
+    "name": "pretended",
+    "candidates": [
+        {"name": "linear", "recipe": "linear"},
+        {"name": "grey", "recipe": "best-grey"},
+        {"name": "network", "recipe": "best-tustin"},
+        {"name": "hybrid", "recipe": "best-hybrid", "corrects": ["grey"]},
+    ],
+    "rounds": [{"folds": 1}, {"folds": 3, "keep": 0.5}, {"folds": 3, "seeds": 2}],
+}
+QUALITY = {"linear": 0.09, "grey": 0.03, "better grey": 0.025, "network": 0.02, "hybrid": 0.01}
+
+
+class Pretended(ThreadPoolExecutor):
+    """Pretends to do jobs, several at once."""
+
+    def __init__(self, places: int = 1, of: Callable[[Job], JobResult | None] = lambda job: None):
+        super().__init__(places)
+        self.done: list[Job] = []
+        self._of, self._lock = of, threading.Lock()
+
+    def submit(self, fn, /, *args, **named) -> Future:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return super().submit(self._pretend, args[1])
+
+    def _pretend(self, job: Job) -> JobResult:
+        with self._lock:
+            self.done.append(job)
+            other = self._of(job)
+        return other or scored(job, QUALITY[job.candidate])
+
+
+def scored(job: Job, error: float, seconds: float = 1.0, **more) -> JobResult:
+    """The result of a job that is done, on two records."""
+    rmse = {f"r{job.fold}{i}": error + 0.001 * i for i in range(2)}
+    models = tuple(
+        FitScore(seed, "finished", f"{job.folder}/{seed}", None, {"model-20": rmse}, **more)
+        for seed in job.seeds
+    )
+    return JobResult(job.candidate, job.fold, seconds, "done", models)
+
+
+@dataclass
+class Tried:
+    """A queue, and what it says while its jobs are done."""
+
+    queue: CandidateQueue
+    said: list[str] = field(default_factory=list)
+
+    def run(self, executor: Pretended) -> list[CandidateResult]:
+        with executor:
+            run_jobs(
+                self.queue.choose, self.queue.add, lambda: self.queue.context, Workplace(executor)
+            )
+        return self.queue.remaining()
+
+
+@pytest.fixture(autouse=True)
+def _without_files(monkeypatch):
+    monkeypatch.setattr(runner, "_take_result", lambda future, job, context: future.result())
+    monkeypatch.setattr(RunContext, "load_model", lambda self, name: name)
+    scores = {"model-20": {"r": 0.1}}
+    monkeypatch.setattr(RunContext, "score", lambda self, model, horizon, fold: scores)
+    monkeypatch.setattr(RunContext, "evaluate_folds", lambda self, fits, horizon: {})
+
+
+def tried(plan: dict | None = None, deadline: Deadline = NEVER) -> Tried:
+    made, said = SelectionPlan.model_validate(plan or PLAN), []
+    context = RunContext(swings(), Scorer(3, "model-20"), Path("nowhere"))
+    queue = CandidateQueue(made, made.candidates, context, said.append, deadline)
+    return Tried(queue, said)
+
+
+def names(executor: Pretended, fold: int | None = None) -> list[str]:
+    """The candidates of the jobs that were done, in order."""
+    return [job.candidate for job in executor.done if fold is None or job.fold == fold]
+
+
+@pytest.mark.parametrize("places", [1, 3])
+def test_each_round_has_more_folds_and_seeds_and_fewer_candidates(places):
+    executor, found = Pretended(places), tried()
+    left = found.run(executor)
+    assert [r.name for r in left] == ["hybrid", "network", "grey"]
+    jobs = {(j.candidate, j.fold, j.seeds) for j in executor.done}
+    assert jobs >= {
+        ("linear", 0, (0,)),
+        *((name, fold, (0,)) for name in ("grey", "network", "hybrid") for fold in range(3)),
+        *((name, fold, (1,)) for name in ("network", "hybrid") for fold in range(3)),
+    }
+    assert len(executor.done) == len(jobs)
+    assert re.match(
+        r"best so far: \w+, off by 0.0\d+ rad \([0-9.]+ % of the motion\)", found.said[0]
+    )
+    assert found.said[0].endswith(" on 2 records, 1 of 3 folds")
+    assert any(line.startswith("best so far: hybrid, off by 0.0105 rad") for line in found.said)
+
+
+def test_what_takes_least_is_next_and_a_loser_goes_no_further():
+    def of(job: Job) -> JobResult:
+        seconds = {"linear": 0.5, "grey": 3.0, "network": 30.0, "hybrid": 20.0}[job.candidate]
+        return scored(job, QUALITY[job.candidate], seconds)
+
+    executor, found = Pretended(of=of), tried()
+    found.run(executor)
+    # all folds of a linear model take less than a first grey box, and so on
+    assert names(executor)[:9] == [*["linear"] * 3, *["grey"] * 3, "network", "hybrid", "hybrid"]
+    # once others are known it is not among the best, and its folds were all that it had
+    assert "linear" not in [r.name for r in found.queue.remaining()]
+
+
+@pytest.mark.parametrize("places", [1, 4])
+def test_a_network_that_corrects_waits_for_the_physics_of_its_fold(places):
+    executor, found = Pretended(places), tried()
+    found.run(executor)
+    done: set[str] = set()
+    for job in executor.done:
+        if job.candidate == "hybrid":
+            physics = f"candidates/grey/fold-{job.fold}-seeds-0"
+            assert job.physics == f"{physics}/0"
+            assert physics in done
+        done.add(job.folder)
+
+
+def test_of_several_that_could_be_corrected_the_best_goes_on_with_it():
+    other = {"name": "better grey", "recipe": "best-grey"}
+    hybrid = {**PLAN["candidates"][3], "corrects": ["grey", "better grey"]}
+    candidates = [*PLAN["candidates"][:2], other, hybrid]
+    executor = Pretended(of=lambda job: scored(job, QUALITY[job.candidate], 5.0))
+    found = tried(
+        {**PLAN, "candidates": candidates, "rounds": [{"folds": 1, "keep": 0.1}, {"folds": 3}]}
+    )
+    found.run(executor)
+    used = [j.physics for j in executor.done if j.candidate == "hybrid"]
+    assert used == [f"candidates/better grey/fold-{f}-seeds-0/0" for f in range(3)]
+
+
+BY_FORCES = {"name": "forces", "recipe": "inverse-dynamics", "when": "fully-actuated"}
+
+
+def with_forces(*begins_with: str) -> dict:
+    """The plan with a candidate by forces, second, with which the grey one begins."""
+    grey = {**PLAN["candidates"][1], "begins_with": begins_with}
+    return {**PLAN, "candidates": [PLAN["candidates"][0], BY_FORCES, grey, *PLAN["candidates"][2:]]}
+
+
+@pytest.mark.parametrize("places", [1, 3])
+def test_a_search_begins_with_what_forces_say_in_its_fold(places, monkeypatch):
+    monkeypatch.setitem(QUALITY, "forces", 0.05)
+    executor, found = Pretended(places), tried(with_forces("forces"))
+    found.run(executor)
+    done: list[tuple[str, int]] = []
+    for job in executor.done:
+        if job.candidate == "grey":
+            assert job.origin == f"candidates/forces/fold-{job.fold}-seeds-0/0"
+            assert ("forces", job.fold) in done
+        else:
+            assert job.origin is None
+        done.append((job.candidate, job.fold))
+
+
+def test_a_search_begins_at_the_values_of_the_system_where_forces_failed(monkeypatch):
+    monkeypatch.setitem(QUALITY, "forces", 0.05)
+    executor = Pretended(
+        of=lambda job: (
+            JobResult(job.candidate, job.fold, 0.1, "failed", why="too short")
+            if job.candidate == "forces"
+            else None
+        )
+    )
+    found = tried(with_forces("forces"))
+    found.run(executor)
+    assert "forces, fold 0: too short" in found.said
+    greys = [job for job in executor.done if job.candidate == "grey"]
+    assert [job.origin for job in greys] == [None] * 3
+
+
+@pytest.mark.parametrize(
+    ("unexplained", "error", "by_pieces"),
+    [(0.05, math.inf, True), (0.05, 1.2, True), (0.05, 0.8, False), (0.5, 1.2, False)],
+)
+def test_equations_that_explain_the_forces_and_leave_the_records_change_the_scores_at_once(
+    unexplained, error, by_pieces
+):
+    horizons = list[float | None]()
+
+    def of(job: Job) -> JobResult:
+        horizons.append(found.queue.context.scoring.horizon)
+        if job.candidate == "forces":
+            return scored(job, error * motion, unexplained={"angle": unexplained})
+        return scored(job, 0.01)
+
+    found = tried(with_forces("forces"))
+    motion = found.queue.context.motion_within_turns
+    found.run(executor := Pretended(of=of))
+    assert names(executor)[:2] == ["linear", "linear"] or "forces" in names(executor)[:3]
+    after = horizons[names(executor).index("forces") + 1]
+    assert (after is not None) == by_pieces
+    # every other search is over these pieces, too
+    recipes = [job.recipe for job in executor.done if job.candidate == "grey"]
+    assert len(found.queue.notes) == by_pieces
+    assert recipes
+
+
+def test_a_kind_goes_on_with_its_simplest_that_is_as_good():
+    quality = {"grey": 0.01, "better grey": 0.01 - 1e-4}
+    other = {"name": "better grey", "recipe": "best-grey"}
+
+    def of(job: Job) -> JobResult:
+        if job.candidate not in quality:
+            return scored(job, QUALITY[job.candidate], 100.0)
+        rmse = {f"r{job.fold}{i}": quality[job.candidate] * (1 + i) ** 2 for i in range(2)}
+        if job.candidate == "grey":
+            rmse = dict(zip(rmse, reversed(rmse.values()), strict=True))
+        models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, 100.0, "done", models)
+
+    found = tried(
+        {
+            **PLAN,
+            "candidates": [*PLAN["candidates"][:2], other],
+            "rounds": [{"folds": 1, "keep": 1.0}, {"folds": 2}],
+        }
+    )
+    found.run(executor := Pretended(of=of))
+    assert set(names(executor, 1)) == {"grey", "linear"}
+
+
+def test_a_second_one_of_a_kind_and_what_is_rarely_the_best_come_later():
+    other = {"name": "another network", "recipe": "best-tustin"}
+    rare = {"name": "rare grey", "recipe": "best-grey", "last": True}
+    candidates = [*PLAN["candidates"][:2], rare, other, *PLAN["candidates"][2:]]
+    quality = QUALITY | {"another network": 0.02, "rare grey": 0.03}
+    seconds = {"linear": 1.0, "grey": 15.0, "rare grey": 15.0}
+    executor = Pretended(
+        of=lambda job: scored(job, quality[job.candidate], seconds.get(job.candidate, 35.0))
+    )
+    found = tried({**PLAN, "candidates": candidates, "rounds": [{"folds": 1}]})
+    found.run(executor)
+    assert names(executor) == [
+        "linear",
+        "grey",
+        "another network",
+        "hybrid",
+        "rare grey",
+        "network",
+    ]
+
+
+def test_what_fails_is_left_and_told_and_the_others_go_on():
+    def of(job: Job) -> JobResult | None:
+        if job.candidate == "grey":
+            return JobResult("grey", job.fold, 1.0, "failed", why="arm.py fails at line 3")
+        return None
+
+    found = tried()
+    left = found.run(Pretended(of=of))
+    assert [r.name for r in left] == ["network", "linear"]
+    assert found.queue.results["grey"].why == "arm.py fails at line 3"
+    assert found.queue.results["hybrid"].why == "nothing to correct: grey"
+    assert "grey, fold 0: arm.py fails at line 3" in found.said
+    assert found.said.count("hybrid: left out, nothing to correct: grey") == 1
+
+
+@pytest.fixture
+def left(monkeypatch) -> list[float]:
+    """The seconds that are left until every deadline."""
+    left = [200.0]
+    monkeypatch.setattr(Deadline, "remaining", property(lambda self: left[0]))
+    return left
+
+
+def spending(left: list[float], seconds: dict[str, float]) -> Callable[[Job], JobResult]:
+    def of(job: Job) -> JobResult:
+        left[0] -= seconds[job.candidate]
+        return scored(job, QUALITY[job.candidate], seconds[job.candidate])
+
+    return of
+
+
+def test_no_job_begins_that_would_take_longer_than_what_is_left(left):
+    seconds = {"linear": 1.0, "grey": 40.0, "network": 60.0, "hybrid": 50.0}
+    found = tried(deadline=Deadline(0.0))
+    result = found.run(executor := Pretended(of=spending(left, seconds)))
+    assert left[0] > 0
+    assert names(executor) == ["linear"] * 3 + ["grey", "network", "hybrid", "grey"]
+    assert result[0].name == "hybrid"
+
+
+def test_a_first_try_leaves_as_much_for_the_others_and_the_last_one_has_all(left):
+    seconds = {"linear": 10.0, "grey": 50.0, "network": 30.0, "hybrid": 20.0}
+    found = tried({**PLAN, "rounds": [{"folds": 1}]}, Deadline(0.0))
+    found.run(executor := Pretended(of=spending(left, seconds)))
+    assert [job.limit for job in executor.done] == pytest.approx([100.0, 95.0, 70.0, 110.0])
+
+
+def test_nothing_is_tried_for_the_first_time_in_the_last_seconds(left):
+    seconds = {"linear": 195.0, "grey": 1.0, "network": 1.0, "hybrid": 1.0}
+    found = tried(deadline=Deadline(0.0))
+    scored_ones = found.run(executor := Pretended(of=spending(left, seconds)))
+    assert [r.name for r in scored_ones] == ["linear"]
+    assert len(executor.done) == 1
+    assert "network: left out, no time was left for it" in found.said
+
+
+def test_without_a_limit_of_time_jobs_have_none():
+    found = tried()
+    found.run(executor := Pretended())
+    assert all(math.isinf(job.limit) for job in executor.done)
+
+
+@pytest.mark.parametrize(("share", "by_pieces"), [(0.2, False), (0.4, True), (math.inf, True)])
+def test_whole_records_of_which_nobody_follows_enough_decide_nothing(share, by_pieces):
+    found = tried({**PLAN, "rounds": [{"folds": 1}]})
+    motion = found.queue.context.motion_within_turns
+    found.run(Pretended(of=lambda job: scored(job, share * motion)))
+    horizon = found.queue.context.scoring.horizon
+    assert (horizon is not None) == by_pieces
+    if by_pieces:  # what was solved and identified is scored again, before networks are tried
+        again = [r.name for r in found.queue.remaining() if r.rmse() == {"r": 0.1}]
+        assert sorted(again) == ["grey", "linear"]
+        assert f"judged over pieces of {horizon:.3g} s instead" in found.queue.notes[0]
+
+
+def test_trainings_that_their_limit_stopped_go_on_in_the_time_that_is_left(left):
+    def of(job: Job) -> JobResult | None:
+        left[0] -= 1.0
+        if job.candidate != "network" or job.continues:
+            return None
+        models = (FitScore(0, "out of time", "m", None, {"model-20": {f"r{job.fold}0": 0.001}}),)
+        return JobResult("network", job.fold, 1.0, "out of time", models, "spent")
+
+    found = tried(deadline=Deadline(0.0))
+    executor = Pretended(of=of)
+    results = {r.name: r for r in found.run(executor)}
+    assert "network, fold 0: spent" in found.said
+    again = [(job.candidate, job.fold) for job in executor.done if job.continues]
+    assert {("network", fold) for fold in range(3)} <= set(again)
+    assert {m.outcome for m in results["network"].fits} == {"finished"}
+
+
+def test_the_order_is_soon_known_with_many_candidates():
+    many = [{"name": f"network {i}", "recipe": "best-tustin"} for i in range(20)]
+    found = tried({**PLAN, "candidates": many})
+    began = time.monotonic()
+    found.run(executor := Pretended(of=lambda job: scored(job, 0.1 + len(job.candidate) / 100)))
+    assert (time.monotonic() - began) / len(executor.done) < 0.1
+
+
+def test_whole_records_are_judged_again_once_a_candidate_follows_them(monkeypatch):
+    horizons = dict[str, float | None]()
+
+    def of(job: Job) -> JobResult:
+        horizons[job.candidate] = found.queue.context.scoring.horizon
+        return scored(job, 0.9 * motion if job.candidate in ("linear", "grey") else 0.01)
+
+    found = tried({**PLAN, "rounds": [{"folds": 1}]})
+    motion = found.queue.context.motion_within_turns
+    followed = {"r": SimpleNamespace(rmse=0.01)}
+    monkeypatch.setattr(RunContext, "evaluate_folds", lambda self, fits, horizon: followed)
+    found.run(Pretended(of=of))
+    assert [horizons[name] is None for name in ("linear", "network", "hybrid")] == [
+        True,
+        False,
+        True,
+    ]
+    assert found.queue.context.scoring.horizon is None
+    assert not found.queue.notes
+    assert "free runs of whole records are followed after all: judged by these" in found.said
