@@ -1,8 +1,8 @@
 """The queue of a selection: which job is next, and what is known of the candidates by then.
 
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
-more folds and with more seeds. Of all that could change the ranking next is what takes least: the
-first round of what was never tried, and the following round of those that are among the best.
+more folds and with more seeds. Of all that could change the ranking next is what takes least: a
+first fit of what was never tried, or a further one of those that are among the best.
 """
 
 import math
@@ -33,8 +33,9 @@ class QueueOptions:
             as much is left for all of those.
         least: seconds without which nothing is tried: a network is compiled before it learns; and
             the share of a short time that is enough.
-        rarely: factor of the time of what is rarely the best: a second one of a kind, and what the
-            plan calls `last`.
+        rarely: factor of the time of what rarely changes the ranking: for every round that a
+            candidate has behind it; twice for a first try of a second one of a kind, and of what
+            the plan calls `last`.
         again: times what a fit took before it was stopped, that have to be left for it to go on: it
             compiles, or begins, anew.
         fewest: kinds of candidates that go on to the next round, where there are as many.
@@ -107,7 +108,7 @@ class CandidateQueue:
         """The job that is next, complete; none where nothing can begin at present."""
         rounds = self._climb()
         steps = [(c, jobs) for c in self._candidates if (jobs := self._next_round(c, rounds))]
-        steps.sort(key=lambda step: self._weight(*step))
+        steps.sort(key=lambda step: self._weight(step[0], step[1][0]))
         # before time goes into trainings, what decides over them says something
         if (not steps or steps[0][0].content.family.has_seeds) and self._is_lost():
             if self._running:
@@ -169,7 +170,9 @@ class CandidateQueue:
         """
         rounds = [[c.name for c in self._candidates]]
         for stage in self.plan.rounds[:-1]:
-            kinds = self._best_of_kinds(rank([self.results[name] for name in rounds[-1]]))
+            # on the folds that all of them have
+            results = [self.results[name].on_folds(stage.folds) for name in rounds[-1]]
+            kinds = self._best_of_kinds(rank(results))
             count = max(self._options.fewest, math.ceil(stage.keep * len(kinds)))
             kept = {result.name for result in kinds[:count]}
             for c in reversed(self._candidates):
@@ -204,16 +207,18 @@ class CandidateQueue:
 
     # --- what it costs ---
 
-    def _weight(self, candidate: Candidate, jobs: Sequence[Job]) -> float:
-        """Expected seconds of a candidate's round, more where it is rarely worth them."""
-        weight = sum(self._expected(job) for job in jobs)
+    def _weight(self, candidate: Candidate, job: Job) -> float:
+        """Expected seconds of a candidate's next job, more where it rarely changes the ranking."""
+        tried = [c.content.family for c in self._candidates if c.name in self._seconds]
+        power = self._rounds_behind(candidate)
         if candidate.name not in {*self._seconds, *self._promising}:
-            family = candidate.content.family
-            is_second = any(
-                c.content.family is family and c.name in self._seconds for c in self._candidates
-            )
-            weight *= self._options.rarely ** (is_second + candidate.last)
-        return weight
+            power = 2 * (candidate.last or candidate.content.family in tried)
+        return self._expected(job) * self._options.rarely**power
+
+    def _rounds_behind(self, candidate: Candidate) -> int:
+        """How many rounds a candidate has behind it."""
+        numbers = range(len(self.plan.rounds))
+        return next((n for n in numbers if self._missing(candidate, n)), len(numbers))
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
@@ -356,7 +361,11 @@ class CandidateQueue:
         """
         ranking = rank([*self.results.values()])
         is_whole = self.context.scoring.horizon is None
-        return is_whole and bool(ranking) and not self._follows(ranking[0].rmse().values())
+        return (
+            is_whole
+            and bool(ranking)
+            and not any(self._follows(result.rmse().values()) for result in ranking)
+        )
 
     def judge_by_pieces_if_lost(self) -> None:
         """Scores over pieces of records where no candidate follows whole ones."""

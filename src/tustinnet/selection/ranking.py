@@ -1,7 +1,7 @@
 """Results of candidates, and how they compare."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +62,11 @@ class CandidateResult:
     def fits(self) -> tuple[FitScore, ...]:
         """The fits of all folds."""
         return tuple(fit for fold in sorted(self.fits_by_fold) for fit in self.fits_by_fold[fold])
+
+    def on_folds(self, count: int) -> "CandidateResult":
+        """The result on the first folds alone."""
+        fits_by_fold = {fold: fits for fold, fits in self.fits_by_fold.items() if fold < count}
+        return replace(self, fits_by_fold=fits_by_fold)
 
     @property
     def starts(self) -> tuple[str, ...]:
