@@ -35,6 +35,7 @@ from tustinnet.store.run_folder import MODEL
 from tustinnet.wording import percent
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
+_VAGUE = 10.0  # times the typical error, the end of a range that says nothing
 _POOR = 0.2  # of that of the reference, an error with which a model is of little use
 
 
@@ -197,9 +198,13 @@ class Choice:
         rmse, claim, unit = self.result(self.best).rmse(), self.claim, self.unit
         sentences = list[str]()
         if claim is not None:
-            sentences.append(
-                f"a new record of these kinds: typically {claim.typical:.2g} {unit}, "
+            interval = (
                 f"{claim.low:.2g} to {claim.high:.2g} {unit} in {10 * claim.level:.0f} of 10 cases"
+            )
+            if claim.high > _VAGUE * claim.typical:
+                interval = "and so few records do not tell how far off it may be"
+            sentences.append(
+                f"a new record of these kinds: typically {claim.typical:.2g} {unit}, {interval}"
             )
             mean, _ = mean_and_error(rmse.values())
             if mean > _UNEVEN * claim.typical:
@@ -256,8 +261,10 @@ class Choice:
         if mean < 0:
             return f"{name} is better by {-mean:.2g} {on}, not clearly, and was scored on no others"
         level = LEVEL * mean_and_error(best.rmse().values())[0]
-        clearly = mean > max(CLEAR * error, level) and count >= FEW
-        word = "clearly" if clearly else "not clearly"
+        is_large = mean > max(CLEAR * error, level)
+        if is_large and count < FEW:
+            on += ", too few records to be sure"
+        word = "clearly" if is_large and count >= FEW else "not clearly"
         return f"{word} better than the next, {name}: by {mean:.2g} {on}"
 
     def header(self, name: str, final: FinalModel) -> dict[str, Any]:

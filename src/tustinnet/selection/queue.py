@@ -14,6 +14,7 @@ import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.deadline import NEVER, Deadline
+from tustinnet.fitting.recipe import Recipe
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
@@ -97,6 +98,7 @@ class CandidateQueue:
         self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
         self._promising = promising
         self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
+        self._seconds_of_kind: dict[tuple[str, float], float] = {}
         self._running = list[Job]()
         self._jobs: dict[tuple[str, str], Job] = {}  # all that began, by candidate and name
         self._stopped: dict[tuple[str, str], float] = {}  # seconds of jobs that may go on
@@ -106,9 +108,7 @@ class CandidateQueue:
 
     def choose(self) -> list[Job]:
         """The job that is next, complete; none where nothing can begin at present."""
-        rounds = self._climb()
-        steps = [(c, jobs) for c in self._candidates if (jobs := self._next_round(c, rounds))]
-        steps.sort(key=lambda step: self._weight(step[0], step[1][0]))
+        steps = self._list_steps()
         # before time goes into trainings, what decides over them says something
         if (not steps or steps[0][0].content.family.has_seeds) and self._is_lost():
             if self._running:
@@ -126,6 +126,17 @@ class CandidateQueue:
             earlier |= {(job.candidate, job.fold) for job in jobs}
         return self._continue_stopped()
 
+    def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
+        """The candidates that go on with the jobs of their next rounds, by what these take."""
+        steps, rounds = [], self._climb()
+        for c in self._candidates:
+            for number, names in enumerate(rounds):
+                if jobs := self._missing(c, number):
+                    if c.name in names:
+                        steps.append((self._weight(c, jobs[0], number), c, jobs))
+                    break
+        return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
+
     def remaining(self) -> list[CandidateResult]:
         """The candidates that remain in the last round, the best first."""
         return rank([self.results[name] for name in self._climb()[-1]])
@@ -137,16 +148,6 @@ class CandidateQueue:
         """
         is_fitted = not self.plan.candidate(name).content.family.averages_folds
         return self._seconds.get(name, 0.0) if is_fitted else 0.0
-
-    def _next_round(self, candidate: Candidate, rounds: Sequence[Collection[str]]) -> list[Job]:
-        """The missing jobs of a candidate in its first round that is not complete.
-
-        None where it does not go on to that round.
-        """
-        for number, names in enumerate(rounds):
-            if jobs := self._missing(candidate, number):
-                return jobs if candidate.name in names else []
-        return []
 
     def _missing(self, candidate: Candidate, number: int) -> list[Job]:
         """The jobs of a candidate that a round has and that never began, fold after fold."""
@@ -207,18 +208,13 @@ class CandidateQueue:
 
     # --- what it costs ---
 
-    def _weight(self, candidate: Candidate, job: Job) -> float:
+    def _weight(self, candidate: Candidate, job: Job, rounds_behind: int) -> float:
         """Expected seconds of a candidate's next job, more where it rarely changes the ranking."""
-        tried = [c.content.family for c in self._candidates if c.name in self._seconds]
-        power = self._rounds_behind(candidate)
+        power = rounds_behind
         if candidate.name not in {*self._seconds, *self._promising}:
+            tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
         return self._expected(job) * self._options.rarely**power
-
-    def _rounds_behind(self, candidate: Candidate) -> int:
-        """How many rounds a candidate has behind it."""
-        numbers = range(len(self.plan.rounds))
-        return next((n for n in numbers if self._missing(candidate, n)), len(numbers))
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
@@ -227,17 +223,8 @@ class CandidateQueue:
         """
         if self._is_on_disk(job):
             return 0.0
-        seconds = self._seconds.get(job.candidate)
-        if seconds is None:
-            alike = [
-                self._seconds[c.name]
-                for c in self._candidates
-                if c.name in self._seconds
-                and c.content.family is job.recipe.family
-                and c.content.usual_seconds == job.recipe.usual_seconds
-            ]
-            seconds = fmean(alike) if alike else job.recipe.usual_seconds
-        return seconds * len(job.seeds)
+        of_kind = self._seconds_of_kind.get(_kind(job.recipe), job.recipe.usual_seconds)
+        return self._seconds.get(job.candidate, of_kind) * len(job.seeds)
 
     def _is_on_disk(self, job: Job) -> bool:
         """Whether a run that is resumed has the scores of a job."""
@@ -307,13 +294,13 @@ class CandidateQueue:
     def _continue_stopped(self) -> list[Job]:
         """Goes on with a job of the best candidates that its limit stopped, where time is left."""
         remaining = self._deadline.remaining
-        if math.isinf(remaining) or self._running:
-            return []
-        names = [result.name for result in self.remaining()]
-        for key in sorted(self._stopped, key=lambda key: (key[0] not in names, key)):
-            if key[0] in names and remaining > self._options.again * self._stopped[key]:
-                del self._stopped[key]
-                return [self._start(replace(self._jobs[key], continues=True, limit=remaining))]
+        if not math.isinf(remaining) and not self._running:
+            for result in self.remaining():
+                for key, seconds in self._stopped.items():
+                    if key[0] == result.name and remaining > self._options.again * seconds:
+                        del self._stopped[key]
+                        job = replace(self._jobs[key], continues=True, limit=remaining)
+                        return [self._start(job)]
         return []
 
     # --- what came of it ---
@@ -326,6 +313,7 @@ class CandidateQueue:
         self.results[name] = self.results[name].with_job(result)
         if result.ended != "failed":
             self._seconds[name] = result.seconds / len(job.seeds)
+            self._seconds_of_kind[_kind(job.recipe)] = self._seconds[name]
         if result.ended == "out of time":
             self._stopped[name, job.name] = result.seconds
         if result.ended != "done" and not result.earlier:  # what was said when it was done
@@ -447,3 +435,8 @@ class CandidateQueue:
             f"on {counted(len(rmse), 'record')}, "
             f"{len(best.fits_by_fold)} of {counted(folds, 'fold')}"
         )
+
+
+def _kind(recipe: Recipe) -> tuple[str, float]:
+    """A key that recipes share whose fits take about as long."""
+    return recipe.family.kind, recipe.usual_seconds
