@@ -665,7 +665,7 @@ def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has
     text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
     options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
     choice = select_model(swings(), tmp_path / "run", options)
-    assert any("trainings were stopped by the budget" in line for line in choice.sentences)
+    assert any("stopped by the budget: " in line for line in choice.sentences)
 
 
 def test_one_record_is_cut_and_told(tmp_path):

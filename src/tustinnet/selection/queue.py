@@ -264,7 +264,7 @@ class CandidateQueue:
             if not any(other.candidate in names and other.fold == job.fold for other in coming):
                 self._leave_out(job, "nothing to correct: " + ", ".join(names))
             return None
-        limit = self._limit(job, others_wait=len(steps) > 1)
+        limit = self._limit(job, others_wait=sum(len(jobs) for _, jobs in steps) > 1)
         if limit is None:
             self._leave_out(job, NO_TIME)
             return None
