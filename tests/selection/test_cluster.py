@@ -50,7 +50,7 @@ def worker_of(driver: int) -> int | None:
     """The process that does a job of this one, as Ray names it."""
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            if not (place / "cmdline").read_bytes().startswith(b"ray::work"):
+            if not (place / "cmdline").read_bytes().startswith(b"ray::_call"):
                 continue
             parent = int(place.name)
             while parent > 1:

@@ -301,11 +301,12 @@ def spending(left: list[float], seconds: dict[str, float]) -> Callable[[Job], Jo
 
 
 def test_no_job_begins_that_would_take_longer_than_what_is_left(left):
-    seconds = {"linear": 1.0, "grey": 40.0, "network": 60.0, "hybrid": 50.0}
+    seconds = {"linear": 1.0, "grey": 40.0, "network": 50.0, "hybrid": 5.0}
     found = tried(deadline=Deadline(0.0))
     result = found.run(executor := Pretended(of=spending(left, seconds)))
-    assert left[0] > 0
-    assert names(executor) == ["linear"] * 3 + ["grey", "network", "hybrid", "grey"]
+    assert 0 < left[0] < 50
+    assert names(executor)[:5] == ["linear"] * 3 + ["grey"] * 2  # slow for one is slow for all
+    assert names(executor).count("network") == 1
     assert result[0].name == "hybrid"
 
 
@@ -389,3 +390,17 @@ def test_whole_records_are_judged_again_once_a_candidate_follows_them(monkeypatc
     assert found.queue.context.scoring.horizon is None
     assert not found.queue.notes
     assert "free runs of whole records are followed after all: judged by these" in found.said
+
+
+def test_what_is_lost_on_other_records_is_not_chosen_for_having_more_of_them(left):
+    def of(job: Job) -> JobResult:
+        seconds = 1.0 if job.candidate == "linear" else 150.0
+        left[0] -= seconds
+        error = 50.0 if job.fold else 0.011 if job.candidate == "linear" else 0.01
+        return scored(job, error, seconds)
+
+    found = tried(deadline=Deadline(0.0))
+    remaining = found.run(executor := Pretended(of=of))
+    assert names(executor)[:4] == ["linear", "linear", "linear", "grey"]
+    assert "linear" not in [r.name for r in remaining]
+    assert any(line.startswith("best so far: grey, off by 0.0105 rad") for line in found.said)

@@ -138,8 +138,14 @@ class CandidateQueue:
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
 
     def remaining(self) -> list[CandidateResult]:
-        """The candidates that remain in the last round, the best first."""
-        return rank([self.results[name] for name in self._climb()[-1]])
+        """The candidates that remain in the last round, the best first; none that is lost.
+
+        Lost is what is further off than the records move. Where all are, all remain.
+        """
+        ranking = rank([self.results[name] for name in self._climb()[-1]])
+        motion = self.context.motion_within_turns
+        kept = [r for r in ranking if mean_and_error(r.rmse().values())[0] <= motion]
+        return kept or ranking
 
     def seconds_for_final(self, name: str) -> float:
         """Expected time of fitting a candidate once more, to all records; 0 where that is not done.
@@ -219,12 +225,15 @@ class CandidateQueue:
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
 
-        Nothing where it is done already.
+        More than usual on a machine that is slow or busy; nothing where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
-        of_kind = self._seconds_of_kind.get(_kind(job.recipe), job.recipe.usual_seconds)
-        return self._seconds.get(job.candidate, of_kind) * len(job.seeds)
+        known = self._seconds_of_kind
+        slowness = sum(known.values()) / sum(usual for _, usual in known) if known else 1.0
+        usual = job.recipe.usual_seconds * max(slowness, 1.0)
+        seconds = self._seconds.get(job.candidate, known.get(_kind(job.recipe), usual))
+        return seconds * len(job.seeds)
 
     def _is_on_disk(self, job: Job) -> bool:
         """Whether a run that is resumed has the scores of a job."""
@@ -419,7 +428,7 @@ class CandidateQueue:
 
     def _report_best(self) -> None:
         """Reports what is best by now and how good, where that is news."""
-        ranking = rank([*self.results.values()])
+        ranking = self.remaining()
         if not ranking:
             return
         best, folds = ranking[0], self.context.scoring.folds
