@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from tustinnet.cores import OtherPrograms
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
@@ -52,6 +53,7 @@ from tustinnet.store.specification import (
     write_specification,
 )
 from tustinnet.systems.files import AnySystem
+from tustinnet.wording import percent
 
 _ENDING = 0.07  # share of the budget for committees, the last fit and bands
 _LONGEST_ENDING = 60.0  # s
@@ -60,6 +62,7 @@ _FILES = 0.03  # share of the budget for figures and the report, which come afte
 _LONGEST_FILES = 20.0  # s
 _FEWEST_FILES = 5.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
+_BUSY = 0.3  # of the processors, what others may use without being mentioned
 INTERRUPTED = "interrupted: the best so far was taken; `resume=` goes on"
 
 
@@ -132,7 +135,7 @@ def select_model(
     require_float64("select_model")
     options, reporter = options or SelectionOptions(), reporter or Reporter()
     started = time.monotonic() if options.since is None else options.since
-    stopwatch = Stopwatch(started)
+    stopwatch, others = Stopwatch(started), OtherPrograms()
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
     rounds_end = models_end = NEVER  # when time is up for the rounds, and for all before figures
     ending = 0.0
@@ -214,6 +217,13 @@ def select_model(
             is_interrupted = True
             choice = _choose(queue, reporter, OVER, prepared.left_out, stopwatch)
         notes = (*notes, *queue.notes, *([INTERRUPTED] if is_interrupted else []))
+        if budget is not None and (share := others.share) > _BUSY:
+            busy = (
+                f"other programs used {percent(share)} % of the processors: `budget=` "
+                f"{budget / (1 - share):.0f}s does here what {budget:.0f} s do without them"
+            )
+            reporter.on_message(busy)
+            notes = (*notes, busy)
         choice = replace(
             choice,
             notes=notes,
