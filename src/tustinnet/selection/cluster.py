@@ -99,7 +99,16 @@ class _Machines(Executor):
         if shared is not self._sent[0]:
             self._sent = shared, self._ray.put(self._ray.cloudpickle.dumps(shared))
         reference = self._call.remote(versions(), fn, self._sent[1], *others, **named)
-        return reference.future()
+        result: Future[Any] = Future()
+
+        def take(done: Future[Any]) -> None:
+            if (error := done.exception()) is None:
+                result.set_result(done.result())
+            else:  # of the call itself, or of its worker
+                result.set_exception(getattr(error, "cause", None) or error)
+
+        reference.future().add_done_callback(take)
+        return result
 
 
 def _call(

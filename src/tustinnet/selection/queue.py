@@ -109,8 +109,7 @@ class CandidateQueue:
     def choose(self) -> list[Job]:
         """The job that is next, complete; none where nothing can begin at present."""
         steps = self._list_steps()
-        # before time goes into trainings, what decides over them says something
-        if (not steps or steps[0][0].content.family.has_seeds) and self._is_lost():
+        if (not steps or self._is_costly(steps[0][0])) and self._is_lost():
             if self._running:
                 return []
             self.judge_by_pieces_if_lost()
@@ -125,6 +124,14 @@ class CandidateQueue:
                     return [begun]
             earlier |= {(job.candidate, job.fold) for job in jobs}
         return self._continue_stopped()
+
+    def _is_costly(self, candidate: Candidate) -> bool:
+        """Whether a candidate costs so much that scores have to say something of it.
+
+        That is: trainings, and identifications on further folds.
+        """
+        family = candidate.content.family
+        return family.has_seeds or ("system" in family.needs and candidate.name in self._seconds)
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
@@ -225,15 +232,12 @@ class CandidateQueue:
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
 
-        More than usual on a machine that is slow or busy; nothing where it is done already.
+        Nothing where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
-        known = self._seconds_of_kind
-        slowness = sum(known.values()) / sum(usual for _, usual in known) if known else 1.0
-        usual = job.recipe.usual_seconds * max(slowness, 1.0)
-        seconds = self._seconds.get(job.candidate, known.get(_kind(job.recipe), usual))
-        return seconds * len(job.seeds)
+        of_kind = self._seconds_of_kind.get(_kind(job.recipe), job.recipe.usual_seconds)
+        return self._seconds.get(job.candidate, of_kind) * len(job.seeds)
 
     def _is_on_disk(self, job: Job) -> bool:
         """Whether a run that is resumed has the scores of a job."""
