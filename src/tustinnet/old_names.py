@@ -33,6 +33,7 @@ FAMILY_METHODS = {
 FORCES = {"rubbing": "coulomb_by_position"}
 # keys of recipes
 KEYS = {
+    "stages": "nothing is trained: leave it out (a linear model is found by least squares)",
     "penalty": "train fewer epochs, or a smaller correction",
     "rates": "train each by itself with stages.*.rate, or use tn.fit_many(rates=...)",
     "times": "to ignore timestamps, give `dt` and no [time] in the data card",

@@ -125,5 +125,7 @@ def test_what_diverges_is_left_and_stages_are_not_trained():
     found, is_complete = search.run(unstable, lambda: False)
     assert is_complete
     np.testing.assert_array_equal(found, unstable)
-    with pytest.raises(tn.InputError, match=r"stages: unknown key"):
+    with pytest.raises(
+        tn.InputError, match=r"stages: unknown key; nothing is trained: leave it out"
+    ):
         tn.read_recipe("linear", ["stages.0.epochs=3"])
