@@ -1,5 +1,7 @@
 """Messages are one short line that steers no terminal; names can be file names."""
 
+import pickle
+
 import pytest
 
 import tustinnet as tn
@@ -103,3 +105,9 @@ def test_kinds_and_holds_that_are_none_are_refused():
         tn.Coordinate("a", "round")  # pyright: ignore[reportArgumentType]
     with pytest.raises(tn.InputError, match="hold 'none'"):
         tn.Input("a", "V", "none")  # pyright: ignore[reportArgumentType]
+
+
+def test_an_error_that_a_worker_sends_has_its_message():
+    error = pickle.loads(pickle.dumps(tn.InputError("a", "b", "c", "d")))
+    assert isinstance(error, tn.InputError)
+    assert str(error) == "a: b; expected c; d"

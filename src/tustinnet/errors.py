@@ -4,6 +4,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 _LONGEST_PART = 400  # characters of place, problem, expected, remedy; lists of keys need some
 _LONGEST_FOREIGN = 150  # characters of a foreign library's message
@@ -26,6 +27,17 @@ class InputError(ValueError):
         if remedy:
             parts.append(remedy)
         super().__init__("; ".join(to_printable(part, _LONGEST_PART) for part in parts))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as its message, as a worker sends it."""
+        return _restore, (type(self), str(self))
+
+
+def _restore(kind: type[InputError], message: str) -> InputError:
+    """The error of a message."""
+    error = kind.__new__(kind)
+    error.args = (message,)
+    return error
 
 
 def to_printable(text: str, longest: int) -> str:
