@@ -8,7 +8,6 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from small_selection import swings
@@ -84,7 +83,6 @@ def _without_files(monkeypatch):
     monkeypatch.setattr(RunContext, "load_model", lambda self, name: name)
     scores = {"model-20": {"r": 0.1}}
     monkeypatch.setattr(RunContext, "score", lambda self, model, horizon, fold: scores)
-    monkeypatch.setattr(RunContext, "evaluate_folds", lambda self, fits, horizon: {})
 
 
 def tried(plan: dict | None = None, deadline: Deadline = NEVER) -> Tried:
@@ -368,28 +366,6 @@ def test_the_order_is_soon_known_with_many_candidates():
     began = time.monotonic()
     found.run(executor := Pretended(of=lambda job: scored(job, 0.1 + len(job.candidate) / 100)))
     assert (time.monotonic() - began) / len(executor.done) < 0.1
-
-
-def test_whole_records_are_judged_again_once_a_candidate_follows_them(monkeypatch):
-    horizons = dict[str, float | None]()
-
-    def of(job: Job) -> JobResult:
-        horizons[job.candidate] = found.queue.context.scoring.horizon
-        return scored(job, 0.9 * motion if job.candidate in ("linear", "grey") else 0.01)
-
-    found = tried({**PLAN, "rounds": [{"folds": 1}]})
-    motion = found.queue.context.motion_within_turns
-    followed = {"r": SimpleNamespace(rmse=0.01)}
-    monkeypatch.setattr(RunContext, "evaluate_folds", lambda self, fits, horizon: followed)
-    found.run(Pretended(of=of))
-    assert [horizons[name] is None for name in ("linear", "network", "hybrid")] == [
-        True,
-        False,
-        True,
-    ]
-    assert found.queue.context.scoring.horizon is None
-    assert not found.queue.notes
-    assert "free runs of whole records are followed after all: judged by these" in found.said
 
 
 def test_what_is_lost_on_other_records_is_not_chosen_for_having_more_of_them(left):

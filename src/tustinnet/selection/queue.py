@@ -332,11 +332,7 @@ class CandidateQueue:
         if result.ended != "done" and not result.earlier:  # what was said when it was done
             self._on_message(f"{job.label}: {result.why}")
         if any(self._explains_forces_and_is_lost(fit) for fit in result.scores):
-            self._judge_over(self._length_of_pieces())
-        elif self._by_pieces and result.scores:
-            whole = self.context.evaluate_folds({result.fold: result.scores}, None)
-            if self._follows(score.rmse for score in whole.values()):
-                self._judge_over(None)
+            self._judge_by_pieces()
         self._report_best()
 
     def _follows(self, errors: Iterable[float]) -> bool:
@@ -371,39 +367,27 @@ class CandidateQueue:
     def judge_by_pieces_if_lost(self) -> None:
         """Scores over pieces of records where no candidate follows whole ones."""
         if self._is_lost():
-            self._judge_over(self._length_of_pieces())
+            self._judge_by_pieces()
 
-    def _length_of_pieces(self) -> float:
-        """The shortest horizon that a fit chose, or a part of a record [s]."""
-        context, dt = self.context, self.context.data.channels.dt
-        chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
-        usual = self._options.horizon * float(np.median([len(e) for e in context.data])) * dt
-        shortest = self._options.starts * start_named(context.scoring.start).samples * dt
-        return max(min(chosen, default=usual), shortest)
-
-    @property
-    def _by_pieces(self) -> bool:
-        """Whether pieces are judged because nobody followed whole records."""
-        return bool(self.notes)
-
-    def _judge_over(self, horizon: float | None) -> None:
-        """Scores again over pieces of records, or over whole ones.
+    def _judge_by_pieces(self) -> None:
+        """Scores again, over the shortest horizon that a fit chose, or a part of a record.
 
         Searches that begin at the values of others are over these pieces, too: fitted again.
         """
-        before, self.notes = self.context, []
+        before, dt = self.context, self.context.data.channels.dt
+        chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
+        usual = self._options.horizon * float(np.median([len(e) for e in before.data])) * dt
+        shortest = self._options.starts * start_named(before.scoring.start).samples * dt
+        horizon = max(min(chosen, default=usual), shortest)
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
         remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
         remedy += "records be judged in its loop"
-        if horizon is None:
-            self._on_message("free runs of whole records are followed after all: judged by these")
-        else:
-            self.notes = [
-                "free runs of whole records are further off than 0.3 of the motion: judged over "
-                f"pieces of {horizon:.3g} s instead, each from a start of its own (`horizon` in a "
-                f"plan){remedy * may_be_controlled}"
-            ]
-            self._on_message(self.notes[0])
+        self.notes.append(
+            "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
+            f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
+            f"{remedy * may_be_controlled}"
+        )
+        self._on_message(self.notes[-1])
         self.context = before.with_changes(scoring=replace(before.scoring, horizon=horizon))
         changed = set[str]()
         for c in self._candidates:
