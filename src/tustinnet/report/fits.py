@@ -28,9 +28,10 @@ def members_table(run: Run) -> Table:
             [
                 result.member.name.removeprefix("seed-"),
                 *cells,
-                " + ".join(map(str, result.detail("windows"))),
-                " + ".join(map(str, result.detail("epochs"))),
-                str(result.detail("kept_epoch")),
+                # least squares have none of these
+                " + ".join(map(str, result.detail("windows") or ())),
+                " + ".join(map(str, result.detail("epochs") or ())),
+                str(result.detail("kept_epoch") or ""),
                 f"{result.seconds:.0f}",
                 result.outcome.split(":")[0],
             ]
