@@ -31,7 +31,7 @@ def members_table(run: Run) -> Table:
                 # least squares have none of these
                 " + ".join(map(str, result.detail("windows") or ())),
                 " + ".join(map(str, result.detail("epochs") or ())),
-                str(result.detail("kept_epoch") or ""),
+                "" if (kept := result.detail("kept_epoch")) is None else str(kept),
                 f"{result.seconds:.0f}",
                 result.outcome.split(":")[0],
             ]
