@@ -118,9 +118,8 @@ class _Errors(NamedTuple):
 def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification | None:
     """Identifies the parameters of a problem by the forces along the records' motion.
 
-    Every joint is weighed by what it leaves at the end, moving and at rest apart. The file's
-    inertia of a link counts as ten measurements, the prior of any other parameter as one, so
-    directions that the records know nothing of stay there. Of a closed loop the system alone is
+    Every joint is weighed by what it leaves at the end, moving and at rest apart. Priors keep directions that the records
+    know nothing of near the nominal values. Of a closed loop the system alone is
     identified, by what its controller computed as recorded.
 
     Args:

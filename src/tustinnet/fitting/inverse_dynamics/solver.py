@@ -23,7 +23,6 @@ _STEPS = 50  # of Newton's method for each set of weights, at most
 _CONVERGED = 1e-6  # decrease of the cost, in squares of standard deviations
 _HALVINGS = 30
 _PASSES = 30  # of the search for the parameters that are at a bound
-_MEASUREMENTS = 10.0  # that the file's inertia of a link counts as
 _REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
 _LEAST = 1e-9  # of a force, below which nothing is told apart
 
@@ -32,8 +31,8 @@ class Prior:
     """Priors in the coordinates of a search, about the nominal values.
 
     A link whose ten inertial parameters are free is kept near the file's by the log-det divergence
-    of its pseudo-inertia, so it stays one that can be built. Any other parameter has its own
-    standard deviation; without one half of its range.
+    of its pseudo-inertia, so it stays one that can be built; how near says the standard deviation
+    of its mass. Any other parameter has its own; without one half of its range.
 
     Args:
         space: the search space.
@@ -42,10 +41,15 @@ class Prior:
     def __init__(self, space: SearchSpace) -> None:
         self.space, free = space, space.free_parameters
         self.centre = space.to_vector(space.nominal)
-        priors = np.array([p.prior or np.inf for p in free]) / space.derivatives(self.centre)
+        derivatives = space.derivatives(self.centre)
+        priors = np.array([p.prior or np.inf for p in free]) / derivatives
         self.precision = 1 / np.minimum(priors, (space.upper - space.lower) / 2) ** 2
         # what is carried in groups of records is not what the file says
         self.bodies = [c for group, c in bodies_of(space.names) if not group]
+        # of a link that is s times as heavy, and else the same, the divergence is 2 (s - 1)^2
+        masses = [columns[0] for columns in self.bodies]
+        relative = np.array([free[i].nominal for i in masses]) / derivatives[masses]
+        self._weights = self.precision[masses] * relative**2 / 4
         for columns in self.bodies:
             self.precision[columns] = 0.0
         nominal = LinearCoordinates(space, space.to_values(self.centre)).values
@@ -68,15 +72,17 @@ class Prior:
             return cost, gradient, matrix
         point = point or LinearCoordinates(self.space, self.space.to_values(vector))
         by_vector = point.derivatives * self.space.derivatives(vector)
-        for columns, nominal in zip(self.bodies, self._nominal, strict=True):
+        for columns, nominal, weight in zip(
+            self.bodies, self._nominal, self._weights, strict=True
+        ):
             inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
             ratio = nominal @ _pseudo_inertia(point.values[columns])
-            cost += _MEASUREMENTS * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
+            cost += weight * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
             own, turned = by_vector[np.ix_(columns, columns)], inverse @ _BASIS
             slope = np.einsum("ab,kba->k", nominal - inverse, _BASIS)
-            gradient[columns] += _MEASUREMENTS * own.T @ slope
+            gradient[columns] += weight * own.T @ slope
             curvature = np.einsum("kab,lba->kl", turned, turned)
-            matrix[np.ix_(columns, columns)] += _MEASUREMENTS * own.T @ curvature @ own
+            matrix[np.ix_(columns, columns)] += weight * own.T @ curvature @ own
         return cost, gradient, matrix
 
 
