@@ -25,8 +25,8 @@ from .families.tustin_net import TustinNet as TustinNet
 from .fits.fit import fit as fit
 from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
+from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
 from .fitting.inverse_dynamics.record_forces import RecordForces as RecordForces
-from .fitting.inverse_dynamics.record_forces import inverse_dynamics as inverse_dynamics
 from .fitting.recipe import Recipe as Recipe
 from .fitting.recipe_reading import read_recipe as read_recipe
 from .fitting.report import Estimate as Estimate

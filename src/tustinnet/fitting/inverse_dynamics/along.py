@@ -88,6 +88,11 @@ class FilteredRecord(NamedTuple):
         """The samples that are compared."""
         return slice(self.edge, len(self.q) - self.edge, self.step)
 
+    @property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """Times of the samples that are compared [s]."""
+        return self.record.t[0] + self.dt * np.arange(len(self.q))[self.kept]
+
     def compare(self, forces: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "k m"]:
         """Forces along the record as they are compared: filtered, at nearly independent samples."""
         compared, some = np.zeros_like(forces[self.kept]), forces.any(axis=0)

@@ -24,6 +24,7 @@ _CONVERGED = 1e-6  # decrease of the cost, in squares of standard deviations
 _HALVINGS = 30
 _PASSES = 30  # of the search for the parameters that are at a bound
 _REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
+_NO_EFFECT = 1e-12  # of the largest singular value, below which a direction has none
 _LEAST = 1e-9  # of a force, below which nothing is told apart
 
 
@@ -72,9 +73,7 @@ class Prior:
             return cost, gradient, matrix
         point = point or LinearCoordinates(self.space, self.space.to_values(vector))
         by_vector = point.derivatives * self.space.derivatives(vector)
-        for columns, nominal, weight in zip(
-            self.bodies, self._nominal, self._weights, strict=True
-        ):
+        for columns, nominal, weight in zip(self.bodies, self._nominal, self._weights, strict=True):
             inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
             ratio = nominal @ _pseudo_inertia(point.values[columns])
             cost += weight * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
@@ -124,6 +123,27 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
         vector, cost, more = _minimise(matrix, prior, vector)
         steps += more
     return Solution(vector, variances, steps, cost)
+
+
+def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
+    """The linear coordinates that explain forces best, without priors and ranges.
+
+    Joints are weighed by what they leave.
+
+    Args:
+        sums: sums of squares.
+    """
+    total = sums.total
+    matrices, counts = total.matrices[0].sum(axis=1), total.counts[0].sum(axis=1)
+    left, found = matrices[:, -1, -1], np.zeros(matrices.shape[-1] - 1)
+    for _ in range(_REWEIGHTINGS):
+        matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
+        size = np.sqrt(np.diag(matrix)[:-1])
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _NO_EFFECT, True)
+        found = -scale * (inverse @ (scale * matrix[:-1, -1]))
+        left = total.squares(found)[0].sum(axis=1)
+    return found
 
 
 def left_out_squares(
