@@ -71,7 +71,8 @@ def load_robot(
         gravity: its acceleration in the frame of the base [m/s^2], in place of that of the file: of
             a robot below a ceiling (0, 0, 9.81), on a wall as the base stands there.
         ranges: smallest and largest value of parameters by name, `{"joint1.viscous": (0, 5)}`, in
-            place of those that follow from the file and the records.
+            place of those that follow from the file and the records. The constant of a motor that
+            has one is searched for; a mass that is known has to tell it.
 
     Raises:
         InputError: a file that cannot be read, an option that names no such joint or link, a value

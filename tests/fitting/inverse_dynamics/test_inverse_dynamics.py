@@ -267,3 +267,41 @@ def test_keys_without_an_effect_are_refused(twin, system):
     relaxing = tn.read_recipe("inverse-dynamics", ['model.forces=["maxwell:roll"]'])
     with pytest.raises(InputError, match="of a system with internal states"):
         tn.identify(twin, system, relaxing)
+
+
+def test_constants_of_motors_follow_from_a_known_payload():
+    file, constant = SCARA.parent / "double_pendulum.urdf", 2.5
+    arm = tn.load_system(file)
+    link, joint = "lower", "upper_joint"
+    empty = true_values(arm, seed=1)
+    currents = [tn.Input("motor", "A", "zero-order")]
+    records = []
+    for group, values in (
+        ("none", empty),
+        ("ball", with_payload(empty, link, 1.5, np.array([0.0, 0.0, -0.2]))),
+    ):
+        for e in record_in_loop(arm, values, 4, 4.0, noise=0.01, seed=len(records)):
+            record = tn.from_arrays(
+                e.q,
+                e.u / constant,
+                dt=e.dt,
+                coordinates=e.coordinates,
+                inputs=currents,
+                name=f"{e.name}-{group}",
+                split=e.split,
+            )
+            records.append(replace(record, groups=(("payload", group),)))
+    system = tn.load_robot(
+        file,
+        per={link: "payload"},
+        motor_constants={joint: 3.0},
+        ranges={f"{joint}.motor_constant": (0.1, 20.0)},
+    )
+    mass = system.nominal()[f"{link}.mass"]
+    masses = {f"{link}.mass[none]": mass, f"{link}.mass[ball]": mass + 1.5}
+    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    result = tn.identify(tn.DataSet("arm", tuple(records)), system, recipe, fixed=masses)
+    (e,) = (e for e in result.estimates if e.name == f"{joint}.motor_constant")
+    assert e.interval is not None
+    assert e.interval[0] < constant < e.interval[1]
+    assert e.interval[1] - e.interval[0] < 0.1 * constant

@@ -220,7 +220,7 @@ def _fit(
         should_stop: asked before forces are made linear anew.
         report: called with each fit.
     """
-    prior, missing = Prior(forces.space), forces.missing(vector)
+    prior, missing = forces.prior, forces.missing(vector)
     for number in range(1, _LINEARISED + 1):
         columns = forces.columns(vector, alone)
         if not all(
@@ -256,9 +256,10 @@ def _cost(
     prior: Prior,
     vector: ParameterVector,
 ) -> float:
-    """Half the sum of squares of missing forces by their sizes, and the prior's."""
+    """Half the sum of squares of missing forces by their sizes, with what priors and gains add."""
     squares = sum(np.sum((own / unit) ** 2) for own in missing)
-    return float(squares / 2 + prior.at(vector)[0])
+    samples = np.full(len(unit), float(sum(map(len, missing))))
+    return float(squares / 2 + prior.at(vector)[0] + prior.of_gains(samples, vector)[0])
 
 
 def _without_idle(choice: Choice) -> tuple[LinearForces, ParameterVector]:
@@ -310,7 +311,7 @@ def _make_identification(
     Forces are those of the system alone; simulated is the closed loop, if there is one.
     """
     problem, fit, space = closed_loop.plant, result.fit, state.space
-    records, prior, vector = problem.records, Prior(space), state.vector
+    records, prior, vector = problem.records, fit.forces.prior, state.vector
     cutoff = fit.forces.parts[0].cutoff
     matrices = _matrices(fit)
     parameter_errors = _errors(fit, prior, *matrices)
@@ -440,7 +441,10 @@ def _matrices(
     point = LinearCoordinates(space, space.to_values(vector))
     parts = [force_matrix(matrix, space, vector, point)[1:] for matrix in by_fold]
     gradients, matrices = zip(*parts, strict=True)
-    return np.stack(gradients), np.stack(matrices)
+    of_gains = [
+        fit.forces.prior.of_gains(counts, vector)[1] for counts in fit.sums.counts.sum(axis=2)
+    ]
+    return np.stack(gradients) + of_gains, np.stack(matrices)
 
 
 def _errors(

@@ -25,7 +25,7 @@ from tustinnet.fitting.inverse_dynamics.along import (
     filter_record,
     follow,
 )
-from tustinnet.fitting.inverse_dynamics.solver import coordinates_of
+from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of
 from tustinnet.fitting.inverse_dynamics.sums import Columns
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
@@ -65,6 +65,11 @@ class LinearForces:
         """The forces of the system along each record."""
         equations = system_equations(self.system)
         return tuple(ForcesAlong(equations, part, self.system.nominal()) for part in self.parts)
+
+    @cached_property
+    def prior(self) -> Prior:
+        """The priors of the parameters."""
+        return Prior(self.space, _input_gains(self.system, self.parts[0].q[0]))
 
     def of_records(self, records: Sequence[Experiment]) -> "LinearForces":
         """The same along other records."""
@@ -216,6 +221,30 @@ def parse_candidates(system: LagrangianSystem, names: Sequence[str]) -> tuple[Pl
                 f"ask for it by `changes=` 'model.forces=[\"{force}\"]'",
             )
     return forces
+
+
+def _input_gains(system: LagrangianSystem, q: Float[np.ndarray, " n_q"]) -> dict[str, int]:
+    """The parameters that the inputs' force at one coordinate is proportional to, and its place.
+
+    Args:
+        system: the system.
+        q: positions at which it is looked.
+    """
+    if (input_map := system.input_map) is None:
+        return {}
+    values = {name: jnp.asarray(x) for name, x in system.nominal().items()}
+    still, u = jnp.zeros(len(q)), jnp.ones(len(system.inputs))
+
+    def pushed(values: Mapping[str, Array]) -> Array:
+        ends = (input_map(jnp.asarray(q), still, x, values) for x in (u, 0.0 * u))
+        return jnp.subtract(*ends)
+
+    force, slopes, gains = pushed(values), jax.jacfwd(pushed)(values), dict[str, int]()
+    for name, slope in slopes.items():
+        driven = np.flatnonzero(slope)
+        if len(driven) == 1 and np.isclose(slope[driven] * values[name], force[driven]).all():
+            gains[name] = int(driven[0])
+    return gains
 
 
 def levels_of(force: PlacedForce) -> list[str]:

@@ -8,6 +8,7 @@ References:
     approach, IEEE Transactions on Robotics 36(2): the log-det divergence of pseudo-inertias.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -37,10 +38,13 @@ class Prior:
 
     Args:
         space: the search space.
+        gains: parameters that the input of a coordinate is multiplied by, with the coordinate's
+            place.
     """
 
-    def __init__(self, space: SearchSpace) -> None:
+    def __init__(self, space: SearchSpace, gains: Mapping[str, int] | None = None) -> None:
         self.space, free = space, space.free_parameters
+        self._gains = [(i, gains[n]) for i, n in enumerate(space.names) if gains and n in gains]
         self.centre = space.to_vector(space.nominal)
         derivatives = space.derivatives(self.centre)
         priors = np.array([p.prior or np.inf for p in free]) / derivatives
@@ -84,6 +88,29 @@ class Prior:
             matrix[np.ix_(columns, columns)] += weight * own.T @ curvature @ own
         return cost, gradient, matrix
 
+    def of_gains(
+        self, counts: Float[np.ndarray, " n_q"], vector: ParameterVector
+    ) -> tuple[float, ParameterVector]:
+        """What is added to the cost because forces are compared in units of the inputs.
+
+        A smaller gain makes the noise of an input smaller in N m, and explains nothing: the density
+        of inputs is that of forces times their derivative by the input, for each measurement.
+
+        Args:
+            counts: independent measurements by coordinate.
+            vector: the vector.
+
+        Returns:
+            The term, and its derivative by the vector.
+        """
+        values, slopes = self.space.to_values(vector), self.space.derivatives(vector)
+        cost, gradient = 0.0, np.zeros(len(vector))
+        for i, k in self._gains:
+            gain = values[self.space.names[i]]
+            cost -= float(counts[k] * np.log(abs(gain)))
+            gradient[i] -= counts[k] * slopes[i] / gain
+        return cost, gradient
+
 
 class Solution(NamedTuple):
     """The parameters that explain forces best, and how well each joint is explained.
@@ -120,7 +147,7 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
         mean = np.maximum(left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1), least)
         variances = np.maximum(left / np.maximum(counts, 1), _REST_SHARE * mean[:, None])
         matrix = np.einsum("jr,jrkl->kl", 1 / variances, matrices)
-        vector, cost, more = _minimise(matrix, prior, vector)
+        vector, cost, more = _minimise(matrix, prior, vector, counts.sum(axis=1))
         steps += more
     return Solution(vector, variances, steps, cost)
 
@@ -183,7 +210,10 @@ def force_matrix(
 
 
 def _minimise(
-    matrix: Float[np.ndarray, "n n"], prior: Prior, vector: ParameterVector
+    matrix: Float[np.ndarray, "n n"],
+    prior: Prior,
+    vector: ParameterVector,
+    counts: Float[np.ndarray, " n_q"],
 ) -> tuple[ParameterVector, float, int]:
     """The vector of the lowest cost within the ranges, the cost, and the number of steps."""
     space = prior.space
@@ -191,7 +221,8 @@ def _minimise(
     def at(vector: ParameterVector) -> tuple[float, ParameterVector, np.ndarray]:
         point = LinearCoordinates(space, space.to_values(vector))
         of_forces, of_prior = force_matrix(matrix, space, vector, point), prior.at(vector, point)
-        return tuple(a + b for a, b in zip(of_forces, of_prior, strict=True))  # pyright: ignore
+        of_gains = (*prior.of_gains(counts, vector), 0.0)
+        return tuple(a + b + c for a, b, c in zip(of_forces, of_prior, of_gains, strict=True))  # pyright: ignore
 
     lower, upper = space.lower, space.upper
     cost, gradient, curvature = at(vector)
