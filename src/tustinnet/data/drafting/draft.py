@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.drafting.assignment import Assignment, Verdict
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels, choose_system_channels
+from tustinnet.data.drafting.evidence import EvidenceTable, Role
 from tustinnet.data.drafting.findings import (
     Choice,
     CoordinateChoice,
@@ -27,10 +29,10 @@ from tustinnet.data.drafting.logs import (
     read_logs,
     read_names,
 )
-from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
+from tustinnet.data.drafting.names import NameReading
+from tustinnet.data.drafting.numbers import Numbers, Values, examine, unwrap
 from tustinnet.data.drafting.positions import period_by_velocities
-from tustinnet.data.drafting.relations import compare_slopes, find_sines
-from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
+from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
 from tustinnet.data.drafting.splits import Splits, choose_splits
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
@@ -42,7 +44,6 @@ _MOST_SAMPLES = 200_000  # on which the evidence rests
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST = 6  # samples of a record
 _PERIOD = "period"
-_SURE = 9.0  # score of an angle of which cosine and sine are there
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
@@ -163,6 +164,7 @@ def draft_card(
         dt, period_reason = _find_period(folder, logs, answers, by_motion)
         clock = replace(clock, dt=dt)
     is_period_assumed = not period_reason
+    clock_dt = None if is_period_assumed else dt
     if is_period_assumed:
         text = "sampling period [s]; no column of times was found"
         questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
@@ -183,13 +185,12 @@ def draft_card(
         numbers[cosine] = examine(samples[cosine])
     motion = [n for n in motion if n in samples]
     slopes = compare_slopes(samples, times)
-    verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes, times)
-    for column in motion:
-        if (answer := answers.get(f"role {column}")) is not None:
-            verdicts[column] = Verdict(_role(answer), ("as you say",))
+    known = {n: _role(answers[f"role {n}"]) for n in motion if f"role {n}" in answers}
+    known |= dict.fromkeys(sines, "position")
+    verdicts = _judge({n: readings[n] for n in motion}, numbers, samples, slopes, clock_dt, known)
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
-        verdicts[cosine] = Verdict("position", (reason,), score=_SURE)
+        verdicts[cosine] = Verdict("position", (reason,))
     findings = Findings(
         readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
@@ -334,6 +335,37 @@ def _name(folder: Path) -> str:
     return (
         path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
     )
+
+
+def _judge(
+    readings: Mapping[str, NameReading],
+    numbers: Mapping[str, Numbers],
+    samples: Mapping[str, Sequence[Values]],
+    slopes: Slopes,
+    dt: float | None,
+    known: Mapping[str, Role],
+) -> dict[str, Verdict]:
+    """The roles of columns that are neither times nor counters, some of which are known."""
+    moving = {n: r for n, r in readings.items() if not numbers[n].constant}
+    constant = Verdict("constant", ("it never changes",))
+    if not moving:
+        return dict.fromkeys(readings, constant)
+    records = [
+        np.column_stack(columns)
+        for columns in zip(*(map(_fill, samples[n]) for n in moving), strict=True)
+    ]
+    table = EvidenceTable(moving, numbers, records, slopes.of(moving), dt)
+    verdicts = Assignment(table, known).verdicts()
+    return {n: verdicts.get(n, constant) for n in readings}
+
+
+def _fill(values: Values) -> Values:
+    """A column whose samples that are not finite are those between their neighbours."""
+    finite = np.isfinite(values)
+    if finite.all() or not finite.any():
+        return np.nan_to_num(values, posinf=0.0, neginf=0.0)
+    rows = np.arange(len(values))
+    return np.interp(rows, rows[finite], values[finite])
 
 
 def _role(answer: str) -> Role:

@@ -13,6 +13,7 @@ Values = Float[np.ndarray, " _"]  # one column, of any length
 _FEW_CHANGES = 0.2  # of samples: a column that changes less often is held at levels
 _LEAST_LEVEL = 1 / 50  # of the range; usual change between levels
 _SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a sample
+_WHITE = 0.9  # steps over spread; of white noise it is the root of 2
 _OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
 _SUPPLY = 0.1  # range over largest value, of a supply under load
 _FEWEST = 20  # values of a column that wraps
@@ -93,8 +94,8 @@ class Numbers:
 
     @property
     def constant(self) -> bool:
-        """Whether the column has fewer than two values."""
-        return self.distinct < 2
+        """Whether the column never changes in a record."""
+        return not self.changes
 
     @property
     def binary(self) -> bool:
@@ -110,6 +111,11 @@ class Numbers:
     def smooth(self) -> bool:
         """Whether it changes little from sample to sample, apart from wraps."""
         return not self.levels and (self.roughness <= _SMOOTH or self.wrap is not None)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether its steps are as large as those of white noise, nearly."""
+        return not self.levels and self.wrap is None and self.roughness > _WHITE
 
     @property
     def largest(self) -> float:

@@ -115,6 +115,7 @@ STRONG: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRON
 WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
+DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what

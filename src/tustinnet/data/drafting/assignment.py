@@ -1,0 +1,269 @@
+"""The assignment of roles to columns for which most evidence speaks, and by how much."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
+
+_MANY = 14  # families; of more of them no two are swapped
+_ROUNDS = 4  # in which a rival that turns out to be better takes the place of the best
+
+Roles = Int[np.ndarray, " c"]
+"""The role of each column, by its place in `ROLES`."""
+_POSITION, _VELOCITY, _ACCELERATION, _INPUT, _SET_POINT, _OTHER = range(len(ROLES))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The role of a column, and what speaks for it.
+
+    Attributes:
+        role: its role.
+        reasons: the sentences that speak for it, the strongest first.
+        rival: the role that it has in the best assignment in which it is used otherwise.
+        margin: how much better the assignment is than that, in points.
+        partner: the column of which it is the velocity or the set point, None without one.
+    """
+
+    role: Role
+    reasons: tuple[str, ...]
+    rival: Role | None = None
+    margin: float = np.inf
+    partner: str | None = None
+
+    @property
+    def because(self) -> str:
+        """The reasons as one text."""
+        return "; ".join(self.reasons)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether another role is nearly as likely."""
+        return self.margin < WEIGHTS.near
+
+    @property
+    def leads(self) -> str | None:
+        """The column that follows it as its set point, None without one."""
+        return self.partner if self.role == "set point" else None
+
+
+class Assignment:
+    """The search for the roles for which most evidence speaks."""
+
+    def __init__(self, table: EvidenceTable, answers: Mapping[str, Role]) -> None:
+        """Finds the best roles.
+
+        Args:
+            table: the evidence.
+            answers: roles that are known, by column, which hold for its family.
+        """
+        self.table = table
+        self.families = {
+            family: np.flatnonzero(np.array(table.family) == family)
+            for family in dict.fromkeys(table.family)
+        }
+        self.held = {
+            table.family[table.names.index(name)]: ROLES.index(role)
+            for name, role in answers.items()
+            if name in table.names
+        }
+        self.cache: dict[bytes, float] = {}
+        self.roles, self.margins, self.rivals = self._find_best()
+
+    # --- the score ---
+
+    def score(self, roles: Roles) -> float:
+        """The points of an assignment."""
+        key = roles.tobytes()
+        if key not in self.cache:
+            self.cache[key] = self._score(roles)
+        return self.cache[key]
+
+    def _score(self, roles: Roles) -> float:
+        t, w = self.table, WEIGHTS
+        by_role = [np.flatnonzero(roles == role) for role in range(len(ROLES))]
+        positions, velocities, inputs = (by_role[r] for r in (_POSITION, _VELOCITY, _INPUT))
+        total = float(t.points[np.arange(len(roles)), roles].sum())
+        pairs = self.pair_velocities(roles)
+        total += sum(float(t.slope[p, v]) for v, p in pairs.items())
+        orphans = [v for v in velocities if v not in pairs]
+        total -= (w.alone if len(positions) else 1.0) * len(orphans)
+        for a in by_role[_ACCELERATION]:
+            total += max(t.slope[velocities, a], default=-1.0)
+        motion = [*positions, *velocities]
+        for r in by_role[_SET_POINT]:
+            total += max(t.follow[r, motion], default=-1.5)
+        for a, b in itertools.combinations(positions, 2):
+            total -= self._price_of_both(a, b)
+        total += self._input_points(inputs, [*positions] or orphans)
+        if not len(inputs):
+            total -= 0.5 if len(by_role[_SET_POINT]) else w.no_input
+        return total - (0.0 if motion else w.no_position)
+
+    def pair_velocities(self, roles: Roles) -> dict[int, int]:
+        """The position of each velocity that has one, the best pairs first."""
+        positions, velocities = (np.flatnonzero(roles == r) for r in (_POSITION, _VELOCITY))
+        slope = self.table.slope[np.ix_(positions, velocities)]
+        pairs: dict[int, int] = {}
+        for k in np.argsort(-slope, axis=None):
+            i, j = divmod(int(k), len(velocities))
+            if slope[i, j] <= -1.5:
+                break
+            p, v = int(positions[i]), int(velocities[j])
+            if v not in pairs and p not in pairs.values():
+                pairs[v] = p
+        return pairs
+
+    def _price_of_both(self, a: int, b: int) -> float:
+        """The price of two positions: one place twice, or a place and its rate."""
+        t, w = self.table, WEIGHTS
+        is_said = t.says(a, "position") and t.says(b, "position")
+        is_derived = any(t.readings[i].qualifier is not None for i in (a, b))
+        price = max(0.0, t.slope[a, b], t.slope[b, a])
+        # a stiff machine moves as one, and motor and load are two positions nevertheless
+        price += t.repeats[a, b] * (0.25 if is_said and not is_derived else 1.0)
+        return price + (0.75 * w.copy if t.is_alike[a, b] and not is_said else 0.0)
+
+    def _input_points(self, inputs: Sequence[int], moved: Sequence[int]) -> float:
+        """Points of what inputs move, and the prices of several inputs of one machine."""
+        t, w = self.table, WEIGHTS
+        causes = {u: max(t.cause[u, moved], default=-1.0) for u in inputs}
+        total, counted = 0.0, list[int]()
+        for u in sorted(inputs, key=lambda u: -causes[u]):
+            copies = [b for b in counted if t.repeats[u, b] > 0 or t.is_alike[u, b]]
+            total += min(causes[u], 0.0) if copies else causes[u]
+            total -= sum(t.repeats[u, b] + 0.5 * w.copy for b in copies)
+            counted.append(u)
+        drives = [u for u in inputs if not t.is_disturbance[u]]
+        total -= w.further_input * max(0, len({t.family[u] for u in drives}) - 1)
+        stages = {
+            (t.family[u], t.family[v])
+            for u, v in itertools.combinations(drives, 2)
+            # a current at one joint is no effect of the force at another one
+            if t.stage[u] != t.stage[v]
+            and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
+        }
+        return total - w.stage * len(stages)
+
+    # --- the search ---
+
+    def _find_best(self) -> tuple[Roles, dict[int, float], dict[int, int]]:
+        """The best roles; by family the margin, and the role in the best assignment without it."""
+        start = np.zeros(len(self.table.names), int)
+        for members in self.families.values():
+            start[members] = np.argmax(self.table.points[members].sum(axis=0))
+        start = self._with(start, self.held)
+        free = [f for f in self.families if f not in self.held]
+        starts = [start, *(self._with(start, {f: _POSITION}) for f in free)]
+        best = max((self._climb(s) for s in starts), key=self.score)
+        margins: dict[int, float] = {}
+        rivals: dict[int, int] = {}
+        for _ in range(_ROUNDS):
+            better, uses = best, self.uses(best)
+            for family in free:
+                members = self.families[family]
+                others = [
+                    self._climb(self._with(best, {family: r}), family) for r in range(len(ROLES))
+                ]
+                near = [o for o in others if (self.uses(o)[members] != uses[members]).any()]
+                rival = max(near, key=self.score)
+                better = max(better, *others, key=self.score)
+                margins[family] = self.score(best) - self.score(rival)
+                rivals[family] = int(rival[members[0]])
+            if self.score(better) <= self.score(best) + 1e-9:
+                break
+            best = self._climb(better)
+        return best, margins, rivals
+
+    def _with(self, roles: Roles, choice: Mapping[int, int]) -> Roles:
+        """Roles in which some families have others."""
+        changed = roles.copy()
+        for family, role in choice.items():
+            changed[self.families[family]] = role
+        return changed
+
+    def _climb(self, roles: Roles, kept: int | None = None) -> Roles:
+        """Changes the role of one family, or swaps two, as long as that is better."""
+        free = [f for f in self.families if f not in self.held and f != kept]
+        while True:
+            before = self.score(roles)
+            for family in free:
+                changed = (self._with(roles, {family: r}) for r in range(len(ROLES)))
+                roles = max((roles, *changed), key=self.score)
+            if self.score(roles) > before + 1e-9:
+                continue
+            if len(free) > _MANY:
+                return roles
+            first = {f: int(roles[self.families[f][0]]) for f in free}
+            swaps = (
+                self._with(roles, {f: first[g], g: first[f]})
+                for f, g in itertools.combinations(free, 2)
+                if first[f] != first[g]
+            )
+            roles = max((roles, *swaps), key=self.score)
+            if self.score(roles) <= before + 1e-9:
+                return roles
+
+    # --- what follows from it ---
+
+    def uses(self, roles: Roles) -> Roles:
+        """The roles that the card has: what is not used is `other`.
+
+        A speed alone is the coordinate, and a set point alone the input.
+        """
+        uses = roles.copy()
+        if not (roles == _POSITION).any():
+            uses[roles == _VELOCITY] = _POSITION
+        else:
+            pairs = self.pair_velocities(roles)
+            uses[[v for v in np.flatnonzero(roles == _VELOCITY) if v not in pairs]] = _OTHER
+        if not (roles == _INPUT).any():
+            uses[roles == _SET_POINT] = _INPUT
+        uses[(uses == _ACCELERATION) | (uses == _SET_POINT)] = _OTHER
+        return uses
+
+    def verdicts(self) -> dict[str, Verdict]:
+        """The role of each column with its reasons."""
+        return {name: self._verdict(i) for i, name in enumerate(self.table.names)}
+
+    def _verdict(self, i: int) -> Verdict:
+        t, family, role = self.table, self.table.family[i], int(self.roles[i])
+        own = [e for e in t.own[i] if e.role == ROLES[role] and e.points > 0]
+        reasons = [(e.points, e.sentence) for e in own]
+        partner = None
+        positions = np.flatnonzero(self.roles == _POSITION)
+        motion = np.flatnonzero((self.roles == _POSITION) | (self.roles == _VELOCITY))
+        if role == _VELOCITY:
+            partner = self.pair_velocities(self.roles).get(i)
+            if partner is not None:
+                reasons.append((t.slope[partner, i], f"the slope of '{t.names[partner]}'"))
+        elif role == _SET_POINT and len(motion):
+            partner = int(motion[np.argmax(t.follow[i, motion])])
+            points = float(t.follow[i, partner])
+            partner = partner if points > 0 else None
+            if partner is not None:
+                reasons.append((points, f"'{t.names[partner]}' follows it, one to one"))
+        elif role == _INPUT and len(positions):
+            moved = int(positions[np.argmax(t.cause[i, positions])])
+            if t.cause[i, moved] > 0:
+                reasons.append((t.cause[i, moved], f"it moves '{t.names[moved]}'"))
+        elif role == _ACCELERATION:
+            velocities = np.flatnonzero(self.roles == _VELOCITY)
+            if len(velocities) and t.slope[velocities, i].max() > 0:
+                of = t.names[velocities[np.argmax(t.slope[velocities, i])]]
+                reasons.append((t.slope[velocities, i].max(), f"the slope of '{of}'"))
+        sentences = [text for _, text in sorted(reasons, key=lambda r: -r[0])]
+        is_known = family in self.held
+        return Verdict(
+            ROLES[role],
+            ("as you say",)
+            if is_known
+            else tuple(dict.fromkeys(sentences)) or ("nothing else fits",),
+            None if is_known else ROLES[self.rivals[family]],
+            np.inf if is_known else self.margins[family],
+            None if partner is None else t.names[partner],
+        )

@@ -1,0 +1,376 @@
+"""Evidence on the roles of columns: points of their names, shapes and relations, which add up."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
+from tustinnet.data.drafting.numbers import Numbers, is_decimal
+from tustinnet.data.drafting.relations import (
+    Pairs,
+    Slopes,
+    Table,
+    find_causes,
+    find_followers,
+)
+from tustinnet.data.drafting.vocabulary import DISTURBANCES, QUALIFIERS, STRONG, WEAK
+from tustinnet.data.units import ANGLE, LENGTH
+
+Role = Literal[
+    "time",
+    "counter",
+    "position",
+    "velocity",
+    "acceleration",
+    "input",
+    "set point",
+    "constant",
+    "other",
+    "no numbers",
+]
+ROLES: tuple[Role, ...] = (
+    "position",
+    "velocity",
+    "acceleration",
+    "input",
+    "set point",
+    "other",
+)
+"""The roles among which an assignment chooses."""
+
+_ROLE_OF: dict[Quantity, Role] = {
+    **dict.fromkeys(INPUTS, "input"),
+    "position": "position",
+    "velocity": "velocity",
+    "acceleration": "acceleration",
+    "time": "other",
+    "error": "other",
+    "flag": "other",
+    "counter": "other",
+    "other": "other",
+}
+_STAGES: dict[Quantity, str] = {
+    "current": "current",
+    "torque": "torque",
+    "force": "torque",
+    "pressure": "pressure",
+}
+# SI units in units of speeds, of angles and of lengths
+ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
+LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Points of evidence and prices of assignments; a point is about a factor of e of belief.
+
+    They were set by hand, in halves, on recorded machines, folders in which a user had seen a
+    mistake, and one half of made-up laboratories; the other half only judged them.
+
+    Attributes:
+        letter: of a letter or word that has several meanings, as `u` or `motor`; a word or unit
+            that has one counts as `read_name` weighs it, 3 to 8.
+        against: for each role that a name does not say, where it says another one.
+        command: of a name that says a command, for a set point.
+        derived: of a name that says a filtered or simulated value, for a column that is not used.
+        silent: less for a position or input whose name says nothing, where others' names do.
+        held: of levels that are held, for an input, and twice against a motion.
+        white: of steps as large as those of white noise, against a position.
+        smooth: of small steps, for a position.
+        wrap: of values that start again after a turn, for a position.
+        count: of steps of one encoder count, for a position.
+        derivative: at most, for a velocity whose integral is the change of a position.
+        factor: for a factor of a derivative that two units explain.
+        no_factor: price of one that none explains.
+        increment: price of a "velocity" that is a change per sample, as programs have that add up.
+        member: for a pair of one number or one thing by their names.
+        follow: at most, for a set point that a position follows one to one.
+        earlier: for a set point that is earlier than the position.
+        cause: at most, for an input whose past helps to foresee a position.
+        back: share that counts against it where the position foresees the input.
+        no_input: price of a machine that nothing drives.
+        no_position: price of a machine without a motion.
+        further_input: price of each further family of inputs.
+        stage: price of two stages of one drive, as voltage and current, that are both inputs.
+        copy: price of a second column of the same values.
+        alone: price of a velocity that is the slope of no position.
+        near: a smaller margin is a question.
+    """
+
+    letter: float = 2.0
+    against: float = 2.0
+    command: float = 2.0
+    derived: float = 2.5
+    silent: float = 2.0
+    held: float = 2.0
+    white: float = 4.0
+    smooth: float = 1.0
+    wrap: float = 4.0
+    count: float = 1.0
+    derivative: float = 6.0
+    factor: float = 1.0
+    no_factor: float = 1.5
+    increment: float = 4.0
+    member: float = 1.0
+    follow: float = 4.0
+    earlier: float = 0.7
+    cause: float = 5.0
+    back: float = 0.6
+    no_input: float = 3.0
+    no_position: float = 8.0
+    further_input: float = 2.5
+    stage: float = 8.0
+    copy: float = 4.0
+    alone: float = 4.0
+    near: float = 2.0
+
+
+WEIGHTS = Weights()
+
+
+class Evidence(NamedTuple):
+    """A reason for or against taking a column for something, its points, and it in words."""
+
+    role: Role
+    points: float
+    sentence: str
+
+
+def name_evidence(reading: NameReading) -> list[Evidence]:
+    """Evidence in the words and the unit of a name."""
+    w, is_command = WEIGHTS, reading.qualifier == "command"
+    evidence: list[Evidence] = []
+    spoken: set[Role] = set()
+    for quantity, weight in reading.quantities.items():
+        word, role = reading.word[quantity], _ROLE_OF[quantity]
+        text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
+        spoken.add(role)
+        if is_command and role in ("position", "velocity", "acceleration"):
+            role = "set point"
+        evidence.append(Evidence(role, max(weight, w.letter), text))
+    evidence += [
+        Evidence(role, -w.against, "")
+        for role in ("position", "velocity", "acceleration", "input")
+        if spoken and role not in spoken
+    ]
+    if is_command:
+        points = 0.25 * w.command if "input" in spoken else w.command
+        evidence += [
+            Evidence("set point", points, "named a command"),
+            Evidence("input", 0.5 * w.command, "named a command"),
+            Evidence("position", -w.command, ""),
+            Evidence("velocity", -2 * w.command, ""),
+        ]
+    elif reading.qualifier in ("filtered", "model"):
+        evidence += [
+            Evidence("other", w.derived, f"named {reading.qualifier}"),
+            *(Evidence(role, -0.5 * w.derived, "") for role in ("position", "velocity", "input")),
+        ]
+    elif reading.qualifier == "measured" and "input" in spoken:
+        evidence.append(Evidence("other", 0.5 * w.derived, "a measured value of an input"))
+    return evidence
+
+
+def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
+    """Evidence in the numbers of a column alone."""
+    w = WEIGHTS
+    if reading.stated(["voltage"]) and numbers.is_nearly_constant:
+        return [Evidence("other", 12.0, "nearly constant, as the voltage of a supply")]
+    if numbers.binary:
+        return [
+            Evidence("other", 0.5 * w.held, "only two values"),
+            Evidence("input", 0.5 * w.held, "only two values"),
+            *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity")),
+        ]
+    if numbers.levels:
+        return [
+            Evidence("input", w.held, "held levels"),
+            Evidence("set point", 0.5 * w.held, "held levels"),
+            *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity", "acceleration")),
+        ]
+    evidence: list[Evidence] = []
+    if numbers.wrap is not None:
+        evidence.append(Evidence("position", w.wrap, f"it wraps at {numbers.wrap:.6g}"))
+    elif numbers.is_white:
+        evidence += [
+            Evidence("position", -w.white, ""),
+            Evidence("set point", -0.5 * w.white, ""),
+            Evidence("velocity", -0.25 * w.white, ""),
+            Evidence("other", 0.25 * w.white, "only noise"),
+        ]
+    if numbers.smooth:
+        evidence.append(Evidence("position", w.smooth, "smooth"))
+        evidence.append(Evidence("velocity", 0.3 * w.smooth, "smooth"))
+        count = numbers.count
+        if count is not None and (numbers.whole or not is_decimal(count)):
+            text = f"steps of {count:.6g}, as encoder counts"
+            evidence.append(Evidence("position", w.count, text))
+    return evidence
+
+
+class EvidenceTable:
+    """All evidence on the columns of some records.
+
+    Attributes:
+        names: the columns that move, in the order of the files.
+        readings: the meaning of their names.
+        own: evidence in the name and the shape of each.
+        points: the sum of this evidence, by column and role.
+        slope: points for column j as the derivative of column i, [i, j].
+        follow: points for column i as the set point of column j, [i, j].
+        cause: net points for column i as what moves column j, [i, j].
+        repeats: prices of using two columns of the same values.
+        is_alike: whether two columns are proportional, nearly.
+        family: the family of each column; those of one family have one role.
+        stage: the stage of a drive of which a column speaks.
+        joint: the words that say at which of several positions a column acts.
+    """
+
+    def __init__(
+        self,
+        readings: Mapping[str, NameReading],
+        numbers: Mapping[str, Numbers],
+        records: Sequence[Table],
+        slopes: Slopes,
+        dt: float | None,
+    ) -> None:
+        self.names = tuple(readings)
+        self.readings = [*readings.values()]
+        self.own = [
+            [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
+        ]
+        self._add_silence()
+        self.points = np.array(
+            [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
+        )
+        self.slope = self._slope_points(slopes, numbers, dt)
+        fit, late = find_followers(records)
+        self._set_likeness(records, fit)
+        self.follow = self._follow_points(fit, late)
+        self.cause = self._cause_points(find_causes(records))
+        self.family = find_families(self.readings, self.slope)
+        self.stage = [stage_of(r) for r in self.readings]
+        self.is_disturbance = [bool(DISTURBANCES & {*r.words}) for r in self.readings]
+        places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
+        joints = [_joint_of(r) for r in self.readings]
+        self.joint = [joint if joint in places else None for joint in joints]
+
+    def says(self, column: int, role: Role) -> bool:
+        """Whether the name of a column speaks of a role."""
+        return any(_ROLE_OF[q] == role for q in self.readings[column].quantities)
+
+    def _add_silence(self) -> None:
+        """Evidence against columns whose names say nothing, where others' names do."""
+        columns = range(len(self.names))
+        for role in ("position", "input"):
+            if any(self.says(i, role) for i in columns):
+                for i in columns:
+                    if not self.readings[i].quantities:
+                        self.own[i].append(Evidence(role, -WEIGHTS.silent, ""))
+
+    def _slope_points(
+        self, slopes: Slopes, numbers: Mapping[str, Numbers], dt: float | None
+    ) -> Pairs:
+        w = WEIGHTS
+        fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
+        points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
+        points = np.where(fit < 0.4, -2.0, np.where(fit < 0.8, -0.5, points))
+        for i, j in zip(*np.nonzero(fit >= 0.8), strict=True):
+            a, b = self.readings[i], self.readings[j]
+            if None not in (a.kind, b.kind) and a.kind != b.kind:
+                points[i, j] = -2.0
+                continue
+            if dt is not None and points[i, j] > 0:
+                factor = float(slopes.factor[i, j])
+                if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
+                    points[i, j] -= w.increment
+                elif explains_factor(factor, a.unit, b.unit):
+                    points[i, j] += w.factor
+                elif not numbers[self.names[i]].whole and fit[i, j] > 0.98:
+                    points[i, j] -= w.no_factor
+            points[i, j] += w.member * _are_of_one(a, b)
+        np.fill_diagonal(points, -2.0)
+        return points
+
+    def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
+        """Sets which columns have the same values."""
+        with np.errstate(all="ignore"):
+            correlation = np.atleast_2d(np.corrcoef(np.concatenate(records).T))
+        self.is_alike: Bool[np.ndarray, "c c"] = np.abs(np.nan_to_num(correlation)) > 0.95
+        same = np.maximum(fit, fit.T)
+        self.repeats = WEIGHTS.copy * np.where(same > 0.9, 1.5, np.where(same > 0.7, 1.0, 0.0))
+
+    def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
+        w = WEIGHTS
+        points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
+        points += np.where(fit < fit.T, -1.0, np.where(late > 0, w.earlier, 0.0))
+        commands = np.array([r.qualifier == "command" for r in self.readings])
+        return np.where(fit < 0.5, np.where(commands, -1.0, -3.0)[:, None], points)
+
+    def _cause_points(self, gain: Pairs) -> Pairs:
+        w = WEIGHTS
+        push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
+        net = push - w.back * push.T - np.maximum(0.0, self.slope.T)
+        says = np.array([self.says(i, "position") for i in range(len(self.names))])
+        return np.where((self.repeats > 0) & ~says, -1.0, net)
+
+
+def explains_factor(factor: float, unit: str, speed: str, tolerance: float = 0.02) -> bool:
+    """Whether a velocity may be a factor times the slope of a position in its unit.
+
+    Args:
+        factor: the factor, of numbers.
+        unit: unit of the position, empty where it is unknown.
+        speed: unit of the velocity, empty where it is unknown.
+        tolerance: relative deviation.
+    """
+    for units, speeds in ((ANGLE, ANGULAR_SPEEDS), (LENGTH, LINEAR_SPEEDS)):
+        own = [units[unit]] if unit in units else [] if unit else [*units.values()]
+        others = [speeds[speed]] if speed in speeds else [] if speed else [*speeds.values()]
+        if any(abs(factor * b / a - 1) < tolerance for a in own for b in others):
+            return True
+    return False
+
+
+def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c"]) -> list[int]:
+    """The number of the family of each column: names that differ by numbers, axes or members only.
+
+    A family of which one is the derivative of another, or that all columns belong to, is none.
+    """
+    known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i, reading in enumerate(readings):
+        plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
+        marks = [w for w in plain if w in known or len(w) <= 2 or w in ("cos", "sin")]
+        key = (*(marks or plain), reading.unit) if plain else (str(i),)
+        groups.setdefault(key, []).append(i)
+    families = [*range(len(readings))]
+    for members in groups.values():
+        if len(members) < len(readings) and slope[np.ix_(members, members)].max() < 3:
+            for i in members:
+                families[i] = members[0]
+    return families
+
+
+def _are_of_one(a: NameReading, b: NameReading) -> bool:
+    """Whether two names have the same number, or are of the same thing."""
+    numbers = [{w for w in r.words if w.isdigit()} for r in (a, b)]
+    if any(numbers):
+        return numbers[0] == numbers[1]
+    return bool(a.object) and a.object == b.object
+
+
+def _joint_of(reading: NameReading) -> frozenset[str]:
+    """The words by which a name says at which of several joints it is: its number or its object."""
+    return frozenset(w for w in reading.object if w.isdigit()) or reading.object
+
+
+def stage_of(reading: NameReading) -> str:
+    """The stage of a drive: a command or voltage comes first, then a current, a torque, last."""
+    if reading.qualifier == "command":
+        return "command"
+    weights = {q: reading.quantities[q] for q in INPUTS if q in reading.quantities}
+    return _STAGES.get(max(weights, key=lambda q: weights[q], default="voltage"), "command")
