@@ -88,32 +88,37 @@ class Assignment:
         by_role = [np.flatnonzero(roles == role) for role in range(len(ROLES))]
         positions, velocities, inputs = (by_role[r] for r in (_POSITION, _VELOCITY, _INPUT))
         total = float(t.points[np.arange(len(roles)), roles].sum())
-        pairs = self.pair_velocities(roles)
+        pairs = self.pair_rates(positions, velocities)
         total += sum(float(t.slope[p, v]) for v, p in pairs.items())
+        total -= w.no_velocity * (len(positions) - len(pairs)) if pairs else 0.0
         orphans = [v for v in velocities if v not in pairs]
-        total -= (w.alone if len(positions) else 1.0) * len(orphans)
-        for a in by_role[_ACCELERATION]:
-            total += max(t.slope[velocities, a], default=-1.0)
+        total -= w.alone * (len(orphans) if len(positions) else 0.5)
+        second = self.pair_rates([*pairs] if len(positions) else velocities, by_role[_ACCELERATION])
+        total += sum(float(t.slope[v, a]) for a, v in second.items())
+        total -= len(by_role[_ACCELERATION]) - len(second)
         motion = [*positions, *velocities]
         for r in by_role[_SET_POINT]:
             total += max(t.follow[r, motion], default=-1.5)
         for a, b in itertools.combinations(positions, 2):
             total -= self._price_of_both(a, b)
+        total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
+        total -= sum(
+            float(t.repeats[u, p]) for u in inputs for p in positions if not t.says(p, "position")
+        )
         total += self._input_points(inputs, [*positions] or orphans)
         if not len(inputs):
             total -= 0.5 if len(by_role[_SET_POINT]) else w.no_input
         return total - (0.0 if motion else w.no_position)
 
-    def pair_velocities(self, roles: Roles) -> dict[int, int]:
-        """The position of each velocity that has one, the best pairs first."""
-        positions, velocities = (np.flatnonzero(roles == r) for r in (_POSITION, _VELOCITY))
-        slope = self.table.slope[np.ix_(positions, velocities)]
+    def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
+        """The column of which each rate is the derivative, the best pairs first."""
+        slope = self.table.slope[np.ix_(columns, rates)]
         pairs: dict[int, int] = {}
         for k in np.argsort(-slope, axis=None):
-            i, j = divmod(int(k), len(velocities))
+            i, j = divmod(int(k), len(rates))
             if slope[i, j] <= -1.5:
                 break
-            p, v = int(positions[i]), int(velocities[j])
+            p, v = int(columns[i]), int(rates[j])
             if v not in pairs and p not in pairs.values():
                 pairs[v] = p
         return pairs
@@ -219,8 +224,9 @@ class Assignment:
         if not (roles == _POSITION).any():
             uses[roles == _VELOCITY] = _POSITION
         else:
-            pairs = self.pair_velocities(roles)
-            uses[[v for v in np.flatnonzero(roles == _VELOCITY) if v not in pairs]] = _OTHER
+            velocities = np.flatnonzero(roles == _VELOCITY)
+            pairs = self.pair_rates(np.flatnonzero(roles == _POSITION), velocities)
+            uses[[v for v in velocities if v not in pairs]] = _OTHER
         if not (roles == _INPUT).any():
             uses[roles == _SET_POINT] = _INPUT
         uses[(uses == _ACCELERATION) | (uses == _SET_POINT)] = _OTHER
@@ -238,7 +244,8 @@ class Assignment:
         positions = np.flatnonzero(self.roles == _POSITION)
         motion = np.flatnonzero((self.roles == _POSITION) | (self.roles == _VELOCITY))
         if role == _VELOCITY:
-            partner = self.pair_velocities(self.roles).get(i)
+            velocities = np.flatnonzero(self.roles == _VELOCITY)
+            partner = self.pair_rates(positions, velocities).get(i)
             if partner is not None:
                 reasons.append((t.slope[partner, i], f"the slope of '{t.names[partner]}'"))
         elif role == _SET_POINT and len(motion):

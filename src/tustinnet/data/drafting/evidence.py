@@ -1,5 +1,6 @@
 """Evidence on the roles of columns: points of their names, shapes and relations, which add up."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -52,10 +53,12 @@ _ROLE_OF: dict[Quantity, Role] = {
     "counter": "other",
     "other": "other",
 }
-_STAGES: dict[Quantity, str] = {
-    "current": "current",
+Stage = Literal["command", "torque", "current", "pressure"]
+_STAGES: tuple[Stage, ...] = ("command", "torque", "current", "pressure")
+_STAGE_OF: dict[Quantity, Stage] = {
     "torque": "torque",
     "force": "torque",
+    "current": "current",
     "pressure": "pressure",
 }
 # SI units in units of speeds, of angles and of lengths
@@ -76,6 +79,7 @@ class Weights:
         against: for each role that a name does not say, where it says another one.
         command: of a name that says a command, for a set point.
         derived: of a name that says a filtered or simulated value, for a column that is not used.
+        later: less for an input for each stage of its drive before it, of which one is the input.
         silent: less for a position or input whose name says nothing, where others' names do.
         held: of levels that are held, for an input, and twice against a motion.
         white: of steps as large as those of white noise, against a position.
@@ -96,6 +100,7 @@ class Weights:
         further_input: price of each further family of inputs.
         stage: price of two stages of one drive, as voltage and current, that are both inputs.
         copy: price of a second column of the same values.
+        no_velocity: price of a position without a velocity, where others have one.
         alone: price of a velocity that is the slope of no position.
         near: a smaller margin is a question.
     """
@@ -104,6 +109,7 @@ class Weights:
     against: float = 2.0
     command: float = 2.0
     derived: float = 2.5
+    later: float = 0.5
     silent: float = 2.0
     held: float = 2.0
     white: float = 4.0
@@ -124,6 +130,7 @@ class Weights:
     further_input: float = 2.5
     stage: float = 8.0
     copy: float = 4.0
+    no_velocity: float = 1.5
     alone: float = 4.0
     near: float = 2.0
 
@@ -144,8 +151,11 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     w, is_command = WEIGHTS, reading.qualifier == "command"
     evidence: list[Evidence] = []
     spoken: set[Role] = set()
+    is_stated = bool(reading.stated(reading.quantities))
     for quantity, weight in reading.quantities.items():
         word, role = reading.word[quantity], _ROLE_OF[quantity]
+        if is_stated and len(word) == 1:
+            continue  # `acc_x` is no position x
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
         spoken.add(role)
         if is_command and role in ("position", "velocity", "acceleration"):
@@ -153,9 +163,11 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         evidence.append(Evidence(role, max(weight, w.letter), text))
     evidence += [
         Evidence(role, -w.against, "")
-        for role in ("position", "velocity", "acceleration", "input")
-        if spoken and role not in spoken
+        for role in ROLES[:-1]
+        if spoken and role not in spoken and not (is_command and role == "set point")
     ]
+    if "input" in spoken:
+        evidence.append(Evidence("input", -w.later * _STAGES.index(stage_of(reading)), ""))
     if is_command:
         points = 0.25 * w.command if "input" in spoken else w.command
         evidence += [
@@ -243,6 +255,7 @@ class EvidenceTable:
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
         self._add_silence()
+        self._add_circles(records)
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
@@ -271,6 +284,23 @@ class EvidenceTable:
                     if not self.readings[i].quantities:
                         self.own[i].append(Evidence(role, -WEIGHTS.silent, ""))
 
+    def _add_circles(self, records: Sequence[Table]) -> None:
+        """Evidence against the two directions of a point on a circle whose angle is there, too."""
+        for i, j in itertools.permutations(range(len(self.names)), 2):
+            points = [(r[:, i], r[:, j]) for r in records]
+            radii = [np.hypot(x, y) for x, y in points]
+            if any(
+                np.std(radius) > min(0.03 * radius.mean(), 0.3 * np.std(x), 0.3 * np.std(y))
+                for radius, (x, y) in zip(radii, points, strict=True)
+            ):
+                continue
+            angle = np.concatenate([np.unwrap(np.arctan2(y, x)) for x, y in points])
+            for k in range(len(self.names)):
+                values = np.concatenate([r[:, k] for r in records])
+                if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 0.995:
+                    text = f"of a circle on which '{self.names[k]}' is the angle"
+                    self.own[i].append(Evidence("other", 8.0, text))
+
     def _slope_points(
         self, slopes: Slopes, numbers: Mapping[str, Numbers], dt: float | None
     ) -> Pairs:
@@ -278,6 +308,7 @@ class EvidenceTable:
         fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
         points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
         points = np.where(fit < 0.4, -2.0, np.where(fit < 0.8, -0.5, points))
+        points = np.where(slopes.factor == 0, -0.5, points)  # too few samples to say anything
         for i, j in zip(*np.nonzero(fit >= 0.8), strict=True):
             a, b = self.readings[i], self.readings[j]
             if None not in (a.kind, b.kind) and a.kind != b.kind:
@@ -291,7 +322,8 @@ class EvidenceTable:
                     points[i, j] += w.factor
                 elif not numbers[self.names[i]].whole and fit[i, j] > 0.98:
                     points[i, j] -= w.no_factor
-            points[i, j] += w.member * _are_of_one(a, b)
+        pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
+        points += w.member * np.array(pairs)
         np.fill_diagonal(points, -2.0)
         return points
 
@@ -299,8 +331,9 @@ class EvidenceTable:
         """Sets which columns have the same values."""
         with np.errstate(all="ignore"):
             correlation = np.atleast_2d(np.corrcoef(np.concatenate(records).T))
-        self.is_alike: Bool[np.ndarray, "c c"] = np.abs(np.nan_to_num(correlation)) > 0.95
-        same = np.maximum(fit, fit.T)
+        size = np.abs(np.nan_to_num(correlation))
+        self.is_alike: Bool[np.ndarray, "c c"] = size > 0.95
+        same = np.where(size > 0.999, size, np.maximum(fit, fit.T))
         self.repeats = WEIGHTS.copy * np.where(same > 0.9, 1.5, np.where(same > 0.7, 1.0, 0.0))
 
     def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
@@ -368,9 +401,9 @@ def _joint_of(reading: NameReading) -> frozenset[str]:
     return frozenset(w for w in reading.object if w.isdigit()) or reading.object
 
 
-def stage_of(reading: NameReading) -> str:
-    """The stage of a drive: a command or voltage comes first, then a current, a torque, last."""
+def stage_of(reading: NameReading) -> Stage:
+    """The stage of a drive of which a name speaks; a command or a voltage moves first."""
     if reading.qualifier == "command":
         return "command"
     weights = {q: reading.quantities[q] for q in INPUTS if q in reading.quantities}
-    return _STAGES.get(max(weights, key=lambda q: weights[q], default="voltage"), "command")
+    return _STAGE_OF.get(max(weights, key=lambda q: weights[q], default="voltage"), "command")

@@ -92,6 +92,8 @@ _POSITION = {
             "umdr",
             "umdrehungen",
             "revolutions",
+            "rotations",
+            "rot",
             "tour",
             "tours",
             "giri",
