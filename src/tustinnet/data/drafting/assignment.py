@@ -103,7 +103,7 @@ class Assignment:
             total -= self._price_of_both(a, b)
         total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
         total -= sum(
-            float(t.repeats[u, p]) for u in inputs for p in positions if not t.says(p, "position")
+            float(t.repeats[u, p]) for u in inputs for p in positions if not t.are_said[u, p]
         )
         total += self._input_points(inputs, [*positions] or orphans)
         if not len(inputs):

@@ -209,7 +209,12 @@ def draft_card(
         )
     logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)
-    usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
+    found = find_pieces(trimmed, clock, readings, notes.append)
+    usable = _usable_pieces(found, choice, notes.append)
+    texts = {n: text for log in logs for n, text in log.texts.items() if "where the others" in text}
+    notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
+    if not choice.inputs:
+        notes.append("no input was found: the records are taken for free motion")
     pieces = usable or pieces
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
@@ -307,22 +312,23 @@ def _usable_pieces(
     usable: list[Piece] = []
     for piece in pieces:
         place = piece.log.place
-        finite = np.isfinite(piece.t)
+        finite = np.isfinite(piece.t) & np.append(np.diff(piece.t) > 0, True)
         for name in used:
             finite &= np.isfinite(piece.column(name))
         rows = np.flatnonzero(finite)
+        if (np.diff(piece.t) <= 0)[rows[0] : rows[-1]].any() if len(rows) else False:
+            on_message(f"left out: {place}: times that do not rise")
+            continue
         if len(rows) < _FEWEST or not finite[rows[0] : rows[-1] + 1].all():
             on_message(f"left out: {place}: numbers that are not finite, or too few samples")
             continue
         if len(rows) < len(finite):
             on_message(
-                f"{place}: cut off at its ends, not finite: "
+                f"{place}: cut off at its ends, not finite or without a time of their own: "
                 + counted(len(finite) - len(rows), "row")
             )
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
-        if (np.diff(piece.t) <= 0).any():
-            on_message(f"left out: {place}: times that do not rise")
-        elif coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
+        if coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
             on_message(f"left out: {place}: nothing moves")
         else:
             usable.append(piece)

@@ -236,6 +236,7 @@ class EvidenceTable:
         cause: net points for column i as what moves column j, [i, j].
         repeats: prices of using two columns of the same values.
         is_alike: whether two columns are proportional, nearly.
+        are_said: whether names say that column i is an input and column j a position.
         family: the family of each column; those of one family have one role.
         stage: the stage of a drive of which a column speaks.
         joint: the words that say at which of several positions a column acts.
@@ -262,6 +263,11 @@ class EvidenceTable:
         self.slope = self._slope_points(slopes, numbers, dt)
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
+        inputs, positions = (
+            np.array([self.says(i, role) for i in range(len(self.names))])
+            for role in ("input", "position")
+        )
+        self.are_said = np.outer(inputs, positions)
         self.follow = self._follow_points(fit, late)
         self.cause = self._cause_points(find_causes(records))
         self.family = find_families(self.readings, self.slope)
@@ -315,12 +321,12 @@ class EvidenceTable:
                 points[i, j] = -2.0
                 continue
             if dt is not None and points[i, j] > 0:
-                factor = float(slopes.factor[i, j])
+                factor, unsure = float(slopes.factor[i, j]), 1.02 / np.sqrt(fit[i, j]) - 1
                 if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
                     points[i, j] -= w.increment
-                elif explains_factor(factor, a.unit, b.unit):
+                elif explains_factor(factor, a.unit, b.unit, unsure):
                     points[i, j] += w.factor
-                elif not numbers[self.names[i]].whole and fit[i, j] > 0.98:
+                elif not numbers[self.names[i]].whole:
                     points[i, j] -= w.no_factor
         pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
         points += w.member * np.array(pairs)
@@ -347,11 +353,10 @@ class EvidenceTable:
         w = WEIGHTS
         push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
         net = push - w.back * push.T - np.maximum(0.0, self.slope.T)
-        says = np.array([self.says(i, "position") for i in range(len(self.names))])
-        return np.where((self.repeats > 0) & ~says, -1.0, net)
+        return np.where((self.repeats > 0) & ~self.are_said, -1.0, net)
 
 
-def explains_factor(factor: float, unit: str, speed: str, tolerance: float = 0.02) -> bool:
+def explains_factor(factor: float, unit: str, speed: str, tolerance: float) -> bool:
     """Whether a velocity may be a factor times the slope of a position in its unit.
 
     Args:
