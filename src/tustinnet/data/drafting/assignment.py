@@ -94,7 +94,7 @@ class Assignment:
         orphans = [v for v in velocities if v not in pairs]
         total -= w.alone * (len(orphans) if len(positions) else 0.5)
         second = self.pair_rates([*pairs] if len(positions) else velocities, by_role[_ACCELERATION])
-        total += sum(float(t.slope[v, a]) for a, v in second.items())
+        total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
         total -= len(by_role[_ACCELERATION]) - len(second)
         motion = [*positions, *velocities]
         for r in by_role[_SET_POINT]:
@@ -103,7 +103,10 @@ class Assignment:
             total -= self._price_of_both(a, b)
         total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
         total -= sum(
-            float(t.repeats[u, p]) for u in inputs for p in positions if not t.are_said[u, p]
+            float(t.repeats[u, p]) + 0.75 * w.copy * t.is_alike[u, p]
+            for u in inputs
+            for p in positions
+            if not t.are_said[u, p]
         )
         total += self._input_points(inputs, [*positions] or orphans)
         if not len(inputs):

@@ -325,7 +325,7 @@ class EvidenceTable:
                 if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
                     points[i, j] -= w.increment
                 elif explains_factor(factor, a.unit, b.unit, unsure):
-                    points[i, j] += w.factor
+                    points[i, j] += w.factor * (fit[i, j] > 0.98)
                 elif not numbers[self.names[i]].whole:
                     points[i, j] -= w.no_factor
         pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]

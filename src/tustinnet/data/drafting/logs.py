@@ -437,7 +437,7 @@ def _find_rounded_clock(
         if not (steps >= 0).all() or not 0 < worst <= 2 * largest:
             continue
         unit, _, sure = _time_unit(name, readings[name], columns)
-        dt = float(f"{np.mean(steps) * TIME[unit]:.3g}")
+        dt = float(f"{np.mean(steps) * TIME[unit]:.4g}")
         reason = "times of too few digits: their mean interval is the period"
         return Clock(None, unit, "", dt, 0.0, sure, {**others, name: reason})
     return Clock(None, others=others)
