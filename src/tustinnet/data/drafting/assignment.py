@@ -80,37 +80,38 @@ class Assignment:
         """The points of an assignment."""
         key = roles.tobytes()
         if key not in self.cache:
-            self.cache[key] = self._score(roles)
+            self.cache[key] = float(self._score(roles))
         return self.cache[key]
 
     def _score(self, roles: Roles) -> float:
         t, w = self.table, WEIGHTS
-        by_role = [np.flatnonzero(roles == role) for role in range(len(ROLES))]
-        positions, velocities, inputs = (by_role[r] for r in (_POSITION, _VELOCITY, _INPUT))
+        positions, velocities, accelerations, inputs, set_points, _ = (
+            _columns(roles, role) for role in range(len(ROLES))
+        )
         total = float(t.points[np.arange(len(roles)), roles].sum())
         pairs = self.pair_rates(positions, velocities)
         total += sum(float(t.slope[p, v]) for v, p in pairs.items())
         total -= w.no_velocity * (len(positions) - len(pairs)) if pairs else 0.0
         orphans = [v for v in velocities if v not in pairs]
-        total -= w.alone * (len(orphans) if len(positions) else 0.5)
-        second = self.pair_rates([*pairs] if len(positions) else velocities, by_role[_ACCELERATION])
+        total -= w.alone * (len(orphans) if positions else 0.5)
+        second = self.pair_rates([*pairs] if positions else velocities, accelerations)
         total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
-        total -= len(by_role[_ACCELERATION]) - len(second)
+        total -= len(accelerations) - len(second)
         motion = [*positions, *velocities]
-        for r in by_role[_SET_POINT]:
-            total += max(t.follow[r, motion], default=-1.5)
+        total += sum(max(t.follow[r, motion].tolist(), default=-1.5) for r in set_points)
         for a, b in itertools.combinations(positions, 2):
             total -= self._price_of_both(a, b)
         total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
+        moved = positions or orphans
+        total += self._input_points(inputs, moved)
         total -= sum(
             float(t.repeats[u, p]) + 0.75 * w.copy * t.is_alike[u, p]
             for u in inputs
-            for p in positions
-            if not t.are_said[u, p]
+            for p in moved
+            if not t.says(u, "input")
         )
-        total += self._input_points(inputs, [*positions] or orphans)
-        if not len(inputs):
-            total -= 0.5 if len(by_role[_SET_POINT]) else w.no_input
+        if not inputs:
+            total -= 0.5 if set_points else w.no_input
         return total - (0.0 if motion else w.no_position)
 
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
@@ -121,7 +122,7 @@ class Assignment:
             i, j = divmod(int(k), len(rates))
             if slope[i, j] <= -1.5:
                 break
-            p, v = int(columns[i]), int(rates[j])
+            p, v = columns[i], rates[j]
             if v not in pairs and p not in pairs.values():
                 pairs[v] = p
         return pairs
@@ -131,7 +132,9 @@ class Assignment:
         t, w = self.table, WEIGHTS
         is_said = t.says(a, "position") and t.says(b, "position")
         is_derived = any(t.readings[i].qualifier is not None for i in (a, b))
+        things = [t.readings[i].object for i in (a, b)]
         price = max(0.0, t.slope[a, b], t.slope[b, a])
+        price += w.member if things[0] and things[0] == things[1] else 0.0
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         price += t.repeats[a, b] * (0.25 if is_said and not is_derived else 1.0)
         return price + (0.75 * w.copy if t.is_alike[a, b] and not is_said else 0.0)
@@ -139,7 +142,7 @@ class Assignment:
     def _input_points(self, inputs: Sequence[int], moved: Sequence[int]) -> float:
         """Points of what inputs move, and the prices of several inputs of one machine."""
         t, w = self.table, WEIGHTS
-        causes = {u: max(t.cause[u, moved], default=-1.0) for u in inputs}
+        causes = {u: max(t.cause[u, moved].tolist(), default=-1.0) for u in inputs}
         total, counted = 0.0, list[int]()
         for u in sorted(inputs, key=lambda u: -causes[u]):
             copies = [b for b in counted if t.repeats[u, b] > 0 or t.is_alike[u, b]]
@@ -224,12 +227,10 @@ class Assignment:
         A speed alone is the coordinate, and a set point alone the input.
         """
         uses = roles.copy()
-        if not (roles == _POSITION).any():
-            uses[roles == _VELOCITY] = _POSITION
-        else:
-            velocities = np.flatnonzero(roles == _VELOCITY)
-            pairs = self.pair_rates(np.flatnonzero(roles == _POSITION), velocities)
-            uses[[v for v in velocities if v not in pairs]] = _OTHER
+        positions, velocities = _columns(roles, _POSITION), _columns(roles, _VELOCITY)
+        pairs = self.pair_rates(positions, velocities)
+        alone = [v for v in velocities if v not in pairs]
+        uses[alone] = _OTHER if positions else _POSITION
         if not (roles == _INPUT).any():
             uses[roles == _SET_POINT] = _INPUT
         uses[(uses == _ACCELERATION) | (uses == _SET_POINT)] = _OTHER
@@ -244,28 +245,26 @@ class Assignment:
         own = [e for e in t.own[i] if e.role == ROLES[role] and e.points > 0]
         reasons = [(e.points, e.sentence) for e in own]
         partner = None
-        positions = np.flatnonzero(self.roles == _POSITION)
-        motion = np.flatnonzero((self.roles == _POSITION) | (self.roles == _VELOCITY))
+        positions, velocities = (_columns(self.roles, r) for r in (_POSITION, _VELOCITY))
         if role == _VELOCITY:
-            velocities = np.flatnonzero(self.roles == _VELOCITY)
             partner = self.pair_rates(positions, velocities).get(i)
             if partner is not None:
-                reasons.append((t.slope[partner, i], f"the slope of '{t.names[partner]}'"))
-        elif role == _SET_POINT and len(motion):
-            partner = int(motion[np.argmax(t.follow[i, motion])])
-            points = float(t.follow[i, partner])
-            partner = partner if points > 0 else None
-            if partner is not None:
-                reasons.append((points, f"'{t.names[partner]}' follows it, one to one"))
-        elif role == _INPUT and len(positions):
-            moved = int(positions[np.argmax(t.cause[i, positions])])
+                reasons.append((t.slope[partner, i], f"slope of '{t.names[partner]}'"))
+        elif role == _SET_POINT:
+            partner = max((*positions, *velocities), key=lambda p: t.follow[i, p], default=None)
+            if partner is not None and t.follow[i, partner] > 0:
+                text = f"'{t.names[partner]}' follows it, one to one"
+                reasons.append((t.follow[i, partner], text))
+            else:
+                partner = None
+        elif role == _INPUT:
+            moved = max(positions, key=lambda p: t.cause[i, p], default=i)
             if t.cause[i, moved] > 0:
                 reasons.append((t.cause[i, moved], f"it moves '{t.names[moved]}'"))
         elif role == _ACCELERATION:
-            velocities = np.flatnonzero(self.roles == _VELOCITY)
-            if len(velocities) and t.slope[velocities, i].max() > 0:
-                of = t.names[velocities[np.argmax(t.slope[velocities, i])]]
-                reasons.append((t.slope[velocities, i].max(), f"the slope of '{of}'"))
+            of = max(velocities, key=lambda v: t.slope[v, i], default=i)
+            if of != i and t.slope[of, i] > 0:
+                reasons.append((t.slope[of, i], f"slope of '{t.names[of]}'"))
         sentences = [text for _, text in sorted(reasons, key=lambda r: -r[0])]
         is_known = family in self.held
         return Verdict(
@@ -277,3 +276,8 @@ class Assignment:
             np.inf if is_known else self.margins[family],
             None if partner is None else t.names[partner],
         )
+
+
+def _columns(roles: Roles, role: int) -> list[int]:
+    """The columns that have a role."""
+    return np.flatnonzero(roles == role).tolist()

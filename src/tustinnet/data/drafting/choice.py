@@ -141,11 +141,16 @@ def _why_unused(
     if verdict.role in ("input", "other") and reading.quantity in INPUTS and inputs:
         rest = [u for u in inputs if stage_of(findings.readings[u]) != stage_of(reading)]
         return f"an effect of '{rest[0]}'" if rest else f"beside the input '{inputs[0]}'"
-    if verdict.role == "velocity":
-        opposite = [p for p in motion if findings.slopes.between(p, name)[0] < -0.9]
-        if opposite:
-            return f"a velocity in the other direction than '{opposite[0]}'"
-        return f"a velocity, and the slope of no position ({verdict.because})"
+    if "velocity" in (verdict.role, reading.quantity):
+        for position in motion:
+            correlation, _ = findings.slopes.between(position, name)
+            if abs(correlation) > 0.9:
+                return (
+                    f"a second velocity of '{position}'"
+                    if correlation > 0
+                    else f"a velocity in the other direction than '{position}'"
+                )
+        return "a velocity, and the slope of no position"
     article = "an" if verdict.role[0] in "aei" else "a"
     what = "no quantity of the motion" if verdict.role == "other" else f"{article} {verdict.role}"
     return f"{what}: {verdict.because}"

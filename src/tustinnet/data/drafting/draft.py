@@ -185,8 +185,11 @@ def draft_card(
         numbers[cosine] = examine(samples[cosine])
     motion = [n for n in motion if n in samples]
     slopes = compare_slopes(samples, times)
-    known = {n: _role(answers[f"role {n}"]) for n in motion if f"role {n}" in answers}
-    known |= dict.fromkeys(sines, "position")
+    known: dict[str, Role] = {
+        n: _role(answers[f"role {n}"]) for n in motion if f"role {n}" in answers
+    }
+    for cosine in sines:
+        known[cosine] = "position"
     verdicts = _judge({n: readings[n] for n in motion}, numbers, samples, slopes, clock_dt, known)
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"

@@ -92,7 +92,8 @@ class Weights:
         increment: price of a "velocity" that is a change per sample, as programs have that add up.
         member: for a pair of one number or one thing by their names.
         follow: at most, for a set point that a position follows one to one.
-        earlier: for a set point that is earlier than the position.
+        earlier: for a set point that is earlier than the position; without a name that says a
+            command it must be.
         cause: at most, for an input whose past helps to foresee a position.
         back: share that counts against it where the position foresees the input.
         no_input: price of a machine that nothing drives.
@@ -112,7 +113,7 @@ class Weights:
     later: float = 0.5
     silent: float = 2.0
     held: float = 2.0
-    white: float = 4.0
+    white: float = 5.0
     smooth: float = 1.0
     wrap: float = 4.0
     count: float = 1.0
@@ -214,12 +215,12 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
             Evidence("other", 0.25 * w.white, "only noise"),
         ]
     if numbers.smooth:
-        evidence.append(Evidence("position", w.smooth, "smooth"))
-        evidence.append(Evidence("velocity", 0.3 * w.smooth, "smooth"))
         count = numbers.count
         if count is not None and (numbers.whole or not is_decimal(count)):
             text = f"steps of {count:.6g}, as encoder counts"
             evidence.append(Evidence("position", w.count, text))
+        evidence.append(Evidence("position", w.smooth, "smooth"))
+        evidence.append(Evidence("velocity", 0.3 * w.smooth, "smooth"))
     return evidence
 
 
@@ -236,7 +237,6 @@ class EvidenceTable:
         cause: net points for column i as what moves column j, [i, j].
         repeats: prices of using two columns of the same values.
         is_alike: whether two columns are proportional, nearly.
-        are_said: whether names say that column i is an input and column j a position.
         family: the family of each column; those of one family have one role.
         stage: the stage of a drive of which a column speaks.
         joint: the words that say at which of several positions a column acts.
@@ -263,11 +263,6 @@ class EvidenceTable:
         self.slope = self._slope_points(slopes, numbers, dt)
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
-        inputs, positions = (
-            np.array([self.says(i, role) for i in range(len(self.names))])
-            for role in ("input", "position")
-        )
-        self.are_said = np.outer(inputs, positions)
         self.follow = self._follow_points(fit, late)
         self.cause = self._cause_points(find_causes(records))
         self.family = find_families(self.readings, self.slope)
@@ -317,11 +312,14 @@ class EvidenceTable:
         points = np.where(slopes.factor == 0, -0.5, points)  # too few samples to say anything
         for i, j in zip(*np.nonzero(fit >= 0.8), strict=True):
             a, b = self.readings[i], self.readings[j]
-            if None not in (a.kind, b.kind) and a.kind != b.kind:
+            is_rate = (
+                b.unit in ("", *ANGULAR_SPEEDS, *LINEAR_SPEEDS) or "^2" in b.unit or b.unit == "g"
+            )
+            if not is_rate or (None not in (a.kind, b.kind) and a.kind != b.kind):
                 points[i, j] = -2.0
                 continue
             if dt is not None and points[i, j] > 0:
-                factor, unsure = float(slopes.factor[i, j]), 1.02 / np.sqrt(fit[i, j]) - 1
+                factor, unsure = float(slopes.factor[i, j]), 1.02 / float(fit[i, j]) ** 0.5 - 1
                 if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
                     points[i, j] -= w.increment
                 elif explains_factor(factor, a.unit, b.unit, unsure):
@@ -345,15 +343,17 @@ class EvidenceTable:
     def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
         w = WEIGHTS
         points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
+        commands = np.array([[r.qualifier == "command"] for r in self.readings])
         points += np.where(fit < fit.T, -1.0, np.where(late > 0, w.earlier, 0.0))
-        commands = np.array([r.qualifier == "command" for r in self.readings])
-        return np.where(fit < 0.5, np.where(commands, -1.0, -3.0)[:, None], points)
+        is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
+        return np.where(is_one, points, np.where(commands, -1.0, -3.0))
 
     def _cause_points(self, gain: Pairs) -> Pairs:
         w = WEIGHTS
         push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
         net = push - w.back * push.T - np.maximum(0.0, self.slope.T)
-        return np.where((self.repeats > 0) & ~self.are_said, -1.0, net)
+        says = np.array([[self.says(i, "input")] for i in range(len(self.names))])
+        return np.where((self.repeats > 0) & ~says, -1.0, net)
 
 
 def explains_factor(factor: float, unit: str, speed: str, tolerance: float) -> bool:
@@ -410,5 +410,6 @@ def stage_of(reading: NameReading) -> Stage:
     """The stage of a drive of which a name speaks; a command or a voltage moves first."""
     if reading.qualifier == "command":
         return "command"
-    weights = {q: reading.quantities[q] for q in INPUTS if q in reading.quantities}
-    return _STAGE_OF.get(max(weights, key=lambda q: weights[q], default="voltage"), "command")
+    inputs = [q for q in INPUTS if q in reading.quantities]
+    strongest = max(inputs, key=lambda q: reading.quantities[q], default="voltage")
+    return _STAGE_OF.get(strongest, "command")

@@ -547,9 +547,12 @@ def find_pieces(
             because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
             pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
     long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]
-    for place in dict.fromkeys(p.log.place for p in pieces if long and p not in long):
-        lengths = [len(p.t) for p in pieces if p.log.place == place and p not in long]
-        texts = ", ".join(map(str, lengths[:4])) + (", ..." if len(lengths) > 4 else "")
+    short: dict[str, list[str]] = {}
+    for piece in pieces if long else ():
+        if len(piece.t) < _SHORTEST:
+            short.setdefault(piece.log.place, []).append(str(len(piece.t)))
+    for place, lengths in short.items():
+        texts = ", ".join(lengths[:4]) + (", ..." if len(lengths) > 4 else "")
         on_message(f"left out: {place}: fewer than {_SHORTEST} samples in a record ({texts})")
     return long or pieces
 

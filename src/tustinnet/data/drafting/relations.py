@@ -21,7 +21,7 @@ _ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
 _OF_ANGLE = 0.3  # range of a cosine or sine, at least
 
 Pairs = Float[np.ndarray, "c c"]
-Table = Float[np.ndarray, "n c"]  # the columns of a record
+Table = Float[np.ndarray, "_ c"]  # the columns of a record, of any length
 
 
 @dataclass(frozen=True)
