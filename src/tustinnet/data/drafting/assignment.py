@@ -102,12 +102,11 @@ class Assignment:
         for a, b in itertools.combinations(positions, 2):
             total -= self._price_of_both(a, b)
         total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
-        moved = positions or orphans
-        total += self._input_points(inputs, moved)
+        total += self._input_points(inputs, positions or orphans)
         total -= sum(
             float(t.repeats[u, p]) + 0.75 * w.copy * t.is_alike[u, p]
             for u in inputs
-            for p in moved
+            for p in motion
             if not t.says(u, "input")
         )
         if not inputs:
