@@ -76,7 +76,8 @@ class Weights:
     Attributes:
         letter: of a letter or word that has several meanings, as `u` or `motor`; a word or unit
             that has one counts as `read_name` weighs it, 3 to 8.
-        against: for each role that a name does not say, where it says another one.
+        against: for each role that a name does not say, where it says another one; twice where it
+            says that by a word or unit that has one meaning.
         command: of a name that says a command, for a set point.
         derived: of a name that says a filtered or simulated value, for a column that is not used.
         later: less for an input for each stage of its drive before it, of which one is the input.
@@ -158,12 +159,14 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         if is_stated and len(word) == 1:
             continue  # `acc_x` is no position x
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
+        if word == "[us]":  # of pulses that drive a servo, as it is no clock
+            role, weight = "input", w.letter
         spoken.add(role)
         if is_command and role in ("position", "velocity", "acceleration"):
             role = "set point"
         evidence.append(Evidence(role, max(weight, w.letter), text))
     evidence += [
-        Evidence(role, -w.against, "")
+        Evidence(role, -w.against * (2 if is_stated else 1), "")
         for role in ROLES[:-1]
         if spoken and role not in spoken and not (is_command and role == "set point")
     ]
