@@ -41,6 +41,8 @@ from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 _MOST_SAMPLES = 200_000  # on which the evidence rests
+_MOST_RECORDS, _MOST_ROWS, _FEWEST_ROWS = 5, 30_000, 500  # that are compared: records, and rows
+# of each: by the number of columns, at least
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST = 6  # samples of a record
 _PERIOD = "period"
@@ -359,9 +361,13 @@ def _judge(
     constant = Verdict("constant", ("it never changes",))
     if not moving:
         return dict.fromkeys(readings, constant)
+    lengths = [len(values) for values in samples[next(iter(moving))]]
+    chosen = np.linspace(0, len(lengths) - 1, min(len(lengths), _MOST_RECORDS)).astype(int)
+    most = max(_FEWEST_ROWS, _MOST_ROWS // max(10, len(moving)))
+    first = {k: max(0, (lengths[k] - most) // 2) for k in chosen.tolist()}
     records = [
-        np.column_stack(columns)
-        for columns in zip(*(map(_fill, samples[n]) for n in moving), strict=True)
+        np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
+        for k, row in first.items()
     ]
     table = EvidenceTable(moving, numbers, records, slopes.of(moving), dt)
     verdicts = Assignment(table, known).verdicts()

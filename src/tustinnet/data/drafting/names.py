@@ -299,6 +299,8 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if pairs & {("input", "pos"), ("input", "position"), ("input", "vel"), ("input", "velocity")}:
         qualifier = "command"  # of a controller, as drives have it
         quantities.pop("control", None)
+    if qualifier is None and "d" in words[1:] and "position" in quantities and "dt" not in words:
+        qualifier = "command"  # `q_d`, the desired position, as robots have it
     if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(

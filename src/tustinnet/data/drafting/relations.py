@@ -116,7 +116,7 @@ def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
                 differences += squares - 2 * first.T @ later
                 spreads += ((later - later.mean(axis=0)) ** 2).sum(axis=0)
         fit = np.nan_to_num(1 - differences / spreads, nan=-np.inf)
-        better = fit > best + 1e-3
+        better = 1 - fit < 0.9 * (1 - best)
         best, lags = np.where(better, fit, best), np.where(better, late, lags)
     return best, lags
 
