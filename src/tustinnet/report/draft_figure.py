@@ -52,7 +52,8 @@ def draft_figure(draft: Draft) -> Figure:
         rows_text = "" if piece.whole else f", rows {piece.rows[0]} to {piece.rows[1]}"
         more = len(draft.columns) - len(drawn)
         left_out = f"; {more} more columns are not drawn" if more else ""
-        figure.suptitle(f"{place}{rows_text}: what each column was taken for{left_out}", fontsize=9)
+        title = f"{place}{rows_text}: what each column was taken for{left_out}"
+        figure.suptitle(title, y=1 - 0.1 / height, va="top", fontsize=9)
         return figure
 
 

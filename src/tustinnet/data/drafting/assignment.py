@@ -257,7 +257,12 @@ class Assignment:
             else:
                 partner = None
         elif role == _INPUT:
-            moved = max(positions, key=lambda p: t.cause[i, p], default=i)
+            # of several that it moves the one of its own name or number
+            moved = max(
+                (p for p in positions if t.cause[i, p] > 0),
+                key=lambda p: (t.joint[p] == t.joint[i], t.cause[i, p]),
+                default=i,
+            )
             if t.cause[i, moved] > 0:
                 reasons.append((t.cause[i, moved], f"it moves '{t.names[moved]}'"))
         elif role == _ACCELERATION:
