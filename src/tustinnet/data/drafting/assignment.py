@@ -259,7 +259,7 @@ class Assignment:
         elif role == _INPUT:
             # of several that it moves the one of its own name or number
             moved = max(
-                (p for p in positions if t.cause[i, p] > 0),
+                (p for p in positions or velocities if t.cause[i, p] > 0),
                 key=lambda p: (t.joint[p] == t.joint[i], t.cause[i, p]),
                 default=i,
             )

@@ -222,16 +222,17 @@ def unwrap(piece: Values, turn: float | None) -> Values:
     return piece - turn * np.cumsum(turns)
 
 
-def counts_in_turn(count: float, turn: float) -> int | None:
+def counts_in_turn(count: float, turn: float, tolerance: float = _SAME_COUNT) -> int | None:
     """Counts of an encoder in a turn, from the step of a column; None if no encoder has such.
 
     Args:
         count: the step.
         turn: a turn in the column's unit, 360 for degrees.
+        tolerance: relative deviation.
     """
     counts = turn / count
     nearest = min(_TURNS, key=lambda n: abs(n - counts))
-    return nearest if abs(counts / nearest - 1) < _SAME_COUNT else None
+    return nearest if abs(counts / nearest - 1) < tolerance else None
 
 
 def is_decimal(count: float) -> bool:

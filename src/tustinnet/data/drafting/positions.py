@@ -34,34 +34,6 @@ _PERIODS = (1e-4, 1.0)  # s
 _ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
-# counts in a turn of usual encoders, the most usual first
-_USUAL = (
-    4096,
-    2048,
-    8192,
-    1024,
-    16384,
-    512,
-    65536,
-    2000,
-    4000,
-    1000,
-    10000,
-    2400,
-    20000,
-    1440,
-    3600,
-    1200,
-    2880,
-    2500,
-    500,
-    360,
-    8000,
-    5000,
-    1600,
-    3200,
-    40000,
-)
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
 
@@ -344,10 +316,8 @@ def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
     if velocity_unit not in ANGULAR_SPEEDS or not factor or factor <= 0:
         return None
     counts = 2 * np.pi / ANGULAR_SPEEDS[velocity_unit] / factor
-    for usual in _USUAL:
-        if abs(counts / usual - 1) < _SAME_FACTOR / 2:
-            return usual
-    return round(counts) if counts >= 1 else None
+    usual = counts_in_turn(1.0, counts, _SAME_FACTOR / 2)
+    return usual or (round(counts) if counts >= 1 else None)
 
 
 def _counts_by_copy(column: str, findings: Findings) -> int | None:
