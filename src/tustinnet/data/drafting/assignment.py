@@ -26,7 +26,7 @@ class Verdict:
         reasons: the sentences that speak for it, the strongest first.
         rival: the role that it has in the best assignment in which it is used otherwise.
         margin: how much better the assignment is than that, in points.
-        partner: the column of which it is the velocity or the set point, None without one.
+        partner: the column of which it is the velocity or set point, or that it moves, if any.
     """
 
     role: Role
@@ -241,44 +241,31 @@ class Assignment:
 
     def _verdict(self, i: int) -> Verdict:
         t, family, role = self.table, self.table.family[i], int(self.roles[i])
-        own = [e for e in t.own[i] if e.role == ROLES[role] and e.points > 0]
-        reasons = [(e.points, e.sentence) for e in own]
-        partner = None
+        if family in self.held:
+            return Verdict(ROLES[role], ("as you say",))
         positions, velocities = (_columns(self.roles, r) for r in (_POSITION, _VELOCITY))
-        if role == _VELOCITY:
-            partner = self.pair_rates(positions, velocities).get(i)
-            if partner is not None:
-                reasons.append((t.slope[partner, i], f"slope of '{t.names[partner]}'"))
-        elif role == _SET_POINT:
-            partner = max((*positions, *velocities), key=lambda p: t.follow[i, p], default=None)
-            if partner is not None and t.follow[i, partner] > 0:
-                text = f"'{t.names[partner]}' follows it, one to one"
-                reasons.append((t.follow[i, partner], text))
-            else:
-                partner = None
-        elif role == _INPUT:
-            # of several that it moves the one of its own name or number
-            moved = max(
-                (p for p in positions or velocities if t.cause[i, p] > 0),
-                key=lambda p: (t.joint[p] == t.joint[i], t.cause[i, p]),
-                default=i,
-            )
-            if t.cause[i, moved] > 0:
-                reasons.append((t.cause[i, moved], f"it moves '{t.names[moved]}'"))
-        elif role == _ACCELERATION:
-            of = max(velocities, key=lambda v: t.slope[v, i], default=i)
-            if of != i and t.slope[of, i] > 0:
-                reasons.append((t.slope[of, i], f"slope of '{t.names[of]}'"))
-        sentences = [text for _, text in sorted(reasons, key=lambda r: -r[0])]
-        is_known = family in self.held
+        pairs = self.pair_rates(positions, velocities)
+        points, others, text = {
+            _VELOCITY: (t.slope[:, i], [pairs[i]] if i in pairs else [], "slope of '{}'"),
+            _ACCELERATION: (t.slope[:, i], velocities, "slope of '{}'"),
+            _INPUT: (t.cause[i], positions or velocities, "it moves '{}'"),
+            _SET_POINT: (t.follow[i], [*positions, *velocities], "'{}' follows it, one to one"),
+        }.get(role, (t.slope[i], [], ""))
+        related = [p for p in others if role == _VELOCITY or points[p] > 0]
+        # of several that it moves the one of its own name or number
+        other = max(related, key=lambda p: (t.joint[p] == t.joint[i], points[p]), default=None)
+        reasons = [(e.points, e.sentence) for e in t.own[i] if e.role == ROLES[role]]
+        partner = None
+        if other is not None:
+            partner = t.names[other]
+            reasons.append((float(points[other]), text.format(partner)))
+        ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
         return Verdict(
             ROLES[role],
-            ("as you say",)
-            if is_known
-            else tuple(dict.fromkeys(sentences)) or ("nothing else fits",),
-            None if is_known else ROLES[self.rivals[family]],
-            np.inf if is_known else self.margins[family],
-            None if partner is None else t.names[partner],
+            tuple(dict.fromkeys(r[1] for r in ordered)) or ("nothing else fits",),
+            ROLES[self.rivals[family]],
+            self.margins[family],
+            partner,
         )
 
 

@@ -12,6 +12,7 @@ from tustinnet.data.drafting.vocabulary import (
     ANGULAR,
     AXES,
     CONTAINERS,
+    LETTERS,
     LINEAR,
     POSITION_WORDS,
     QUALIFIERS,
@@ -33,26 +34,7 @@ INPUTS: tuple[Quantity, ...] = (
     "pressure",
 )
 
-_UMLAUTS = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
-)
-_GREEK = str.maketrans(
-    {
-        "φ": "phi",
-        "ϕ": "phi",
-        "θ": "theta",
-        "ϑ": "theta",
-        "ψ": "psi",
-        "ω": "omega",
-        "α": "alpha",
-        "β": "beta",
-        "γ": "gamma",
-        "τ": "tau",
-        "Δ": "delta",
-        "ẋ": "xdot",
-        "\u0307": "dot",
-    }
-)
+_LETTERS = str.maketrans(dict(pair.split(":") for pair in LETTERS.split()))
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
@@ -157,7 +139,7 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         reading = read_name(f"{name} [{file_unit}]")
         if reading.unit == spelling[0]:
             return replace(reading, name=name)
-    plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
+    plain = unicodedata.normalize("NFC", name).translate(_LETTERS)
     plain = _ACCENTS.sub("", unicodedata.normalize("NFD", plain))
     plain = unicodedata.normalize("NFC", plain)
     plain, unit, unit_quantity, in_brackets = _take_unit(plain)

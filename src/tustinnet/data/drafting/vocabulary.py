@@ -119,6 +119,12 @@ DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what
+LETTERS = (
+    "ä:ae ö:oe ü:ue ß:ss Ä:Ae Ö:Oe Ü:Ue φ:phi ϕ:phi θ:theta ϑ:theta ψ:psi ω:omega α:alpha β:beta "
+    "γ:gamma τ:tau Δ:delta ẋ:xdot \u0307:dot"
+)
+"""How letters with accents and Greek ones are spelled."""
+
 # units by quantity, as cards have them, and how else they are spelled
 UNITS = """
 position:rad:radian radians
