@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
+from tustinnet.data.drafting.relations import Pairs
 
 _MANY = 14  # families; of more of them no two are swapped
 _ROUNDS = 4  # in which a rival that turns out to be better takes the place of the best
@@ -51,6 +52,50 @@ class Verdict:
         return self.partner if self.role == "set point" else None
 
 
+class _Prices:
+    """Prices of pairs of columns that have certain roles.
+
+    Attributes:
+        positions: of two positions: one place twice, or a place and its rate.
+        velocities: of two velocities.
+        motion: of an input that repeats a position or velocity, unless its name says that it is
+            an input.
+        inputs: of two inputs that are proportional.
+        are_stages: whether two inputs are stages of one drive.
+    """
+
+    def __init__(self, t: EvidenceTable) -> None:
+        w, columns = WEIGHTS, range(len(t.names))
+        positions = np.array([t.says(i, "position") for i in columns])
+        inputs = np.array([t.says(i, "input") for i in columns])
+        plain = np.array([r.qualifier is None for r in t.readings])
+        things = [r.object for r in t.readings]
+        are_one = np.array([[bool(a) and a == b for b in things] for a in things])
+        is_said = np.outer(positions, positions)
+        # a stiff machine moves as one, and motor and load are two positions nevertheless
+        share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
+        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T)) + w.member * are_one
+        self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
+        self.velocities = t.repeats.copy()
+        self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
+        is_copy = (t.repeats > 0) | t.is_alike
+        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)
+        for prices in (self.positions, self.velocities, self.inputs):
+            np.fill_diagonal(prices, 0.0)
+        # a current at one joint is no effect of the force at another one
+        self.are_stages = np.array(
+            [
+                [
+                    t.stage[u] != t.stage[v]
+                    and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
+                    and not (t.is_disturbance[u] or t.is_disturbance[v])
+                    for v in columns
+                ]
+                for u in columns
+            ]
+        )
+
+
 class Assignment:
     """The search for the roles for which most evidence speaks."""
 
@@ -71,6 +116,7 @@ class Assignment:
             for name, role in answers.items()
             if name in table.names
         }
+        self.prices = _Prices(table)
         self.cache: dict[bytes, float] = {}
         self.roles, self.margins, self.rivals = self._find_best()
 
@@ -99,16 +145,10 @@ class Assignment:
         total -= len(accelerations) - len(second)
         motion = [*positions, *velocities]
         total += sum(max(t.follow[r, motion].tolist(), default=-1.5) for r in set_points)
-        for a, b in itertools.combinations(positions, 2):
-            total -= self._price_of_both(a, b)
-        total -= sum(float(t.repeats[a, b]) for a, b in itertools.combinations(velocities, 2))
         total += self._input_points(inputs, positions or orphans)
-        total -= sum(
-            float(t.repeats[u, p]) + 0.75 * w.copy * t.is_alike[u, p]
-            for u in inputs
-            for p in motion
-            if not t.says(u, "input")
-        )
+        total -= _sum(self.prices.positions, positions, positions) / 2
+        total -= _sum(self.prices.velocities, velocities, velocities) / 2
+        total -= _sum(self.prices.motion, inputs, motion)
         if not inputs:
             total -= 0.5 if set_points else w.no_input
         return total - (0.0 if motion else w.no_position)
@@ -116,48 +156,30 @@ class Assignment:
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
         """The column of which each rate is the derivative, the best pairs first."""
         slope = self.table.slope[np.ix_(columns, rates)]
+        possible = np.argwhere(slope > -1.5).tolist()
         pairs: dict[int, int] = {}
-        for k in np.argsort(-slope, axis=None):
-            i, j = divmod(int(k), len(rates))
-            if slope[i, j] <= -1.5:
-                break
-            p, v = columns[i], rates[j]
-            if v not in pairs and p not in pairs.values():
-                pairs[v] = p
+        for i, j in sorted(possible, key=lambda pair: -slope[pair[0], pair[1]]):
+            if rates[j] not in pairs and columns[i] not in pairs.values():
+                pairs[rates[j]] = columns[i]
         return pairs
-
-    def _price_of_both(self, a: int, b: int) -> float:
-        """The price of two positions: one place twice, or a place and its rate."""
-        t, w = self.table, WEIGHTS
-        is_said = t.says(a, "position") and t.says(b, "position")
-        is_derived = any(t.readings[i].qualifier is not None for i in (a, b))
-        things = [t.readings[i].object for i in (a, b)]
-        price = max(0.0, t.slope[a, b], t.slope[b, a])
-        price += w.member if things[0] and things[0] == things[1] else 0.0
-        # a stiff machine moves as one, and motor and load are two positions nevertheless
-        price += t.repeats[a, b] * (0.25 if is_said and not is_derived else 1.0)
-        return price + (0.75 * w.copy if t.is_alike[a, b] and not is_said else 0.0)
 
     def _input_points(self, inputs: Sequence[int], moved: Sequence[int]) -> float:
         """Points of what inputs move, and the prices of several inputs of one machine."""
+        if not inputs:
+            return 0.0
         t, w = self.table, WEIGHTS
-        causes = {u: max(t.cause[u, moved].tolist(), default=-1.0) for u in inputs}
-        total, counted = 0.0, list[int]()
-        for u in sorted(inputs, key=lambda u: -causes[u]):
-            copies = [b for b in counted if t.repeats[u, b] > 0 or t.is_alike[u, b]]
-            total += min(causes[u], 0.0) if copies else causes[u]
-            total -= sum(t.repeats[u, b] + 0.5 * w.copy for b in copies)
-            counted.append(u)
-        drives = [u for u in inputs if not t.is_disturbance[u]]
-        total -= w.further_input * max(0, len({t.family[u] for u in drives}) - 1)
-        stages = {
-            (t.family[u], t.family[v])
-            for u, v in itertools.combinations(drives, 2)
-            # a current at one joint is no effect of the force at another one
-            if t.stage[u] != t.stage[v]
-            and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
-        }
-        return total - w.stage * len(stages)
+        causes = t.cause[np.ix_(inputs, moved)].max(axis=1, initial=-9.0 if moved else -1.0)
+        order = np.argsort(-causes, kind="stable")
+        ranked = [inputs[k] for k in order]
+        again = self.prices.inputs[np.ix_(ranked, ranked)]
+        is_copy = np.tril(again > 0).any(axis=1)  # of one that moves more
+        total = float(np.minimum(causes[order], np.where(is_copy, 0.0, np.inf)).sum())
+        total -= float(again.sum()) / 2
+        families = {t.family[u] for u in inputs if not t.is_disturbance[u]}
+        total -= w.further_input * max(0, len(families) - 1)
+        stages = np.argwhere(np.triu(self.prices.are_stages[np.ix_(inputs, inputs)]))
+        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages.tolist()}
+        return total - w.stage * len(drives)
 
     # --- the search ---
 
@@ -168,7 +190,8 @@ class Assignment:
             start[members] = np.argmax(self.table.points[members].sum(axis=0))
         start = self._with(start, self.held)
         free = [f for f in self.families if f not in self.held]
-        starts = [start, *(self._with(start, {f: _POSITION}) for f in free)]
+        likely = sorted(free, key=lambda f: -self.table.points[f, _POSITION])[:_MANY]
+        starts = [start, *(self._with(start, {f: _POSITION}) for f in likely)]
         best = max((self._climb(s) for s in starts), key=self.score)
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
@@ -197,8 +220,16 @@ class Assignment:
         return changed
 
     def _climb(self, roles: Roles, kept: int | None = None) -> Roles:
-        """Changes the role of one family, or swaps two, as long as that is better."""
+        """Changes the role of one family, or swaps two, as long as that is better.
+
+        Args:
+            roles: where to begin.
+            kept: a family that keeps its role; of many families only those that it has to do with
+                change then.
+        """
         free = [f for f in self.families if f not in self.held and f != kept]
+        if kept is not None and len(free) > _MANY:
+            free = [f for f in free if self._are_related(kept, f)]
         while True:
             before = self.score(roles)
             for family in free:
@@ -217,6 +248,12 @@ class Assignment:
             roles = max((roles, *swaps), key=self.score)
             if self.score(roles) <= before + 1e-9:
                 return roles
+
+    def _are_related(self, first: int, second: int) -> bool:
+        """Whether the roles of two families depend on one another."""
+        t, pair = self.table, np.ix_(self.families[first], self.families[second])
+        matrices = (t.slope, t.follow, t.repeats, t.is_alike)
+        return any((m[pair] > 0).any() or (m.T[pair] > 0).any() for m in matrices)
 
     # --- what follows from it ---
 
@@ -272,3 +309,8 @@ class Assignment:
 def _columns(roles: Roles, role: int) -> list[int]:
     """The columns that have a role."""
     return np.flatnonzero(roles == role).tolist()
+
+
+def _sum(prices: Pairs, rows: Sequence[int], columns: Sequence[int]) -> float:
+    """The sum of the prices of some pairs."""
+    return float(prices[np.ix_(rows, columns)].sum())
