@@ -141,7 +141,7 @@ def test_the_cause_comes_before_the_effect(tmp_path: Path) -> None:
 
 def test_a_smooth_column_is_not_caused_by_whatever_else_is_smooth(tmp_path: Path) -> None:
     t = DT * np.arange(N)
-    waves = [sum(np.sin(f * t + k) for f in (1.1, 1.9, 3.2)) for k in (0, 2)]
+    waves = [np.sum([np.sin(f * t + k) for f in (1.1, 1.9, 3.2)], axis=0) for k in (0, 2)]
     made = draft(tmp_path, {"theta1": waves[0], "theta2": waves[1]})
     assert uses(made) == {"theta1": "coordinate", "theta2": "coordinate"}
     assert made.notes == ("no input was found: the records are taken for free motion",)

@@ -62,6 +62,7 @@ class _Prices:
             an input.
         inputs: of two inputs that are proportional.
         are_stages: whether two inputs are stages of one drive.
+        are_related: whether one is a copy, a derivative or a set point of the other.
     """
 
     def __init__(self, t: EvidenceTable) -> None:
@@ -82,6 +83,8 @@ class _Prices:
         self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)
         for prices in (self.positions, self.velocities, self.inputs):
             np.fill_diagonal(prices, 0.0)
+        related = is_copy | (t.slope > 0) | (t.follow > 0)
+        self.are_related = related | related.T
         # a current at one joint is no effect of the force at another one
         self.are_stages = np.array(
             [
@@ -251,9 +254,8 @@ class Assignment:
 
     def _are_related(self, first: int, second: int) -> bool:
         """Whether the roles of two families depend on one another."""
-        t, pair = self.table, np.ix_(self.families[first], self.families[second])
-        matrices = (t.slope, t.follow, t.repeats, t.is_alike)
-        return any((m[pair] > 0).any() or (m.T[pair] > 0).any() for m in matrices)
+        pair = np.ix_(self.families[first], self.families[second])
+        return bool(self.prices.are_related[pair].any())
 
     # --- what follows from it ---
 

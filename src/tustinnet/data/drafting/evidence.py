@@ -411,8 +411,5 @@ def _joint_of(reading: NameReading) -> frozenset[str]:
 
 def stage_of(reading: NameReading) -> Stage:
     """The stage of a drive of which a name speaks; a command or a voltage moves first."""
-    if reading.qualifier == "command":
-        return "command"
-    inputs = [q for q in INPUTS if q in reading.quantities]
-    strongest = max(inputs, key=lambda q: reading.quantities[q], default="voltage")
-    return _STAGE_OF.get(strongest, "command")
+    strongest = max(INPUTS, key=lambda q: reading.quantities.get(q, 0.0))
+    return "command" if reading.qualifier == "command" else _STAGE_OF.get(strongest, "command")

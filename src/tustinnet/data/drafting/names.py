@@ -34,7 +34,7 @@ INPUTS: tuple[Quantity, ...] = (
     "pressure",
 )
 
-_LETTERS = str.maketrans({k: v for k, v in (pair.split(":") for pair in LETTERS.split())})
+_LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
