@@ -229,6 +229,19 @@ def test_clear_columns_are_no_question(tmp_path: Path) -> None:
     assert "check" not in made.text.split("\n", 1)[1]
 
 
+def test_a_draft_from_python_has_margins_and_writes_nothing(tmp_path: Path) -> None:
+    twins(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    made = tn.draft(tmp_path)
+    assert sorted(tmp_path.iterdir()) == before
+    margins = {c.name: c.margin for c in made.columns}
+    assert margins["one"] < WEIGHTS.near < margins["phi_rad"] < margins["t"]
+    answered = tn.draft(tmp_path, {"role one": "input", "role two": "none"})
+    assert "as you say" in answered.text
+    with pytest.raises(tn.InputError, match="no such file or folder"):
+        tn.draft(tmp_path / "nowhere")
+
+
 # --- times ---
 
 

@@ -60,6 +60,8 @@ class DraftColumn:
         because: the reasons.
         unit: its unit in the card, empty if not used.
         numbers: properties of its numbers.
+        margin: points by which its role is ahead of another use; infinite where nothing else was
+            weighed, as of times and constants.
     """
 
     name: str
@@ -68,6 +70,7 @@ class DraftColumn:
     because: str
     unit: str
     numbers: Numbers
+    margin: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -439,7 +442,8 @@ def _columns(
                 use, unit = "velocity", velocities[name].unit or ""
             else:
                 because = choice.unused.get(name, because)
-        columns.append(DraftColumn(name, role, use, because, unit, numbers[name]))
+        margin = verdicts[name].margin if name in verdicts else np.inf
+        columns.append(DraftColumn(name, role, use, because, unit, numbers[name], margin))
     return columns
 
 
