@@ -278,6 +278,18 @@ def test_names_alike_but_for_case_are_two_columns(tmp_path: Path) -> None:
     assert len({c.name for c in made.choice.coordinates}) == 2
 
 
+def test_columns_that_move_only_elsewhere_are_no_trouble(tmp_path: Path) -> None:
+    t = DT * np.arange(9000)
+    late = np.where(t < 1, np.sin(9 * t), 0.0)
+    gaps = np.where(np.arange(9000) % 50 == 0, np.nan, 1e99 * np.cos(t))
+    for k in range(2):
+        table = np.column_stack([t, np.sin(2 * t + k), np.cos(2 * t + k), late, late, gaps])
+        header = "t,x_m,y_m,button,valve_A,odd"
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.7g", ",", header=header, comments="")
+    made = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert {"x_m", "y_m"} <= {c.column for c in made.choice.coordinates}
+
+
 def test_points_are_documented() -> None:
     documentation = type(WEIGHTS).__doc__ or ""
     assert all(f"{name}:" in documentation for name in vars(WEIGHTS))

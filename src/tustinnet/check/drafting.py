@@ -1,4 +1,4 @@
-"""Drafts of data cards for folders of logs, in which the motion decides scales that nothing says."""
+"""Drafts of data cards for folders of logs; the motion decides scales that nothing else says."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

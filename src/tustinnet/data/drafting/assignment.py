@@ -10,6 +10,7 @@ from jaxtyping import Int
 from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
 from tustinnet.data.drafting.relations import Pairs
 
+NO_REASON = "nothing else fits"
 _MANY = 14  # families; of more of them no two are swapped
 _ROUNDS = 4  # in which a rival that turns out to be better takes the place of the best
 
@@ -290,9 +291,10 @@ class Assignment:
             _INPUT: (t.cause[i], positions or velocities, "it moves '{}'"),
             _SET_POINT: (t.follow[i], [*positions, *velocities], "'{}' follows it, one to one"),
         }.get(role, (t.slope[i], [], ""))
-        related = [p for p in others if role == _VELOCITY or points[p] > 0]
-        # of several that it moves the one of its own name or number
-        other = max(related, key=lambda p: (t.joint[p] == t.joint[i], points[p]), default=None)
+        # of several joints that of its own name or number
+        own = [p for p in others if t.joint[i] is not None and t.joint[p] == t.joint[i]]
+        related = [p for p in own or others if role == _VELOCITY or points[p] > 0]
+        other = max(related, key=lambda p: points[p], default=None)
         reasons = [(e.points, e.sentence) for e in t.own[i] if e.role == ROLES[role]]
         partner = None
         if other is not None:
@@ -301,7 +303,7 @@ class Assignment:
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
         return Verdict(
             ROLES[role],
-            tuple(dict.fromkeys(r[1] for r in ordered)) or ("nothing else fits",),
+            tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),
             ROLES[self.rivals[family]],
             self.margins[family],
             partner,

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from tustinnet.channels import Kind
-from tustinnet.data.drafting.assignment import Verdict
+from tustinnet.data.drafting.assignment import NO_REASON, Verdict
 from tustinnet.data.drafting.channel_names import name_channels
 from tustinnet.data.drafting.evidence import stage_of
 from tustinnet.data.drafting.findings import Choice, Findings, Question
@@ -153,7 +153,7 @@ def _why_unused(
         return "a velocity, and the slope of no position"
     article = "an" if verdict.role[0] in "aei" else "a"
     what = "no quantity of the motion" if verdict.role == "other" else f"{article} {verdict.role}"
-    return f"{what}: {verdict.because}"
+    return what if verdict.because == NO_REASON else f"{what}: {verdict.because}"
 
 
 # --- velocities ---

@@ -288,6 +288,7 @@ class EvidenceTable:
                     if not self.readings[i].quantities:
                         self.own[i].append(Evidence(role, -WEIGHTS.silent, ""))
 
+    @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
         """Evidence against the two directions of a point on a circle whose angle is there, too."""
         for i, j in itertools.permutations(range(len(self.names)), 2):

@@ -266,11 +266,6 @@ def _look_up(text: str) -> tuple[str, Quantity | None] | None:
     return None
 
 
-def unit_quantity(text: str) -> tuple[str, Quantity | None] | None:
-    """The unit that a text spells, as cards have it, and its quantity; None if unknown."""
-    return _look_up(text)
-
-
 def _take_unit(name: str) -> tuple[str, str, Quantity | None, bool]:
     """A name without a unit that stands apart, the unit, its quantity, whether there is one."""
     for match in _BRACKETS.finditer(name):

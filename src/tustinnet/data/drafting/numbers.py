@@ -74,7 +74,6 @@ class Numbers:
         changes: share of the samples that differ from the one before.
         roughness: root mean square of the steps over the standard deviation.
         levels: whether it is constant most of the time and then changes far.
-        rises: whether it never falls in a record.
         wrap: length of a turn in the column's unit, where it jumps by turns.
         usual_turn: whether that is a turn of a usual unit or encoder.
         count: the step of which all its changes are multiples, None without one.
@@ -87,7 +86,6 @@ class Numbers:
     changes: float = 0.0
     roughness: float = 0.0
     levels: bool = False
-    rises: bool = False
     wrap: float | None = None
     usual_turn: bool = True
     count: float | None = None
@@ -154,7 +152,6 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         changes=changes,
         roughness=float(np.sqrt(np.mean(steps**2)) / np.std(finite)),
         levels=has_levels,
-        rises=bool((steps >= 0).all()),
         wrap=usual or other,
         usual_turn=other is None,
         count=encoder_count(finite),

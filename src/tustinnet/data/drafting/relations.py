@@ -145,7 +145,8 @@ def find_causes(records: Sequence[Table]) -> Pairs:
         blocks = [block for block in blocks if len(block) >= _FEWEST_BLOCKS]
         if not blocks:
             continue
-        scale = np.concatenate(blocks).std(axis=0) + 1e-300
+        spread = np.concatenate(blocks).std(axis=0)
+        scale = np.where(spread > 0, spread, 1.0)
         lagged = [
             np.concatenate([(b / scale)[_OWN_LAGS - lag : len(b) - lag] for b in blocks])
             for lag in range(_OWN_LAGS + 1)
