@@ -148,7 +148,9 @@ class Assignment:
         total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
         total -= len(accelerations) - len(second)
         motion = [*positions, *velocities]
-        total += sum(max(t.follow[r, motion].tolist(), default=-1.5) for r in set_points)
+        total += sum(
+            max(t.follow[r, motion].tolist(), default=-0.5 * w.no_follow) for r in set_points
+        )
         total += self._input_points(inputs, positions or orphans)
         total -= _sum(self.prices.positions, positions, positions) / 2
         total -= _sum(self.prices.velocities, velocities, velocities) / 2
@@ -160,7 +162,7 @@ class Assignment:
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
         """The column of which each rate is the derivative, the best pairs first."""
         slope = self.table.slope[np.ix_(columns, rates)]
-        possible = np.argwhere(slope > -1.5).tolist()
+        possible = np.argwhere(slope > -0.75 * WEIGHTS.no_slope).tolist()
         pairs: dict[int, int] = {}
         for i, j in sorted(possible, key=lambda pair: -slope[pair[0], pair[1]]):
             if rates[j] not in pairs and columns[i] not in pairs.values():

@@ -104,7 +104,16 @@ class Weights:
         copy: price of a second column of the same values.
         no_velocity: price of a position without a velocity, where others have one.
         alone: price of a velocity that is the slope of no position.
+        useless: for leaving out what no card uses: a supply's voltage, a direction of a circle.
+        no_slope: price of a velocity of a position of which it is not the slope.
+        no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
+        slopes: shares of the variance that a slope explains: below the first it is none, below the
+            second unclear, above the third its factor is sure.
+        copies: shares of the variance from which on a column repeats another one, for the price
+            of a copy, and for one and a half.
+        alike: correlation from which on two columns are proportional, nearly.
+        circle: deviation of a radius, relative to it.
     """
 
     letter: float = 2.0
@@ -134,7 +143,14 @@ class Weights:
     copy: float = 4.0
     no_velocity: float = 1.5
     alone: float = 4.0
+    useless: float = 8.0
+    no_slope: float = 2.0
+    no_follow: float = 3.0
     near: float = 2.0
+    slopes: tuple[float, float, float] = (0.4, 0.8, 0.98)
+    copies: tuple[float, float] = (0.7, 0.9)
+    alike: float = 0.95
+    circle: float = 0.03
 
 
 WEIGHTS = Weights()
@@ -194,7 +210,7 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     """Evidence in the numbers of a column alone."""
     w = WEIGHTS
     if reading.stated(["voltage"]) and numbers.is_nearly_constant:
-        return [Evidence("other", 12.0, "nearly constant, as the voltage of a supply")]
+        return [Evidence("other", 2 * w.useless, "nearly constant, as the voltage of a supply")]
     if numbers.binary:
         return [
             Evidence("other", 0.5 * w.held, "only two values"),
@@ -291,20 +307,21 @@ class EvidenceTable:
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
         """Evidence against the two directions of a point on a circle whose angle is there, too."""
+        w = WEIGHTS
         for i, j in itertools.permutations(range(len(self.names)), 2):
             points = [(r[:, i], r[:, j]) for r in records]
             radii = [np.hypot(x, y) for x, y in points]
             if any(
-                np.std(radius) > min(0.03 * radius.mean(), 0.3 * np.std(x), 0.3 * np.std(y))
+                np.std(radius) > min(w.circle * radius.mean(), 0.3 * np.std(x), 0.3 * np.std(y))
                 for radius, (x, y) in zip(radii, points, strict=True)
             ):
                 continue
             angle = np.concatenate([np.unwrap(np.arctan2(y, x)) for x, y in points])
             for k in range(len(self.names)):
                 values = np.concatenate([r[:, k] for r in records])
-                if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 0.995:
+                if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 1 - w.circle / 6:
                     text = f"of a circle on which '{self.names[k]}' is the angle"
-                    self.own[i].append(Evidence("other", 8.0, text))
+                    self.own[i].append(Evidence("other", w.useless, text))
 
     def _slope_points(
         self, slopes: Slopes, numbers: Mapping[str, Numbers], dt: float | None
@@ -312,27 +329,30 @@ class EvidenceTable:
         w = WEIGHTS
         fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
         points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
-        points = np.where(fit < 0.4, -2.0, np.where(fit < 0.8, -0.5, points))
-        points = np.where(slopes.factor == 0, -0.5, points)  # too few samples to say anything
-        for i, j in zip(*np.nonzero(fit >= 0.8), strict=True):
+        least, clear, sure = w.slopes
+        points = np.where(fit < clear, -0.25 * w.no_slope, points)
+        points = np.where(fit < least, -w.no_slope, points)
+        # too few samples to say anything
+        points = np.where(slopes.factor == 0, -0.25 * w.no_slope, points)
+        for i, j in zip(*np.nonzero(fit >= clear), strict=True):
             a, b = self.readings[i], self.readings[j]
             is_rate = (
                 b.unit in ("", *ANGULAR_SPEEDS, *LINEAR_SPEEDS) or "^2" in b.unit or b.unit == "g"
             )
             if not is_rate or (None not in (a.kind, b.kind) and a.kind != b.kind):
-                points[i, j] = -2.0
+                points[i, j] = -w.no_slope
                 continue
             if dt is not None and points[i, j] > 0:
                 factor, unsure = float(slopes.factor[i, j]), 1.02 / float(fit[i, j]) ** 0.5 - 1
                 if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
                     points[i, j] -= w.increment
                 elif explains_factor(factor, a.unit, b.unit, unsure):
-                    points[i, j] += w.factor * (fit[i, j] > 0.98)
+                    points[i, j] += w.factor * (fit[i, j] > sure)
                 elif not numbers[self.names[i]].whole:
                     points[i, j] -= w.no_factor
         pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
         points += w.member * np.array(pairs)
-        np.fill_diagonal(points, -2.0)
+        np.fill_diagonal(points, -w.no_slope)
         return points
 
     def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
@@ -340,9 +360,10 @@ class EvidenceTable:
         with np.errstate(all="ignore"):
             correlation = np.atleast_2d(np.corrcoef(np.concatenate(records).T))
         size = np.abs(np.nan_to_num(correlation))
-        self.is_alike: Bool[np.ndarray, "c c"] = size > 0.95
+        self.is_alike: Bool[np.ndarray, "c c"] = size > WEIGHTS.alike
         same = np.where(size > 0.999, size, np.maximum(fit, fit.T))
-        self.repeats = WEIGHTS.copy * np.where(same > 0.9, 1.5, np.where(same > 0.7, 1.0, 0.0))
+        some, most = WEIGHTS.copies
+        self.repeats = WEIGHTS.copy * np.where(same > most, 1.5, np.where(same > some, 1.0, 0.0))
 
     def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
         w = WEIGHTS
@@ -350,7 +371,7 @@ class EvidenceTable:
         commands = np.array([[r.qualifier == "command"] for r in self.readings])
         points += np.where(fit < fit.T, -1.0, np.where(late > 0, w.earlier, 0.0))
         is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
-        return np.where(is_one, points, np.where(commands, -1.0, -3.0))
+        return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
 
     def _cause_points(self, gain: Pairs) -> Pairs:
         w = WEIGHTS

@@ -59,7 +59,7 @@ def describe_coordinate(
     """
     numbers = findings.numbers[column]
     because = list(findings.verdicts[column].reasons)
-    doubts = _doubts(column, findings)
+    doubts = [] if system_kind else _doubts(column, findings)
     if (sine := findings.sines.get(column)) is not None:
         factor = findings.slopes.between(column, velocity)[1] if velocity else None
         return CoordinateChoice(
