@@ -169,7 +169,6 @@ def draft_card(
         dt, period_reason = _find_period(folder, logs, answers, by_motion)
         clock = replace(clock, dt=dt)
     is_period_assumed = not period_reason
-    clock_dt = None if is_period_assumed else dt
     if is_period_assumed:
         text = "sampling period [s]; no column of times was found"
         questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
@@ -195,7 +194,14 @@ def draft_card(
     }
     for cosine in sines:
         known[cosine] = "position"
-    verdicts = _judge({n: readings[n] for n in motion}, numbers, samples, slopes, clock_dt, known)
+    verdicts = _judge(
+        {n: readings[n] for n in motion},
+        numbers,
+        samples,
+        slopes,
+        known,
+        has_times=not is_period_assumed,
+    )
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
         verdicts[cosine] = Verdict("position", (reason,))
@@ -243,7 +249,7 @@ def draft_card(
     )
     return Draft(
         text,
-        tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)),
+        tuple(_columns(readings, clock, choice, verdicts, numbers)),
         dt,
         choice,
         clock,
@@ -356,8 +362,9 @@ def _judge(
     numbers: Mapping[str, Numbers],
     samples: Mapping[str, Sequence[Values]],
     slopes: Slopes,
-    dt: float | None,
     known: Mapping[str, Role],
+    *,
+    has_times: bool,
 ) -> dict[str, Verdict]:
     """The roles of columns that are neither times nor counters, some of which are known."""
     moving = {n: r for n, r in readings.items() if not numbers[n].constant}
@@ -372,7 +379,7 @@ def _judge(
         np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
         for k, row in first.items()
     ]
-    table = EvidenceTable(moving, numbers, records, slopes.of(moving), dt)
+    table = EvidenceTable(moving, numbers, records, slopes.of(moving), has_times=has_times)
     verdicts = Assignment(table, known).verdicts()
     return {n: verdicts.get(n, constant) for n in readings}
 
@@ -413,7 +420,6 @@ def _columns(
     choice: Choice,
     verdicts: Mapping[str, Verdict],
     numbers: Mapping[str, Numbers],
-    clocks: Sequence[str],
 ) -> list[DraftColumn]:
     """Columns of the logs, each with its role, its use and the reasons."""
     velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
@@ -426,8 +432,8 @@ def _columns(
         if name == clock.column:
             role, use, because, unit = "time", "time", clock.because, clock.unit
         elif name in clock.others:
-            role = "time" if name in clocks else "counter"
             because = clock.others[name]
+            role = "time" if because.startswith("times") else "counter"
         elif name not in verdicts:
             role, use, because = "position", "coordinate", "the sine of an angle"
         else:

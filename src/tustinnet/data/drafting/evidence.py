@@ -81,20 +81,17 @@ class Weights:
         command: of a name that says a command, for a set point.
         derived: of a name that says a filtered or simulated value, for a column that is not used.
         later: less for an input for each stage of its drive before it, of which one is the input.
-        silent: less for a position or input whose name says nothing, where others' names do.
         held: of levels that are held, for an input, and twice against a motion.
         white: of steps as large as those of white noise, against a position.
         smooth: of small steps, for a position.
         wrap: of values that start again after a turn, for a position.
         count: of steps of one encoder count, for a position.
         derivative: at most, for a velocity whose integral is the change of a position.
-        factor: for a factor of a derivative that two units explain.
-        no_factor: price of one that none explains.
-        increment: price of a "velocity" that is a change per sample, as programs have that add up.
+        no_factor: price of a derivative with a factor that no two units explain, as of changes per
+            sample that a program adds up; counts may have any.
         member: for a pair of one number or one thing by their names.
-        follow: at most, for a set point that a position follows one to one.
-        earlier: for a set point that is earlier than the position; without a name that says a
-            command it must be.
+        follow: at most, for a set point that a position follows one to one, and later, unless a
+            name says a command.
         cause: at most, for an input whose past helps to foresee a position.
         back: share that counts against it where the position foresees the input.
         no_input: price of a machine that nothing drives.
@@ -109,7 +106,7 @@ class Weights:
         no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
         slopes: shares of the variance that a slope explains: below the first it is none, below the
-            second unclear, above the third its factor is sure.
+            second unclear.
         copies: shares of the variance from which on a column repeats another one, for the price
             of a copy, and for one and a half.
         alike: correlation from which on two columns are proportional, nearly.
@@ -121,19 +118,15 @@ class Weights:
     command: float = 2.0
     derived: float = 2.5
     later: float = 0.5
-    silent: float = 2.0
     held: float = 2.0
     white: float = 5.0
     smooth: float = 1.0
     wrap: float = 4.0
     count: float = 1.0
     derivative: float = 6.0
-    factor: float = 1.0
     no_factor: float = 1.5
-    increment: float = 4.0
     member: float = 1.0
     follow: float = 4.0
-    earlier: float = 0.7
     cause: float = 5.0
     back: float = 0.6
     no_input: float = 3.0
@@ -147,7 +140,7 @@ class Weights:
     no_slope: float = 2.0
     no_follow: float = 3.0
     near: float = 2.0
-    slopes: tuple[float, float, float] = (0.4, 0.8, 0.98)
+    slopes: tuple[float, float] = (0.4, 0.8)
     copies: tuple[float, float] = (0.7, 0.9)
     alike: float = 0.95
     circle: float = 0.03
@@ -267,19 +260,19 @@ class EvidenceTable:
         numbers: Mapping[str, Numbers],
         records: Sequence[Table],
         slopes: Slopes,
-        dt: float | None,
+        *,
+        has_times: bool,
     ) -> None:
         self.names = tuple(readings)
         self.readings = [*readings.values()]
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
-        self._add_silence()
         self._add_circles(records)
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
-        self.slope = self._slope_points(slopes, numbers, dt)
+        self.slope = self._slope_points(slopes, numbers, has_times)
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
         self.follow = self._follow_points(fit, late)
@@ -294,15 +287,6 @@ class EvidenceTable:
     def says(self, column: int, role: Role) -> bool:
         """Whether the name of a column speaks of a role."""
         return any(_ROLE_OF[q] == role for q in self.readings[column].quantities)
-
-    def _add_silence(self) -> None:
-        """Evidence against columns whose names say nothing, where others' names do."""
-        columns = range(len(self.names))
-        for role in ("position", "input"):
-            if any(self.says(i, role) for i in columns):
-                for i in columns:
-                    if not self.readings[i].quantities:
-                        self.own[i].append(Evidence(role, -WEIGHTS.silent, ""))
 
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
@@ -324,12 +308,12 @@ class EvidenceTable:
                     self.own[i].append(Evidence("other", w.useless, text))
 
     def _slope_points(
-        self, slopes: Slopes, numbers: Mapping[str, Numbers], dt: float | None
+        self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool
     ) -> Pairs:
         w = WEIGHTS
         fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
         points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
-        least, clear, sure = w.slopes
+        least, clear = w.slopes
         points = np.where(fit < clear, -0.25 * w.no_slope, points)
         points = np.where(fit < least, -w.no_slope, points)
         # too few samples to say anything
@@ -342,14 +326,10 @@ class EvidenceTable:
             if not is_rate or (None not in (a.kind, b.kind) and a.kind != b.kind):
                 points[i, j] = -w.no_slope
                 continue
-            if dt is not None and points[i, j] > 0:
-                factor, unsure = float(slopes.factor[i, j]), 1.02 / float(fit[i, j]) ** 0.5 - 1
-                if abs(factor / dt - 1) < 0.01 and abs(dt - 1) > 0.01:
-                    points[i, j] -= w.increment
-                elif explains_factor(factor, a.unit, b.unit, unsure):
-                    points[i, j] += w.factor * (fit[i, j] > sure)
-                elif not numbers[self.names[i]].whole:
-                    points[i, j] -= w.no_factor
+            unsure = 1.02 / float(fit[i, j]) ** 0.5 - 1
+            is_unit = explains_factor(float(slopes.factor[i, j]), a.unit, b.unit, unsure)
+            if has_times and not is_unit and not numbers[self.names[i]].whole:
+                points[i, j] -= w.no_factor
         pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
         points += w.member * np.array(pairs)
         np.fill_diagonal(points, -w.no_slope)
@@ -369,7 +349,7 @@ class EvidenceTable:
         w = WEIGHTS
         points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
         commands = np.array([[r.qualifier == "command"] for r in self.readings])
-        points += np.where(fit < fit.T, -1.0, np.where(late > 0, w.earlier, 0.0))
+        points -= np.where(fit < fit.T, 1.0, 0.0)
         is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
         return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
 
