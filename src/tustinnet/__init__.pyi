@@ -2,10 +2,12 @@ from . import control as control
 from .channels import Channels as Channels
 from .channels import Coordinate as Coordinate
 from .channels import Input as Input
+from .check.drafting import draft as draft
 from .check.report import inspect_experiment as inspect_experiment
 from .data.catalog import load as load
 from .data.dataset import DataSet as DataSet
 from .data.dataset import from_arrays as from_arrays
+from .data.drafting.draft import Draft as Draft
 from .data.experiment import Experiment as Experiment
 from .data.loading import from_frame as from_frame
 from .errors import InputError as InputError
