@@ -86,7 +86,6 @@ def evaluate(
     from tustinnet.evaluate.reference import find_reference
     from tustinnet.evaluate.scores import evaluate as score_records
     from tustinnet.fitting.inverse_dynamics.of_model import forces_of_records
-    from tustinnet.report.figures import ahead_figure, write_figure
 
     band_options = make_band_options(band, whole=whole_records)
     simulator = load_model(model, system)
@@ -122,6 +121,8 @@ def evaluate(
     else:
         evaluation.print_tables()
     if figures is not None:
+        from tustinnet.report.figures import ahead_figure, write_figure
+
         for name, figure in _draw(model.stem, records, scores, bands, along):
             write_figure(figure, figures, f"{name}.png")
         if errors is not None:
