@@ -113,7 +113,16 @@ def evaluate(
         coverage = compute_coverage(records, bands)
     errors = None if ahead is None else coordinate_rmse_ahead(simulator, records, ahead)
     evaluation = _Evaluation(
-        runs, scores, whole, horizons, reference, band_options, coverage, errors, along, channels
+        runs=runs,
+        scores=scores,
+        whole=whole,
+        horizons=horizons,
+        reference=reference,
+        band_options=band_options,
+        coverage=coverage,
+        errors=errors,
+        along=along,
+        channels=channels,
     )
     runs.print_notes()
     if json:

@@ -314,7 +314,7 @@ def _make_identification(
     records, prior, vector = problem.records, fit.forces.prior, state.vector
     cutoff = fit.forces.parts[0].cutoff
     matrices = _matrices(fit)
-    parameter_errors = _errors(fit, prior, *matrices)
+    parameter_errors = _errors(fit, *matrices)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -335,7 +335,7 @@ def _make_identification(
         replace(e, is_informed=e.is_informed and not (e.bound == "lower" and e.name in levels))
         for e in _estimates(vector, space, deviations, informed)
     )
-    base_parameters = _estimate_base_parameters(fit, prior, parameter_errors, size)
+    base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
     sentences = [
         *state.remarks,
         findings.describe_forces(errors),
@@ -449,7 +449,6 @@ def _matrices(
 
 def _errors(
     fit: _Fit,
-    prior: Prior,
     gradients: Float[np.ndarray, "f n_p"],
     matrices: Float[np.ndarray, "f n_p n_p"],
 ) -> _Errors:
@@ -459,14 +458,13 @@ def _errors(
 
     Args:
         fit: the estimates.
-        prior: the priors.
         gradients: see `_matrices`.
         matrices: see `_matrices`.
     """
     space, vector = fit.forces.space, fit.solution.vector
     inside, n_p = space.inside(vector), len(vector)
     both = np.ix_(inside, inside)
-    precision = prior.at(vector)[2][both]
+    precision = fit.forces.prior.at(vector)[2][both]
     whole = matrices.sum(axis=0)[both]
     noise = np.full((n_p, n_p), np.nan)
     noise[both] = inverse = np.linalg.inv(whole + precision)
@@ -493,20 +491,19 @@ def _errors(
 
 
 def _estimate_base_parameters(
-    fit: _Fit, prior: Prior, errors: _Errors, size: Float[np.ndarray, " n_q"]
+    fit: _Fit, errors: _Errors, size: Float[np.ndarray, " n_q"]
 ) -> tuple[BaseParameterEstimate, ...]:
     """Estimates of the base parameters, in the order of the parameters that they are named after.
 
     Args:
         fit: the estimates.
-        prior: the priors.
         errors: their errors; parameters at a bound count as exact.
         size: of the actuators' force at each coordinate [N m or N].
     """
     space, vector = fit.forces.space, fit.solution.vector
     scale, inside = space.derivatives(vector), space.inside(vector)
     coordinates = LinearCoordinates(space, space.to_values_in_range(vector))
-    names, spread = coordinates.names, coordinates.spread(scale * prior.spread)
+    names, spread = coordinates.names, coordinates.spread(scale * fit.forces.prior.spread)
     by_coordinate = np.concatenate([own.slopes for own in fit.columns]) / size[:, None]
     by_coordinate = by_coordinate.reshape(-1, len(names))
     combinations = find_combinations(by_coordinate, spread, order_of(names))

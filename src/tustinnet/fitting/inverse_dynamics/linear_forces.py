@@ -69,7 +69,12 @@ class LinearForces:
     @cached_property
     def prior(self) -> Prior:
         """The priors of the parameters."""
-        return Prior(self.space, _input_gains(self.system, self.parts[0].q[0]))
+        return Prior(self.space, self.gains)
+
+    @cached_property
+    def gains(self) -> dict[str, int]:
+        """Gains of the inputs with the places of the coordinates that they act on."""
+        return _input_gains(self.system, self.parts[0].q[0])
 
     def of_records(self, records: Sequence[Experiment]) -> "LinearForces":
         """The same along other records."""
@@ -100,7 +105,7 @@ class LinearForces:
         brought: tuple[Parameter, ...],
     ) -> "LinearForces":
         other = LinearForces(self.system, space, self.parts, beside, brought)
-        other.__dict__["along"] = self.along  # the system is evaluated once
+        other.__dict__.update(along=self.along, gains=self.gains)  # the system is asked once
         return other
 
     def columns(
@@ -232,18 +237,21 @@ def _input_gains(system: LagrangianSystem, q: Float[np.ndarray, " n_q"]) -> dict
     """
     if (input_map := system.input_map) is None:
         return {}
-    values = {name: jnp.asarray(x) for name, x in system.nominal().items()}
-    still, u = jnp.zeros(len(q)), jnp.ones(len(system.inputs))
+    nominal, still, u = system.nominal(), jnp.zeros(len(q)), jnp.ones(len(system.inputs))
 
-    def pushed(values: Mapping[str, Array]) -> Array:
-        ends = (input_map(jnp.asarray(q), still, x, values) for x in (u, 0.0 * u))
-        return jnp.subtract(*ends)
+    def pushed(values: Mapping[str, float]) -> np.ndarray:
+        ends = (np.asarray(input_map(jnp.asarray(q), still, x, values)) for x in (u, 0.0 * u))
+        return np.subtract(*ends)
 
-    force, slopes, gains = pushed(values), jax.jacfwd(pushed)(values), dict[str, int]()
-    for name, slope in slopes.items():
-        driven = np.flatnonzero(slope)
-        if len(driven) == 1 and np.isclose(slope[driven] * values[name], force[driven]).all():
-            gains[name] = int(driven[0])
+    force, gains = pushed(nominal), dict[str, int]()
+    for p in system.parameters:
+        # a doubled gain doubles the force; derivatives would take longer to compile than these
+        more = (
+            np.zeros_like(force) if p.fixed else pushed({**nominal, p.name: 2 * p.nominal}) - force
+        )
+        driven = np.flatnonzero(more)
+        if len(driven) == 1 and np.isclose(more[driven], force[driven]).all():
+            gains[p.name] = int(driven[0])
     return gains
 
 
