@@ -54,10 +54,11 @@ def find_held_equilibrium(
     far = np.abs(q - resting_positions(q)) > near
     first_samples = {int(np.flatnonzero(c)[-1]) + 1 if c.any() else 0 for c in far.T}
     for k in sorted(first_samples):
-        x, middle = np.concatenate([q, v], axis=1), (k + len(q)) // 2
+        # velocities at the stretch's edge are made of positions before it
+        x, begin, middle = np.concatenate([q, v], axis=1), k + _AHEAD, (k + len(q)) // 2
         rate, *halves = (
             _fastest_growth(x[part], u[part], dt)
-            for part in (slice(k, None), slice(k, middle), slice(middle, None))
+            for part in (slice(begin, None), slice(begin, middle), slice(middle, None))
         )
         is_in_both = all(rate / _ALIKE < half < rate * _ALIKE for half in halves)
         if is_in_both and rate * (len(q) - k) * dt > _GROWTHS:
