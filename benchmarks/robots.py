@@ -378,8 +378,9 @@ def twins(out: Path, count: int, first: int = 0) -> None:
         inside, combinations = inside + int((np.abs(z) < factor).sum()), combinations + len(z)
         single, singles = single + int(near.sum()), singles + int(decided.sum())
         missing = [
-            100 * row["held_out"] / row["size_held_out"]
+            100 * row["missing"] / row["size"]
             for row in header["identification"]["force_errors"]
+            if row["split"] == "validation"
         ]
         rows.append([float(np.mean(missing)), seconds, memory])
         print(

@@ -577,6 +577,24 @@ def tachometer(folder: Path) -> Truth:
     return Truth("Zeit/s", dt, {"n_ist [1/min]": ("linear", "rpm")}, {"u_a [V]": "V"}, records=5)
 
 
+def twins(folder: Path) -> list[str]:
+    """Logs in which either of two columns may have moved the position, and the names of the files.
+
+    A person would ask, so that no truth belongs to them.
+    """
+    n, dt = 1500, 0.01
+    for k in range(3):
+        rng = np.random.default_rng(k)
+        u = levels(rng, 1, n, 2.0, 60)
+        q, _ = simulate(arm, u, dt, np.zeros((1, 1)))
+        near = u + 0.02 * rng.normal(size=(2, n))
+        table = np.column_stack([dt * np.arange(n), q[0, :, 0], *near])
+        np.savetxt(
+            folder / f"r{k}.csv", table, "%.6g", ",", header="t,phi_rad,one,two", comments=""
+        )
+    return [f"r{k}.csv" for k in range(3)]
+
+
 def episodes(folder: Path) -> Truth:
     """Episodes of a learnt robot in one file: states and actions in degrees, indices."""
     rng, dt, n = np.random.default_rng(17), 1 / 30, 300

@@ -2,10 +2,12 @@ from . import control as control
 from .channels import Channels as Channels
 from .channels import Coordinate as Coordinate
 from .channels import Input as Input
+from .check.drafting import draft as draft
 from .check.report import inspect_experiment as inspect_experiment
 from .data.catalog import load as load
 from .data.dataset import DataSet as DataSet
 from .data.dataset import from_arrays as from_arrays
+from .data.drafting.draft import Draft as Draft
 from .data.experiment import Experiment as Experiment
 from .data.loading import from_frame as from_frame
 from .errors import InputError as InputError
@@ -25,8 +27,8 @@ from .families.tustin_net import TustinNet as TustinNet
 from .fits.fit import fit as fit
 from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
+from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
 from .fitting.inverse_dynamics.record_forces import RecordForces as RecordForces
-from .fitting.inverse_dynamics.record_forces import inverse_dynamics as inverse_dynamics
 from .fitting.recipe import Recipe as Recipe
 from .fitting.recipe_reading import read_recipe as read_recipe
 from .fitting.report import Estimate as Estimate

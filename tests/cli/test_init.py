@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 from lab_files import lerobot_data_set
-from simulated.laboratories import plc, wrapped_counter
+from simulated.laboratories import plc, twins, wrapped_counter
 from test_verbs import tustinnet
 
 import tustinnet as tn
@@ -196,3 +196,31 @@ def test_logs_of_deeper_folders_are_taken(logs, tmp_path, capsys):
     assert tustinnet(capsys, "init", tmp_path / "2026", "--yes")[0] == 0
     card = tomllib.loads((tmp_path / "2026/dataset.toml").read_text())
     assert "march/run1.csv" in card["splits"]["train"]
+
+
+def test_init_marks_what_it_assumed_in_the_card_and_on_the_terminal(tmp_path: Path, capsys) -> None:
+    twins(tmp_path)
+    code, _, err = tustinnet(capsys, "init", tmp_path, "--yes")
+    assert code == 0, err
+    assert "assumed: what is '" in err
+    assert "points less)?: " in err
+    assert "# check" in (tmp_path / "dataset.toml").read_text()
+
+
+def test_no_input_and_what_is_dropped_are_told_in_a_line(tmp_path: Path, capsys) -> None:
+    t = 0.01 * np.arange(900)
+    for k, rows in enumerate((900, 900, 12)):
+        table = np.column_stack([t, np.sin((2 + k) * t)])[:rows]
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.6g", ",", header="t,angle_rad", comments="")
+    code, _, err = tustinnet(capsys, "init", tmp_path, "--yes")
+    assert code == 0, err
+    assert "note: no input was found" in err
+    assert "left out: r2.csv: fewer than 20 samples in a record (12)" in err
+
+
+def test_a_folder_of_nothing_but_pictures_has_no_logs(tmp_path: Path, capsys) -> None:
+    for name in ("a.png", "b.jpg"):
+        (tmp_path / name).write_bytes(b"\x89PNG\r\n")
+    code, out, err = tustinnet(capsys, "init", tmp_path, "--yes")
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert "no logs" in err

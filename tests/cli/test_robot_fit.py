@@ -62,8 +62,9 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert (run / "system.xml").read_text() == robot.read_text()
     summary = json.loads((run / "summary.json").read_text())
     errors = summary["identification"]["force_errors"]
-    assert [e["coordinate"] for e in errors] == ["pole", "slide"], "in the order of the card"
-    assert errors[1]["held_out"] < 0.05 * errors[1]["size"]
+    held_out = [e for e in errors if e["split"] == "validation"]
+    assert [e["coordinate"] for e in held_out] == ["pole", "slide"], "in the order of the card"
+    assert held_out[1]["missing"] < 0.05 * held_out[1]["size"]
     assert set(summary["scores"]["mean_by_unit"]) == {"rad", "m"}
     for text in ("RMSE [rad]", "RMSE [m]", "base_parameters.csv", "\ntime: "):
         assert text in out
@@ -74,10 +75,18 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert float(rows[0]["low (95 %)"]) < float(rows[0]["value"]) < float(rows[0]["high (95 %)"])
     # later verbs read the copy without a question; the report draws the links
     code, out, err = tustinnet(
-        capsys, "evaluate", run / "model.safetensors", logs, "--split", "validation"
+        capsys, "evaluate", run / "model.safetensors", logs, "--forces", "--figures", tmp_path / "f"
     )
     assert code == 0, err
     assert "run2" in out
+    assert "Forces that a motion needs and its actuators do not give" in out
+    assert {path.name for path in (tmp_path / "f").iterdir()} == {"run2.png", "run2-forces.png"}
+    code, out, err = tustinnet(
+        capsys, "evaluate", run / "model.safetensors", logs, "--forces", "--json"
+    )
+    for own, fitted in zip(json.loads(out)["forces"], held_out, strict=True):
+        assert own.keys() == fitted.keys()
+        assert own["missing"] == pytest.approx(fitted["missing"], rel=1e-3)
     assert tn.load_model(run / "model.safetensors").coordinates[0].name == "pole"
     page = (run / "report.html").read_text()
     assert "Missing forces" in page

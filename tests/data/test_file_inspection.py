@@ -43,7 +43,7 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
         "arm": "position",
         "rate": "velocity",
         "a": "input",
-        "b": "input",
+        "b": "other",
         "gain": "constant",
         "state": "no numbers",
     }
@@ -54,7 +54,7 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     assert by_name["arm"].count == pytest.approx(1)
     assert by_name["rate"].remark.startswith("slope of 'arm'")
     assert by_name["a"].remark.startswith("held levels")
-    assert by_name["b"].remark == "rough; check the unit: 1 is assumed"
+    assert by_name["b"].remark == "no quantity of the motion: only noise"
 
 
 BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}
@@ -67,9 +67,9 @@ DRAFTS = [
     ),
     # a unit says more than words or values
     (
-        {"motor_deg": LEVELS, "pos_um": NOISE, "encoder_ticks1": ANGLE},
+        {"arm_deg": np.cos(5 * T), "pos_um": np.sin(7 * T), "encoder_ticks1": ANGLE},
         [
-            ("motor", "motor_deg", "deg", None),
+            ("arm", "arm_deg", "deg", None),
             ("pos", "pos_um", "um", None),
             ("encoder", "encoder_ticks1", "counts", None),
         ],
@@ -77,14 +77,14 @@ DRAFTS = [
     ),
     # of a voltage, forces and a current the voltage moves first
     (
-        {"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS, "coil_a": RATE, "b_volt": COUNTS},
+        {"x": ANGLE, "lift_n": NOISE, "shaft_nm": COUNTS, "coil_a": RATE, "b_volt": LEVELS},
         [("x", "x", "m", None)],
         [("b", "V")],
     ),
     (
-        {"x": ANGLE, "lift_n": NOISE, "hub_nm": LEVELS},
+        {"x": ANGLE, "lift_n": NOISE, "shaft_nm": LEVELS},
         [("x", "x", "m", None)],
-        [("lift", "N"), ("hub", "N m")],
+        [("lift", "N"), ("shaft", "N m")],
     ),
     (
         {"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
@@ -149,9 +149,9 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
         "smooth",
         "# check counts in a turn: 4096 is assumed",
         "counts_per_revolution = 4096",
-        """# "voltage" as an input: 'voltage' in its name""",
+        """# "voltage" as an input: it moves 'motor_cnt'; 'voltage' in its name""",
         '# not used: "gain": constant',
-        '# not used: "spin_rad_s": a velocity, and the slope of no position (in rad/s by its name)',
+        '# not used: "spin_rad_s": a velocity, and the slope of no position',
     ):
         assert line in draft.splitlines()
 
@@ -168,7 +168,7 @@ def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:
     found = inspect_file(log(tmp_path / "run 1.csv"))
     (tmp_path / "dataset.toml").write_text(found.draft)
     (e,) = tn.load(tmp_path)
-    assert (e.name, e.dt, [c.name for c in e.inputs]) == ("run 1", 0.01, ["a", "b"])
+    assert (e.name, e.dt, [c.name for c in e.inputs]) == ("run 1", 0.01, ["a"])
     np.testing.assert_allclose(e.q[:, 0], COUNTS * 2 * np.pi / 4096)
     assert e.v is not None
 

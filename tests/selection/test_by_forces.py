@@ -18,7 +18,7 @@ from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
-from tustinnet.fitting.inverse_dynamics.record_forces import unexplained_forces
+from tustinnet.fitting.inverse_dynamics.of_model import unexplained_forces
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.stages import ESTIMATE
 from tustinnet.fitting.task import Task

@@ -24,6 +24,7 @@ from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.systems import mjcf
 from tustinnet.systems.qube_servo2 import SYSTEM as QUBE
 from tustinnet.systems.robot_reading import read_robot
+from tustinnet.systems.robots import RobotFile
 
 mujoco = import_module("mujoco")  # no types are known
 
@@ -173,17 +174,38 @@ def test_locked_joints_are_a_part_of_the_link_that_carries_them():
     assert_near(mass, expected[np.ix_([0, 3], [0, 3])])
 
 
+@pytest.mark.parametrize("name", ["scara.urdf", "cart_pole.xml"])
+def test_gravity_is_that_of_the_place_where_a_robot_stands(name, tmp_path):
+    usual = tn.load_system(ROBOTS / name)
+    system = tn.load_robot(ROBOTS / name, gravity=(3.0, -2.0, 9.0))
+    n = len(system.coordinates)
+    states = np.random.default_rng(0).normal(size=(3, 2 * n))
+
+    def energies(system: tn.LagrangianSystem) -> np.ndarray:
+        values = {key: jnp.asarray(x) for key, x in system.nominal().items()}
+        assert system.potential is not None
+        return np.array([float(system.potential(jnp.asarray(x[:n]), values)) for x in states])
+
+    values = {key: jnp.asarray(x) for key, x in system.nominal().items()}
+    tn.write_robot(system.model(values), tmp_path / "moved.xml")
+    again = tn.load_system(tmp_path / "moved.xml")
+    assert np.allclose(np.ptp(energies(system) - energies(again)), 0.0, atol=1e-9)
+    assert np.ptp(energies(system) - energies(usual)) > 0.1
+    assert isinstance(system.source, RobotFile)
+    assert "gravity=(3.0, -2.0, 9.0)" in system.source.call()
+
+
 def test_a_current_drives_a_joint_by_its_motor_constant():
     currents = tuple(tn.Input(f"current_{i}", "A") for i in ("shoulder",))
     coordinates = tn.load_system(ROBOTS / "scara.urdf").coordinates
     with pytest.raises(InputError, match=r"input 'current_shoulder' in A; expected N m; a current"):
         tn.load_system(ROBOTS / "scara.urdf").for_channels(coordinates, currents, "the card")
-    system = tn.load_robot(ROBOTS / "scara.urdf", motor_constants={"shoulder": 2.5})
+    system = tn.load_robot(ROBOTS / "scara.urdf", motor_constants={"shoulder": -2.5})
     system = system.for_channels(coordinates[::-1], currents, "the card")
     assert [c.name for c in system.coordinates] == ["roll", "lift", "elbow", "shoulder"]
     assert system.input_map is not None
     force = system.input_map(jnp.zeros(4), jnp.zeros(4), jnp.ones(1), system.nominal())
-    np.testing.assert_array_equal(force, [0, 0, 0, 2.5])
+    np.testing.assert_array_equal(force, [0, 0, 0, -2.5])
 
 
 def test_friction_by_name_adds_to_that_of_every_joint():
@@ -384,12 +406,14 @@ def test_the_stiffness_of_a_gear_is_identified(hanging):
     ("options", "message"),
     [
         ({"locked": {"hip": np.nan}}, "locked: nan for 'hip'"),
-        ({"motor_constants": {"hip": 0.0}}, "0.0 for 'hip'; expected a positive number"),
+        ({"motor_constants": {"hip": 0.0}}, "0.0 for 'hip'; expected a number other than 0"),
         ({"elastic": {"knee": 1.0}}, "elastic: the joint 'knee'"),
         ({"elastic": {"hip": -1.0}}, "elastic: -1.0 for 'hip'"),
         ({"backlash": {"hip": 0.1}}, "is elastic: give it a stiffness"),
         ({"default_density": 1e3}, "a shape and without an inertia"),
         ({"default_density": 0.0}, "0 kg/m^3; expected above 0"),
+        ({"gravity": (9.81, 0.0)}, "(9.81, 0.0); expected three numbers [m/s^2]"),
+        ({"gravity": (0.0, np.inf, 0.0)}, "expected three numbers [m/s^2] in the frame"),
     ],
 )
 def test_options_of_a_robot_are_checked(options, message, hanging):

@@ -144,8 +144,7 @@ def make_draft(
         follow_links: whether links to files outside of the folder are read.
         system: the system whose coordinates and inputs the card has to have, if one was named.
     """
-    from tustinnet.check.draft_scales import find_scales
-    from tustinnet.data.drafting.draft import draft_card
+    from tustinnet.check.drafting import draft_files
     from tustinnet.data.drafting.system_columns import SystemChannels
 
     console = terminal.messages()
@@ -154,15 +153,13 @@ def make_draft(
     if system is not None:
         joints = {} if system.source is None else system.source.input_joints()
         channels = SystemChannels(system.coordinates, system.inputs, joints, system.name)
-    draft = draft_card(folder, files, system=channels)
-    if by_motion := find_scales(draft, folder, follow_links=follow_links):
-        draft = draft_card(folder, files, by_motion=by_motion, system=channels)
+    draft = draft_files(folder, files, system=channels, follow_links=follow_links)
     if is_asking and draft.questions and not terminal.can_ask():
         console.print("no terminal to ask at: as with --yes")
     while is_asking and draft.questions and terminal.can_ask():
         for question in draft.questions:
             answers[question.key] = _ask(question)
-        draft = draft_card(folder, files, answers, by_motion=by_motion, system=channels)
+        draft = draft_files(folder, files, answers, system=channels, follow_links=follow_links)
     draft.require_readable(folder)
     return draft
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tustinnet.data.drafting.draft import draft_card
-from tustinnet.data.drafting.roles import Role
+from tustinnet.data.drafting.evidence import Role
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,9 @@ def _horizon_error(
 def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> list[float]:
     """How long the free run of each whole record follows it [s]; to its end at most.
 
-    It follows until the error of a coordinate, its root mean square from the beginning on, exceeds
-    `FOLLOWED` of the coordinate's standard deviation, the root mean square of those in all records.
+    It follows as long as the errors of all coordinates, their root mean squares from the beginning
+    on, are within `FOLLOWED` of the coordinates' standard deviations (the root mean squares of
+    those in all records), even where a shorter part is not.
 
     Args:
         records: the records.
@@ -77,8 +78,8 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
         with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
             squares = np.cumsum((score.simulated[first:, channels.position] - e.q[first:]) ** 2, 0)
         rms = np.sqrt(squares / np.arange(1, len(squares) + 1)[:, None])
-        is_off = ~(rms <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
-        seconds.append(float(e.dt * (np.argmax(is_off) if is_off.any() else len(is_off) - 1)))
+        follows = (rms <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
+        seconds.append(float(e.dt * max(np.flatnonzero(follows), default=0)))
     return seconds
 
 

@@ -335,8 +335,9 @@ def fitted_knowledge(
         return Knowledge(make_search_space(model.system, values, {}, parameters), values)
     with convert_errors("next-record", "errors that do not fit", "those of an identified system"):
         errors = {
-            e["coordinate"]: max(float(e["train"]), _LEAST_NOISE * float(e["size"]), _LEAST_NOISE)
+            e["coordinate"]: max(float(e["missing"]), _LEAST_NOISE * float(e["size"]), _LEAST_NOISE)
             for e in identification.get("force_errors", ())
+            if e["split"] == "train"
         }
         # a covariance by inverse dynamics has its priors in it, so all directions have errors
         shrinkage = 0.0 if errors else SHRINKAGE

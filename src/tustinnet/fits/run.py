@@ -261,7 +261,9 @@ def run_fit(
             {} if fold.origin is None else fold.origin.provenance,
             left_out=fit.records.left_out,
         )
-        if judges_records or "system" in family.needs:
+        identification = run.best.result.identification
+        is_simulated = identification is not None and not identification.force_errors
+        if judges_records or is_simulated:
             run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
         write_specification(folder, specification)
         if system is not None:
@@ -269,7 +271,6 @@ def run_fit(
         for member in run.members:
             save(member.result.model, member.folder / MODEL, **run.header(member))
         save(run.best.result.model, folder / MODEL, **run.header(run.best))
-        identification = run.best.result.identification
         if identification is not None and identification.base_parameters:
             write_into(folder, BASE_PARAMETERS, _base_parameters_csv(identification))
         write_into(folder, SUMMARY, to_json(run.summary()))

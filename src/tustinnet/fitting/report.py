@@ -125,38 +125,36 @@ class ForceError:
     """The force at a coordinate that equations of motion do not explain.
 
     Attributes:
+        split: of the records along which it is missing.
         coordinate: the coordinate's name.
         unit: N m or N.
-        size: root mean square of the actuators' force over the training records; without an
-            actuator, of the forces that the motion needs.
-        train: root mean square of what is missing on the training records.
-        held_out: that of the validation records, None without them.
-        size_held_out: root mean square of the actuators' force there, None without them.
-        moving: share of the actuators' force that is missing while the joint moves, on validation
-            records, else on training records.
+        cutoff: frequency up to which forces were compared [Hz].
+        size: root mean square of the actuators' force; without an actuator, of the forces that the
+            motion needs.
+        missing: root mean square of what the motion needs and the actuators do not give.
+        moving: share of the actuators' force that is missing while the joint moves.
         by_file: the same of all samples by the nominal values, as of a robot's file.
-        by_least_squares: the same by least squares without priors, ranges and added forces.
+        by_least_squares: the same by least squares on the training records, without priors, ranges
+            and added forces; None where there are no training records.
         is_driven: whether an actuator acts on it; without one a share is of the forces that the
             motion needs, which may be none.
     """
 
+    split: str
     coordinate: str
     unit: str
+    cutoff: float
     size: float
-    train: float
-    held_out: float | None
-    size_held_out: float | None
+    missing: float
     moving: float
     by_file: float
-    by_least_squares: float
+    by_least_squares: float | None
     is_driven: bool
 
     @property
     def share(self) -> float:
-        """Share of the actuators' force that is missing, on validation records where there are."""
-        if self.held_out is None or self.size_held_out is None:
-            return self.train / self.size
-        return self.held_out / self.size_held_out
+        """Share of the actuators' force that is missing."""
+        return self.missing / self.size
 
 
 @dataclass(frozen=True)

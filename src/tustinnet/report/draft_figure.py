@@ -29,7 +29,9 @@ def draft_figure(draft: Draft) -> Figure:
     drawn = [column for column in draft.columns if column in drawn]
     rows = -(-len(drawn) // _COLUMNS)
     with figure_style():
-        figure = Figure(figsize=(11.0, 1.75 * rows + 0.9), layout="constrained")
+        height = 1.75 * rows + 0.9
+        figure = Figure(figsize=(11.0, height))
+        figure.subplots_adjust(0.06, 0.5 / height, 0.99, 1 - 0.7 / height, hspace=0.55, wspace=0.12)
         panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         for axes, column in zip(panels.ravel(), drawn, strict=False):
             values = piece.column(column.name)
@@ -50,7 +52,8 @@ def draft_figure(draft: Draft) -> Figure:
         rows_text = "" if piece.whole else f", rows {piece.rows[0]} to {piece.rows[1]}"
         more = len(draft.columns) - len(drawn)
         left_out = f"; {more} more columns are not drawn" if more else ""
-        figure.suptitle(f"{place}{rows_text}: what each column was taken for{left_out}", fontsize=9)
+        title = f"{place}{rows_text}: what each column was taken for{left_out}"
+        figure.suptitle(title, y=1 - 0.1 / height, va="top", fontsize=9)
         return figure
 
 

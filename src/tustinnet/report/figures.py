@@ -19,6 +19,7 @@ from tustinnet.check.report import ExperimentReport
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
+from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces
 from tustinnet.report.page.signals import bounded, find_extremes
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
@@ -241,6 +242,35 @@ def ahead_figure(
             axes.set_ylim(bottom=0)
         panels[-1].set_xlabel("horizon [s]")
         panels[0].legend()
+        return figure
+
+
+def forces_figure(forces: RecordForces) -> Figure:
+    """Figure of the forces of actuators and of those that a record's motion needs by a model.
+
+    Args:
+        forces: the forces.
+    """
+    n, t = len(forces.coordinates), forces.t - forces.t[0]
+    with figure_style():
+        figure = Figure(figsize=(7.0, _PANEL * n + 0.5), layout="constrained")
+        panels = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+        lines = (
+            ("actuators", forces.applied, MEASURED),
+            ("needed by the model", forces.needed, COLOURS[0]),
+            ("missing", forces.missing, COLOURS[-1]),
+        )
+        for k, (axes, error) in enumerate(zip(panels, forces.errors, strict=True)):
+            for label, values, colour in lines:
+                plot_line(axes, t, values[:, k], color=colour, label=label)
+            axes.set_ylabel(f"{error.coordinate} [{error.unit}]")
+            axes.set_title(f"missing {100 * error.share:.3g} %", loc="right")
+        title = f"{forces.record}: forces up to {forces.cutoff:.3g} Hz"
+        panels[0].set_title(title, loc="left")
+        panels[-1].set_xlabel("time [s]")
+        figure.align_ylabels()
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(lines), fontsize=8)
         return figure
 
 

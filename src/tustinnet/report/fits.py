@@ -7,7 +7,12 @@ from statistics import median
 from tustinnet.channels import Channels
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
 from tustinnet.fits.run import Run
-from tustinnet.fitting.report import BaseParameterEstimate, Estimate, Identification
+from tustinnet.fitting.report import (
+    BaseParameterEstimate,
+    Estimate,
+    ForceError,
+    Identification,
+)
 from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
@@ -108,6 +113,33 @@ def base_parameter_table(estimates: Sequence[BaseParameterEstimate], title: str 
             interval = f"{b.interval[0]:.{digits}g}..{b.interval[1]:.{digits}g}"
         rows.append([b.expression, f"{b.value:.{digits}g}", b.unit, interval])
     return Table(["base parameter", "value", "unit", "95 %"], rows, title)
+
+
+def force_errors_table(errors: Mapping[str, Sequence[ForceError]], title: str = "") -> Table:
+    """Table of the forces that are missing at each coordinate, beside trivial references.
+
+    Args:
+        errors: the errors by what they are of, as a split.
+        title: of the table; by default what is in it.
+    """
+    rows = [
+        [
+            label,
+            e.coordinate,
+            f"{e.size:.3g} {e.unit}",
+            *[
+                "–" if share is None else number(100 * share, 2)
+                for share in (e.share, e.moving, e.by_least_squares, e.by_file)
+            ],
+        ]
+        for label, own in errors.items()
+        for e in own
+    ]
+    bands = sorted({f"{e.cutoff:.3g} Hz" for own in errors.values() for e in own})
+    columns = ["of", "coordinate", "actuators", "missing [%]", "moving [%]"]
+    columns += ["least squares [%]", "first values [%]"]
+    usual = "Forces that a motion needs and its actuators do not give, root mean squares"
+    return Table(columns, rows, f"{title or usual}, up to {', '.join(bands)}")
 
 
 ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")

@@ -29,7 +29,7 @@ from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
-from tustinnet.fitting.inverse_dynamics.record_forces import unexplained_forces
+from tustinnet.fitting.inverse_dynamics.of_model import unexplained_forces
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header

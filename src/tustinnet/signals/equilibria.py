@@ -10,7 +10,8 @@ from tustinnet.signals.transients import resting_positions
 _NEAR = 0.5  # rad, or of a length's whole travel a fifth: about so far motion is near to linear
 _NEAR_SHARE = 0.2
 _AHEAD = 5  # samples, the baseline of a velocity: errors of both ends are then independent
-_FEWEST = 200  # samples that the linear fit needs
+_FEWEST = 100  # samples that the linear fit needs
+_ALIKE = 2.0  # factor between growth rates of one mode
 _GROWTHS = 10.0  # e-folds within the stretch, fewer might be drift
 
 
@@ -39,7 +40,8 @@ def find_held_equilibrium(
     For every coordinate the stretch is examined in which it stays near its median of the record's
     last tenth: within 0.5 rad, or a fifth of the travel of a length. There the state 5 samples
     on is fitted as a linear function of the state and the inputs between. A growing mode that
-    nevertheless stays small is held. Errors of the positions make modes look more stable.
+    nevertheless stays small is held, if both halves of the stretch have it: of a robot that rests,
+    or drifts, each has another. Errors of the positions make modes look more stable.
 
     Args:
         q: positions [rad or m].
@@ -52,8 +54,14 @@ def find_held_equilibrium(
     far = np.abs(q - resting_positions(q)) > near
     first_samples = {int(np.flatnonzero(c)[-1]) + 1 if c.any() else 0 for c in far.T}
     for k in sorted(first_samples):
-        rate = _fastest_growth(np.concatenate([q, v], axis=1)[k:], u[k:], dt)
-        if rate * (len(q) - k) * dt > _GROWTHS:
+        # velocities at the stretch's edge are made of positions before it
+        x, begin, middle = np.concatenate([q, v], axis=1), k + _AHEAD, (k + len(q)) // 2
+        rate, *halves = (
+            _fastest_growth(x[part], u[part], dt)
+            for part in (slice(begin, None), slice(begin, middle), slice(middle, None))
+        )
+        is_in_both = all(rate / _ALIKE < half < rate * _ALIKE for half in halves)
+        if is_in_both and rate * (len(q) - k) * dt > _GROWTHS:
             return HeldEquilibrium(k, 1 / rate)
     return None
 

@@ -23,6 +23,12 @@ def _positive(value: Any) -> float:
     return _number(value, 0.0)
 
 
+def _not_zero(value: Any) -> float:
+    if not _number(value):
+        raise ValueError
+    return float(value)
+
+
 def _ends(value: Any) -> tuple[float, float]:
     lower, upper = (float(x) for x in value)
     if not (np.isfinite([lower, upper]).all() and lower < upper):
@@ -85,6 +91,20 @@ def _check_encoders(where: object, _: str, given: Any, others: Mapping[str, Any]
     return {joint: side for joint, side in _items(where, sides) if side == "motor"}
 
 
+def _check_gravity(
+    where: object, _: str, given: Any, __: Mapping[str, Any]
+) -> tuple[float, ...] | None:
+    if given is None:
+        return None
+    try:
+        x, y, z = (_number(value) for value in given)
+    except (TypeError, ValueError):
+        expected = "three numbers [m/s^2] in the frame of the base"
+        problem, of_ceiling = f"gravity: {given!r}", "gravity=(0.0, 0.0, 9.81) below a ceiling"
+        raise InputError(where, problem, expected, of_ceiling) from None
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class RobotOptions:
     """The options of `load_robot`, which says what they mean, as far as they are used.
@@ -93,13 +113,14 @@ class RobotOptions:
     """
 
     locked: Mapping[str, float] = _by_name(_number, "a number")
-    motor_constants: Mapping[str, float] = _by_name(_positive, "a positive number")
+    motor_constants: Mapping[str, float] = _by_name(_not_zero, "a number other than 0")
     per: Mapping[str, str] = _by_name(str.strip, "the name of a group")
     friction: tuple[str, ...] = field(default=(), metadata={"check": _check_friction})
     elastic: Mapping[str, float] = _by_name(_positive, "a positive number")
     backlash: Mapping[str, float] = _by_name(_positive, "a positive number")
     encoders: Mapping[str, str] = field(default_factory=dict, metadata={"check": _check_encoders})
     default_density: float | None = None
+    gravity: tuple[float, ...] | None = field(default=None, metadata={"check": _check_gravity})
     ranges: Mapping[str, tuple[float, float]] = _by_name(
         _ends,
         "two numbers, the smaller one first",

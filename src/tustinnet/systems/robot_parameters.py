@@ -119,7 +119,11 @@ def _of_drives(channels: RobotChannels) -> list[Parameter]:
         ]
         if d.motor_constant is not None:
             value = channels.options.motor_constants[d.actuator.joint]
-            parameters.append(_near(d.motor_constant, f"{units.force}/A", value, _MASS, fixed=True))
+            # it sets the scale of all masses: searched for only where something else does
+            is_fixed = d.motor_constant not in channels.options.ranges
+            parameters.append(
+                _near(d.motor_constant, f"{units.force}/A", value, _MASS, fixed=is_fixed)
+            )
     return parameters
 
 

@@ -158,7 +158,7 @@ def write_values(
     elif tree.path.suffix == ".urdf":
         text = mjcf_text(tree.robot, links, joints, tree.path)
     else:
-        text = write_mjcf(text, links, joints, tree.path, servos)
+        text = write_mjcf(text, links, joints, tree.path, servos, channels.options.gravity)
     written = {f"{body}.{name}" for body in links for name in INERTIAL}
     written |= {f"{joint}.{kind}" for joint, own in joints.items() for kind in own if kind in names}
     written |= {f"{d.label}.{gain}" for d, gains in servos for gain in gains}
@@ -268,6 +268,7 @@ def write_mjcf(
     joints: Mapping[str, JointValues],
     where: object,
     servos: Sequence[tuple[Drive, Mapping[str, float]]] = (),
+    gravity: Sequence[float] | None = None,
 ) -> str:
     """The text of a file in MuJoCo's format with other inertias, values of joints, and gains.
 
@@ -277,6 +278,7 @@ def write_mjcf(
         joints: values by joint.
         where: the file, for messages.
         servos: drives with the gains of their actuators.
+        gravity: its acceleration, None for that of the text [m/s^2].
 
     Raises:
         InputError: the file takes inertias from shapes only, or a body is to have none.
@@ -318,6 +320,12 @@ def write_mjcf(
         else:
             known = {name: numbers_text(x) for name, x in gains.items()}
         written.set(element, known, drop=("dampratio",))
+    if gravity is not None:
+        known, own = {"gravity": numbers_text(gravity)}, [e.tag for e in written.elements]
+        if "option" in own:  # of several the last counts
+            written.set(written.elements[len(own) - 1 - own[::-1].index("option")], known)
+        else:
+            written.add(written.elements[0], _tag("option", known))
     return written.written()
 
 

@@ -5,7 +5,7 @@ searched for, `robot_equations` the forces, `robot_options` the options of `load
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ def load_robot(
     backlash: Mapping[str, float] | None = None,
     encoders: Mapping[str, str] | str = "link",
     default_density: float | None = None,
+    gravity: Sequence[float] | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> LagrangianSystem:
     """A robot as a system, from a URDF file or one in MuJoCo's format.
@@ -52,7 +53,7 @@ def load_robot(
             beside that file first.
         locked: joints that do not move, with their positions [rad or m].
         motor_constants: joints whose input is the current of a motor, with the force or torque by
-            current [N m/A or N/A].
+            current [N m/A or N/A]; below 0 where the current counts the other way round.
         per: links whose mass, centre and inertia differ between groups of records, with the name of
             the group, `{"flange": "payload"}`.
         friction: friction of all joints beside the viscous and the Coulomb one: "stribeck" (more at
@@ -67,8 +68,11 @@ def load_robot(
             a joint is what its encoder reads, at a motor in units of the joint.
         default_density: density [kg/m^3] by which links without an inertia get that of their
             shapes; for a URDF.
+        gravity: its acceleration in the frame of the base [m/s^2], in place of that of the file: of
+            a robot below a ceiling (0, 0, 9.81), on a wall as the base stands there.
         ranges: smallest and largest value of parameters by name, `{"joint1.viscous": (0, 5)}`, in
-            place of those that follow from the file and the records.
+            place of those that follow from the file and the records. The constant of a motor that
+            has one is searched for; a mass that is known has to tell it.
 
     Raises:
         InputError: a file that cannot be read, an option that names no such joint or link, a value
@@ -90,6 +94,7 @@ def load_robot(
         backlash=backlash,
         encoders=encoders,
         default_density=default_density,
+        gravity=gravity,
         ranges=ranges,
     )
     return RobotFile(file.text, file.path, options).load()
@@ -187,7 +192,10 @@ class RobotFile(ChannelSource):
             InputError: an option that names no joint or link for which it is there.
         """
         options, path = self.options, self.path
-        tree = RobotTree(read_robot(self.text, path), path, options.locked)
+        robot = read_robot(self.text, path)
+        if options.gravity is not None:
+            robot = replace(robot, gravity=options.gravity)
+        tree = RobotTree(robot, path, options.locked)
         gears = "is elastic: give it a stiffness by elastic="
         for option, possible, what in (
             ("locked", tree.moving, "moves"),

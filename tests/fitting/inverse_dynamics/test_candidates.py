@@ -48,7 +48,9 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system):
     without = tn.identify(
         data, system, tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
     )
-    with_it, alone = (r.force_errors[0].share for r in (result, without))
+    with_it, alone = (
+        next(e.share for e in r.force_errors if e.split == "validation") for r in (result, without)
+    )
     assert with_it < 0.8 * alone
     # it stands in the model, whose free runs are better for it
     records = list(data.split("validation"))
@@ -116,23 +118,30 @@ def test_the_wrist_of_a_measured_arm_is_found(real_data):
     assert "armature:joint_5+joint_6" in result.system.added
     pairs = [name for name in result.system.added if name.startswith("armature:")]
     assert len(pairs) == 1
-    assert np.mean([e.share for e in result.force_errors]) < 0.15
+    held_out = [e.share for e in result.force_errors if e.split == "validation"]
+    assert np.mean(held_out) < 0.15
 
 
 def test_forces_of_a_record_are_those_that_a_fit_names(system):
     data = twin(system)
     result = tn.identify(data, system, "inverse-dynamics")
     (record,) = data.split("validation")
-    cutoff = float(result.findings[0].partition("up to ")[2].partition(" Hz")[0])
-    forces = tn.inverse_dynamics(result.model, record, cutoff)
-    for error in result.force_errors:
-        assert forces.share[error.coordinate] == pytest.approx(error.share, rel=0.02)
-        assert forces.share_moving[error.coordinate] == pytest.approx(error.moving, rel=0.1)
+    forces = tn.inverse_dynamics(result.model, record, training=list(data.split("train")))
+    named = [e for e in result.force_errors if e.split == "validation"]
+    for own, error in zip(forces.errors, named, strict=True):
+        assert (own.coordinate, own.unit, own.split) == (error.coordinate, error.unit, "validation")
+        assert own.cutoff == pytest.approx(error.cutoff), "that of the fit"
+        assert own.share == pytest.approx(error.share, rel=1e-3)
+        assert own.moving == pytest.approx(error.moving, rel=1e-3)
+        assert own.by_file == pytest.approx(error.by_file, rel=1e-3)
+        assert own.by_least_squares == pytest.approx(error.by_least_squares, rel=0.02)
+    assert np.allclose(forces.missing, forces.needed - forces.applied)
     assert len(forces.t) == len(forces.needed)
     assert np.ptp(np.diff(forces.t)) < 1e-9
     assert record.t[0] < forces.t[0] < forces.t[-1] < record.t[-1]
-    chosen = tn.inverse_dynamics(result.model, record)
-    assert 1.0 < chosen.cutoff < 100.0
+    chosen = tn.inverse_dynamics(result.model, record, 5.0)
+    assert chosen.cutoff == 5.0
+    assert chosen.errors[0].by_least_squares is None, "there were no training records"
     network = tn.fit(data, "linear").model
     with pytest.raises(InputError, match="a model without equations of motion"):
         tn.inverse_dynamics(network, record)

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.drafting.assignment import Assignment, Verdict
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels, choose_system_channels
+from tustinnet.data.drafting.evidence import EvidenceTable, Role
 from tustinnet.data.drafting.findings import (
     Choice,
     CoordinateChoice,
@@ -27,10 +29,10 @@ from tustinnet.data.drafting.logs import (
     read_logs,
     read_names,
 )
-from tustinnet.data.drafting.numbers import Numbers, examine, unwrap
+from tustinnet.data.drafting.names import NameReading
+from tustinnet.data.drafting.numbers import Numbers, Values, examine, unwrap
 from tustinnet.data.drafting.positions import period_by_velocities
-from tustinnet.data.drafting.relations import compare_slopes, find_sines
-from tustinnet.data.drafting.roles import Role, Verdict, judge_columns
+from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
 from tustinnet.data.drafting.splits import Splits, choose_splits
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
@@ -39,10 +41,11 @@ from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 _MOST_SAMPLES = 200_000  # on which the evidence rests
+_MOST_RECORDS, _MOST_ROWS, _FEWEST_ROWS = 5, 30_000, 500  # that are compared: records, and rows
+# of each: by the number of columns, at least
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST = 6  # samples of a record
 _PERIOD = "period"
-_SURE = 9.0  # score of an angle of which cosine and sine are there
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
@@ -57,6 +60,8 @@ class DraftColumn:
         because: the reasons.
         unit: its unit in the card, empty if not used.
         numbers: properties of its numbers.
+        margin: points by which its role is ahead of another use; infinite where nothing else was
+            weighed, as of times and constants.
     """
 
     name: str
@@ -65,6 +70,7 @@ class DraftColumn:
     because: str
     unit: str
     numbers: Numbers
+    margin: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -183,13 +189,22 @@ def draft_card(
         numbers[cosine] = examine(samples[cosine])
     motion = [n for n in motion if n in samples]
     slopes = compare_slopes(samples, times)
-    verdicts = judge_columns({n: readings[n] for n in motion}, numbers, samples, slopes, times)
-    for column in motion:
-        if (answer := answers.get(f"role {column}")) is not None:
-            verdicts[column] = Verdict(_role(answer), ("as you say",))
+    known: dict[str, Role] = {
+        n: _role(answers[f"role {n}"]) for n in motion if f"role {n}" in answers
+    }
+    for cosine in sines:
+        known[cosine] = "position"
+    verdicts = _judge(
+        {n: readings[n] for n in motion},
+        numbers,
+        samples,
+        slopes,
+        known,
+        has_times=not is_period_assumed,
+    )
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
-        verdicts[cosine] = Verdict("position", (reason,), score=_SURE)
+        verdicts[cosine] = Verdict("position", (reason,))
     findings = Findings(
         readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
     )
@@ -208,7 +223,12 @@ def draft_card(
         )
     logs = [_without_unused_files(log, choice) for log in logs]
     trimmed = _trim_logs(logs, choice, notes.append)
-    usable = _usable_pieces(find_pieces(trimmed, clock, readings), choice, notes.append)
+    found = find_pieces(trimmed, clock, readings, notes.append)
+    usable = _usable_pieces(found, choice, notes.append)
+    texts = {n: text for log in logs for n, text in log.texts.items() if "where the others" in text}
+    notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
+    if not choice.inputs:
+        notes.append("no input was found: the records are taken for free motion")
     pieces = usable or pieces
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
@@ -229,7 +249,7 @@ def draft_card(
     )
     return Draft(
         text,
-        tuple(_columns(readings, clock, choice, verdicts, numbers, logs[0].clocks)),
+        tuple(_columns(readings, clock, choice, verdicts, numbers)),
         dt,
         choice,
         clock,
@@ -306,22 +326,23 @@ def _usable_pieces(
     usable: list[Piece] = []
     for piece in pieces:
         place = piece.log.place
-        finite = np.isfinite(piece.t)
+        finite = np.isfinite(piece.t) & np.append(np.diff(piece.t) > 0, True)
         for name in used:
             finite &= np.isfinite(piece.column(name))
         rows = np.flatnonzero(finite)
+        if (np.diff(piece.t) <= 0)[rows[0] : rows[-1]].any() if len(rows) else False:
+            on_message(f"left out: {place}: times that do not rise")
+            continue
         if len(rows) < _FEWEST or not finite[rows[0] : rows[-1] + 1].all():
             on_message(f"left out: {place}: numbers that are not finite, or too few samples")
             continue
         if len(rows) < len(finite):
             on_message(
-                f"{place}: cut off at its ends, not finite: "
+                f"{place}: cut off at its ends, not finite or without a time of their own: "
                 + counted(len(finite) - len(rows), "row")
             )
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
-        if (np.diff(piece.t) <= 0).any():
-            on_message(f"left out: {place}: times that do not rise")
-        elif coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
+        if coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
             on_message(f"left out: {place}: nothing moves")
         else:
             usable.append(piece)
@@ -334,6 +355,42 @@ def _name(folder: Path) -> str:
     return (
         path.parent.name if path.name.lower() in _PLAIN_FOLDERS and path.parent.name else path.name
     )
+
+
+def _judge(
+    readings: Mapping[str, NameReading],
+    numbers: Mapping[str, Numbers],
+    samples: Mapping[str, Sequence[Values]],
+    slopes: Slopes,
+    known: Mapping[str, Role],
+    *,
+    has_times: bool,
+) -> dict[str, Verdict]:
+    """The roles of columns that are neither times nor counters, some of which are known."""
+    moving = {n: r for n, r in readings.items() if not numbers[n].constant}
+    constant = Verdict("constant", ("it never changes",))
+    if not moving:
+        return dict.fromkeys(readings, constant)
+    lengths = [len(values) for values in samples[next(iter(moving))]]
+    chosen = np.linspace(0, len(lengths) - 1, min(len(lengths), _MOST_RECORDS)).astype(int)
+    most = max(_FEWEST_ROWS, _MOST_ROWS // max(10, len(moving)))
+    first = {k: max(0, (lengths[k] - most) // 2) for k in chosen.tolist()}
+    records = [
+        np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
+        for k, row in first.items()
+    ]
+    table = EvidenceTable(moving, numbers, records, slopes.of(moving), has_times=has_times)
+    verdicts = Assignment(table, known).verdicts()
+    return {n: verdicts.get(n, constant) for n in readings}
+
+
+def _fill(values: Values) -> Values:
+    """A column whose samples that are not finite are those between their neighbours."""
+    finite = np.isfinite(values)
+    if finite.all() or not finite.any():
+        return np.nan_to_num(values, posinf=0.0, neginf=0.0)
+    rows = np.arange(len(values))
+    return np.interp(rows, rows[finite], values[finite])
 
 
 def _role(answer: str) -> Role:
@@ -363,7 +420,6 @@ def _columns(
     choice: Choice,
     verdicts: Mapping[str, Verdict],
     numbers: Mapping[str, Numbers],
-    clocks: Sequence[str],
 ) -> list[DraftColumn]:
     """Columns of the logs, each with its role, its use and the reasons."""
     velocities = {c.velocity.column: c.velocity for c in choice.coordinates if c.velocity}
@@ -376,8 +432,8 @@ def _columns(
         if name == clock.column:
             role, use, because, unit = "time", "time", clock.because, clock.unit
         elif name in clock.others:
-            role = "time" if name in clocks else "counter"
             because = clock.others[name]
+            role = "time" if because.startswith("times") else "counter"
         elif name not in verdicts:
             role, use, because = "position", "coordinate", "the sine of an angle"
         else:
@@ -392,7 +448,8 @@ def _columns(
                 use, unit = "velocity", velocities[name].unit or ""
             else:
                 because = choice.unused.get(name, because)
-        columns.append(DraftColumn(name, role, use, because, unit, numbers[name]))
+        margin = verdicts[name].margin if name in verdicts else np.inf
+        columns.append(DraftColumn(name, role, use, because, unit, numbers[name], margin))
     return columns
 
 

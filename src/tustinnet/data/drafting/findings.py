@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tustinnet.channels import Kind
+from tustinnet.data.drafting.assignment import Verdict
 from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Numbers, Values
 from tustinnet.data.drafting.relations import Slopes
-from tustinnet.data.drafting.roles import Verdict
 
 
 @dataclass(frozen=True)

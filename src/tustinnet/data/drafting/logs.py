@@ -406,7 +406,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         begins_late = abs(columns[0][0]) > 1e8
         candidates.append((weight - 2 * min(spread, 1.0) - 0.1 * begins_late, name))
     if not candidates:
-        return Clock(None, others=others)
+        return _find_rounded_clock(logs, readings, others)
     # the first of equal ones
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
@@ -422,6 +422,25 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     if not because.endswith(reason):  # a unit in the name says what the name is
         because = f"{reason}; {because}"
     return Clock(best, unit, because, dt, worst, sure, others)
+
+
+def _find_rounded_clock(
+    logs: Sequence[Log], readings: Mapping[str, NameReading], others: dict[str, str]
+) -> Clock:
+    """The period of times that repeat as they have few digits, which a card cannot read."""
+    for name in (n for n, r in readings.items() if "time" in r.quantities):
+        columns = [log.values[name] for log in logs]
+        steps = np.concatenate([np.diff(column) for column in columns])
+        largest = float(steps.max(initial=0.0))
+        lines = [np.linspace(c[0], c[-1], len(c)) for c in columns]
+        worst = max(np.abs(c - line).max() for c, line in zip(columns, lines, strict=True))
+        if not (steps >= 0).all() or not 0 < worst <= 2 * largest:
+            continue
+        unit, _, sure = _time_unit(name, readings[name], columns)
+        dt = float(f"{np.mean(steps) * TIME[unit]:.4g}")
+        reason = "times of too few digits: their mean interval is the period"
+        return Clock(None, unit, "", dt, 0.0, sure, {**others, name: reason})
+    return Clock(None, others=others)
 
 
 def _speaks_of_motion(reading: NameReading) -> bool:
@@ -459,9 +478,8 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     """The unit of times, the reason, and whether it is sure."""
     if reading.unit in TIME and reading.quantity == "time":
         return reading.unit, f"in {reading.unit} by its name", True
-    intervals = _intervals(columns)
-    assert intervals is not None
-    step, first = float(np.median(intervals)), float(columns[0][0])
+    steps = np.concatenate([np.diff(column) for column in columns])
+    step, first = float(np.median(steps[steps > 0])), float(columns[0][0])
     for word, unit in (
         ("millis", "ms"),
         ("micros", "us"),
@@ -490,9 +508,19 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
 
 
 def find_pieces(
-    logs: Sequence[Log], clock: Clock, readings: Mapping[str, NameReading]
+    logs: Sequence[Log],
+    clock: Clock,
+    readings: Mapping[str, NameReading],
+    on_message: Callable[[str], None] = lambda _: None,
 ) -> list[Piece]:
-    """The records in the logs: cut where the clock starts again, at gaps, and between episodes."""
+    """The records in the logs: cut where the clock starts again, at gaps, and between episodes.
+
+    Args:
+        logs: the logs.
+        clock: their time base.
+        readings: the meaning of the names of their columns.
+        on_message: called with a sentence on records that are too short, and left out.
+    """
     dt = clock.dt or 0.01
     episodes = [
         name
@@ -519,6 +547,13 @@ def find_pieces(
             because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
             pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
     long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]
+    short: dict[str, list[str]] = {}
+    for piece in pieces if long else ():
+        if len(piece.t) < _SHORTEST:
+            short.setdefault(piece.log.place, []).append(str(len(piece.t)))
+    for place, lengths in short.items():
+        texts = ", ".join(lengths[:4]) + (", ..." if len(lengths) > 4 else "")
+        on_message(f"left out: {place}: fewer than {_SHORTEST} samples in a record ({texts})")
     return long or pieces
 
 

@@ -5,16 +5,19 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import cast
 
 from tustinnet.channels import Kind
 from tustinnet.data.drafting.vocabulary import (
     ANGULAR,
     AXES,
     CONTAINERS,
+    LETTERS,
     LINEAR,
     POSITION_WORDS,
     QUALIFIERS,
     STRONG,
+    UNITS,
     WEAK,
     Qualifier,
     Quantity,
@@ -31,26 +34,7 @@ INPUTS: tuple[Quantity, ...] = (
     "pressure",
 )
 
-_UMLAUTS = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
-)
-_GREEK = str.maketrans(
-    {
-        "φ": "phi",
-        "ϕ": "phi",
-        "θ": "theta",
-        "ϑ": "theta",
-        "ψ": "psi",
-        "ω": "omega",
-        "α": "alpha",
-        "β": "beta",
-        "γ": "gamma",
-        "τ": "tau",
-        "Δ": "delta",
-        "ẋ": "xdot",
-        "\u0307": "dot",
-    }
-)
+_LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
@@ -58,148 +42,30 @@ _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _BEHIND_STROKE = re.compile(r"^([^/]+?)\s*/\s*([^/]+)$")  # `phi / deg`, as DIN 1313 has it
 _IN = re.compile(r"(?i)^(.+?)[\s_,]+in[\s_]+(\S+)$")  # `Winkel in Grad`
 
-# units by their spelling in lower case; a unit's quantity follows from its table
-_POSITION = {
-    **{unit: unit for unit in (*ANGLE, *LENGTH)},
-    **dict.fromkeys(("radian", "radians"), "rad"),
-    **dict.fromkeys(
-        (
-            "degree",
-            "degrees",
-            "grad",
-            "grd",
-            "°",
-            "degre",
-            "degres",
-            "grado",
-            "grados",
-            "gradi",
-            "graus",
-            "graden",
-            "grader",
-            "stopni",
-            "stopnie",
-            "stupne",
-            "度",
-        ),
-        "deg",
-    ),
-    **dict.fromkeys(
-        (
-            "revs",
-            "turns",
-            "turn",
-            "umdr",
-            "umdrehungen",
-            "revolutions",
-            "tour",
-            "tours",
-            "giri",
-            "vueltas",
-        ),
-        "rev",
-    ),
-    **dict.fromkeys(
-        (
-            "cnt",
-            "cnts",
-            "count",
-            "counts",
-            "tick",
-            "ticks",
-            "pulses",
-            "inc",
-            "incs",
-            "ink",
-            "inkr",
-            "inkremente",
-            "increments",
-            "impulse",
-            "steps",
-            "lsb",
-        ),
-        "counts",
-    ),
-    **dict.fromkeys(("inch", "inches"), "in"),
-    **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
-    "\N{MICRO SIGN}m": "um",
-    "\N{GREEK SMALL LETTER MU}m": "um",
-}
-_PER_SECOND = (
-    "/s",
-    "/sec",
-    "_s",
-    "_sec",
-    "_per_s",
-    "_per_sec",
-    "_per_second",
-    "ps",
-    "*s^-1",
-    "s-1",
-)
-_VELOCITY = {
-    **{f"{name}{per}": f"{unit}/s" for name, unit in _POSITION.items() for per in _PER_SECOND},
-    **dict.fromkeys(
-        (
-            "rpm",
-            "1/min",
-            "u/min",
-            "min^-1",
-            "min-1",
-            "rev/min",
-            "r/min",
-            "rev_min",
-            "u_min",
-            "upm",
-            "1_min",
-            "tr/min",
-            "tr_min",
-            "giri/min",
-            "ob/min",
-            "r/m",
-        ),
-        "rpm",
-    ),
-    **dict.fromkeys(("km/h", "kmh", "kph"), "km/h"),
-    **dict.fromkeys(("rps", "hz_rev"), "rev/s"),
-    "rads": "rad/s",
-    "mps": "m/s",
-    "dps": "deg/s",
-}
-_SQUARED = ("/s^2", "/s2", "/s/s", "/s**2", "_s2", "_per_s2", "ps2", "*s^-2")
-_ACCELERATION = {
-    **{f"{name}{per}": f"{unit}/s^2" for name, unit in _POSITION.items() for per in _SQUARED},
-    "g": "g",
-    "mg": "mg",
-}
+_PER_SECOND = ["/s", "/sec", "_s", "_sec", "_per_s", "_per_sec", "_per_second", "ps"]
+_PER_SECOND += ["*s^-1", "s-1"]
+_SQUARED = ["/s^2", "/s2", "/s/s", "/s**2", "_s2", "_per_s2", "ps2", "*s^-2"]
+
+
+def _read_units() -> dict[str, tuple[str, Quantity]]:
+    """The unit as cards have it and its quantity, by the spelling in lower case."""
+    rows = [line.split(":") for line in UNITS.strip().splitlines()]
+    units: dict[str, tuple[str, Quantity]] = {}
+    for quantity, unit, spellings in rows:
+        for spelling in (unit.lower(), *spellings.split()):
+            units.setdefault(spelling, (unit, cast("Quantity", quantity)))
+    for spelling, (unit, quantity) in [*units.items()]:
+        if quantity == "position":
+            for per in _PER_SECOND:
+                units.setdefault(spelling + per, (f"{unit}/s", "velocity"))
+            for per in _SQUARED:
+                units.setdefault(spelling + per, (f"{unit}/s^2", "acceleration"))
+    return units
+
+
+_UNITS = _read_units()
 _UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
 """Columns that are called by their unit alone."""
-_INPUT_UNITS: dict[str, tuple[str, Quantity]] = {
-    **dict.fromkeys(("v", "volt", "volts"), ("V", "voltage")),
-    "mv": ("mV", "voltage"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), ("A", "current")),
-    "ma": ("mA", "current"),
-    **dict.fromkeys(("pct", "percent", "%", "prozent"), ("%", "duty")),
-    **dict.fromkeys(("n", "newton", "newtons"), ("N", "force")),
-    "kn": ("kN", "force"),
-    **dict.fromkeys(("nm", "n*m", "n_m", "n m", "newtonmeter"), ("N m", "torque")),
-    **dict.fromkeys(("mnm", "mn*m", "mn m"), ("mN m", "torque")),
-    **dict.fromkeys(("ncm", "n*cm"), ("N cm", "torque")),
-    "bar": ("bar", "pressure"),
-    "pa": ("Pa", "pressure"),
-    "psi": ("psi", "pressure"),
-}
-_TIME_UNITS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "秒"), "s"),
-    **dict.fromkeys(("ms", "msec", "millis", "milliseconds", "millisekunden"), "ms"),
-    **dict.fromkeys(("us", "usec", "micros", "microseconds", "mikrosekunden", "µs", "μs"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanoseconds", "nanosekunden"), "ns"),
-}
-_OTHER_UNITS = {
-    **dict.fromkeys(("degc", "°c", "c", "celsius"), "degC"),
-    **{unit.lower(): unit for unit in ("K", "Hz", "W", "kg", "g/s", "l/min", "dB", "lx")},
-    "lux": "lx",
-}
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
 _SYMBOL = re.compile(
@@ -273,7 +139,7 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         reading = read_name(f"{name} [{file_unit}]")
         if reading.unit == spelling[0]:
             return replace(reading, name=name)
-    plain = unicodedata.normalize("NFC", name).translate(_GREEK).translate(_UMLAUTS)
+    plain = unicodedata.normalize("NFC", name).translate(_LETTERS)
     plain = _ACCENTS.sub("", unicodedata.normalize("NFD", plain))
     plain = unicodedata.normalize("NFC", plain)
     plain, unit, unit_quantity, in_brackets = _take_unit(plain)
@@ -297,6 +163,8 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if pairs & {("input", "pos"), ("input", "position"), ("input", "vel"), ("input", "velocity")}:
         qualifier = "command"  # of a controller, as drives have it
         quantities.pop("control", None)
+    if qualifier is None and "d" in words[1:] and "position" in quantities and "dt" not in words:
+        qualifier = "command"  # `q_d`, the desired position, as robots have it
     if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:
         qualifier = None if words[-1:] != ["m"] or len(words) < 2 else qualifier
     return NameReading(
@@ -393,24 +261,9 @@ def _look_up(text: str) -> tuple[str, Quantity | None] | None:
     for candidate in (spelled, compact):
         if candidate in _NO_UNITS:
             return "", None
-        if candidate in _POSITION:
-            return _POSITION[candidate], "position"
-        if candidate in _VELOCITY:
-            return _VELOCITY[candidate], "velocity"
-        if candidate in _ACCELERATION:
-            return _ACCELERATION[candidate], "acceleration"
-        if candidate in _INPUT_UNITS:
-            return _INPUT_UNITS[candidate]
-        if candidate in _TIME_UNITS:
-            return _TIME_UNITS[candidate], "time"
-        if candidate in _OTHER_UNITS:
-            return _OTHER_UNITS[candidate], "other"
+        if candidate in _UNITS:
+            return _UNITS[candidate]
     return None
-
-
-def unit_quantity(text: str) -> tuple[str, Quantity | None] | None:
-    """The unit that a text spells, as cards have it, and its quantity; None if unknown."""
-    return _look_up(text)
 
 
 def _take_unit(name: str) -> tuple[str, str, Quantity | None, bool]:

@@ -13,6 +13,7 @@ Values = Float[np.ndarray, " _"]  # one column, of any length
 _FEW_CHANGES = 0.2  # of samples: a column that changes less often is held at levels
 _LEAST_LEVEL = 1 / 50  # of the range; usual change between levels
 _SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a sample
+_WHITE = 0.9  # steps over spread; of white noise it is the root of 2
 _OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
 _SUPPLY = 0.1  # range over largest value, of a supply under load
 _FEWEST = 20  # values of a column that wraps
@@ -73,7 +74,6 @@ class Numbers:
         changes: share of the samples that differ from the one before.
         roughness: root mean square of the steps over the standard deviation.
         levels: whether it is constant most of the time and then changes far.
-        rises: whether it never falls in a record.
         wrap: length of a turn in the column's unit, where it jumps by turns.
         usual_turn: whether that is a turn of a usual unit or encoder.
         count: the step of which all its changes are multiples, None without one.
@@ -86,15 +86,14 @@ class Numbers:
     changes: float = 0.0
     roughness: float = 0.0
     levels: bool = False
-    rises: bool = False
     wrap: float | None = None
     usual_turn: bool = True
     count: float | None = None
 
     @property
     def constant(self) -> bool:
-        """Whether the column has fewer than two values."""
-        return self.distinct < 2
+        """Whether the column never changes in a record."""
+        return not self.changes
 
     @property
     def binary(self) -> bool:
@@ -110,6 +109,11 @@ class Numbers:
     def smooth(self) -> bool:
         """Whether it changes little from sample to sample, apart from wraps."""
         return not self.levels and (self.roughness <= _SMOOTH or self.wrap is not None)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether its steps are as large as those of white noise, nearly."""
+        return not self.levels and self.wrap is None and self.roughness > _WHITE
 
     @property
     def largest(self) -> float:
@@ -148,7 +152,6 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         changes=changes,
         roughness=float(np.sqrt(np.mean(steps**2)) / np.std(finite)),
         levels=has_levels,
-        rises=bool((steps >= 0).all()),
         wrap=usual or other,
         usual_turn=other is None,
         count=encoder_count(finite),
@@ -216,16 +219,17 @@ def unwrap(piece: Values, turn: float | None) -> Values:
     return piece - turn * np.cumsum(turns)
 
 
-def counts_in_turn(count: float, turn: float) -> int | None:
+def counts_in_turn(count: float, turn: float, tolerance: float = _SAME_COUNT) -> int | None:
     """Counts of an encoder in a turn, from the step of a column; None if no encoder has such.
 
     Args:
         count: the step.
         turn: a turn in the column's unit, 360 for degrees.
+        tolerance: relative deviation.
     """
     counts = turn / count
     nearest = min(_TURNS, key=lambda n: abs(n - counts))
-    return nearest if abs(counts / nearest - 1) < _SAME_COUNT else None
+    return nearest if abs(counts / nearest - 1) < tolerance else None
 
 
 def is_decimal(count: float) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tustinnet.channels import Kind
+from tustinnet.data.drafting.evidence import ANGULAR_SPEEDS, LINEAR_SPEEDS
 from tustinnet.data.drafting.findings import (
     Choice,
     CoordinateChoice,
@@ -33,37 +34,6 @@ _PERIODS = (1e-4, 1.0)  # s
 _ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
-# SI units in units of speeds, of angles and of lengths
-_ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
-_LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
-# counts in a turn of usual encoders, the most usual first
-_USUAL = (
-    4096,
-    2048,
-    8192,
-    1024,
-    16384,
-    512,
-    65536,
-    2000,
-    4000,
-    1000,
-    10000,
-    2400,
-    20000,
-    1440,
-    3600,
-    1200,
-    2880,
-    2500,
-    500,
-    360,
-    8000,
-    5000,
-    1600,
-    3200,
-    40000,
-)
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
 
@@ -89,7 +59,7 @@ def describe_coordinate(
     """
     numbers = findings.numbers[column]
     because = list(findings.verdicts[column].reasons)
-    doubts: list[str] = []
+    doubts = [] if system_kind else _doubts(column, findings)
     if (sine := findings.sines.get(column)) is not None:
         factor = findings.slopes.between(column, velocity)[1] if velocity else None
         return CoordinateChoice(
@@ -101,7 +71,7 @@ def describe_coordinate(
             None,
             _velocity(column, velocity, "rad", "angular", factor, findings),
             tuple(because),
-            (f"the direction: '{column}' as the cosine, '{sine}' as the sine",),
+            (*doubts, f"the direction: '{column}' as the cosine, '{sine}' as the sine"),
             sine=sine,
         )
     factor = findings.slopes.between(column, velocity)[1] if velocity else None
@@ -141,6 +111,12 @@ def describe_coordinate(
         tuple(assumed),
         scale,
     )
+
+
+def _doubts(column: str, findings: Findings) -> list[str]:
+    """The doubt whether a column is a position, where it could nearly as well be another thing."""
+    verdict = findings.verdicts[column]
+    return [f"a {verdict.role}, or {verdict.rival}?"] if verdict.is_open else []
 
 
 def _find_kind(
@@ -267,9 +243,9 @@ def _unit_by_velocity(
         return ""
     tables: list[tuple[Mapping[str, float], Mapping[str, float]]] = []
     if kind != "linear":
-        tables.append((ANGLE, _ANGULAR_SPEEDS))
+        tables.append((ANGLE, ANGULAR_SPEEDS))
     if kind != "angular":
-        tables.append((LENGTH, _LINEAR_SPEEDS))
+        tables.append((LENGTH, LINEAR_SPEEDS))
     for units, speeds in tables:
         for unit in (u for u in units if u not in ("in", "um", "mrad")):
             for speed, size in speeds.items():
@@ -337,13 +313,11 @@ def _usual_unit(numbers: Numbers, kind: Kind) -> tuple[str, bool]:
 
 def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
     """Counts in a turn, by the factor from a position in counts to a velocity in a known unit."""
-    if velocity_unit not in _ANGULAR_SPEEDS or not factor or factor <= 0:
+    if velocity_unit not in ANGULAR_SPEEDS or not factor or factor <= 0:
         return None
-    counts = 2 * np.pi / _ANGULAR_SPEEDS[velocity_unit] / factor
-    for usual in _USUAL:
-        if abs(counts / usual - 1) < _SAME_FACTOR / 2:
-            return usual
-    return round(counts) if counts >= 1 else None
+    counts = 2 * np.pi / ANGULAR_SPEEDS[velocity_unit] / factor
+    usual = counts_in_turn(1.0, counts, _SAME_FACTOR / 2)
+    return usual or (round(counts) if counts >= 1 else None)
 
 
 def _counts_by_copy(column: str, findings: Findings) -> int | None:
@@ -397,8 +371,8 @@ def _length_of_count(
     key = f"resolution {column}"
     if key in findings.answers:
         return float(findings.answers[key]), False
-    if velocity_unit in _LINEAR_SPEEDS and factor:
-        return float(f"{factor * _LINEAR_SPEEDS[velocity_unit]:.4g}"), False
+    if velocity_unit in LINEAR_SPEEDS and factor:
+        return float(f"{factor * LINEAR_SPEEDS[velocity_unit]:.4g}"), False
     text = f"length of a count of '{column}' [m]"
     choice.questions.append(Question(key, text, "1e-05", is_number=True))
     doubts.append("the length of a count: 1e-05 m is assumed")
@@ -427,14 +401,14 @@ def _velocity(
     speed: str | None = findings.readings[velocity].unit or None
     if speed is None and unit in (*ANGLE, *LENGTH):
         units = ANGLE if kind == "angular" else LENGTH
-        speeds = _ANGULAR_SPEEDS if kind == "angular" else _LINEAR_SPEEDS
+        speeds = ANGULAR_SPEEDS if kind == "angular" else LINEAR_SPEEDS
         for candidate in (f"{unit}/s", *speeds):
             if abs(factor * speeds[candidate] / units[unit] - 1) < 2 * _SAME_FACTOR:
                 speed = candidate
                 because += f"; in {candidate} by its size"
                 break
     elif speed is None and counts is not None and abs(factor - 1) > 0.05:
-        in_turn = ((s, 2 * np.pi / size / factor) for s, size in _ANGULAR_SPEEDS.items())
+        in_turn = ((s, 2 * np.pi / size / factor) for s, size in ANGULAR_SPEEDS.items())
         speed = next((s for s, n in in_turn if abs(n / counts - 1) < _SAME_FACTOR / 2), None)
         if speed is None:
             return None
@@ -459,13 +433,16 @@ def _is_measured(position: str, velocity: str, findings: Findings) -> tuple[bool
 def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -> CoordinateChoice:
     """A speed as a coordinate of its own, where no position is measured."""
     reading, numbers = findings.readings[column], findings.numbers[column]
-    unit, doubts, assumed = reading.unit, [], ()
+    unit, doubts, assumed = reading.unit, _doubts(column, findings), ()
     key = f"unit {column}"
     if key in findings.answers:
         unit = findings.answers[key]
     elif not unit:
         unit = "m/s" if reading.kind == "linear" else "rpm" if numbers.largest > 300 else "rad/s"
-        doubts, assumed = [f"the unit: {unit} by its range {range_text(numbers)}"], ("unit",)
+        doubts, assumed = (
+            [*doubts, f"the unit: {unit} by its range {range_text(numbers)}"],
+            ("unit",),
+        )
         options = ("rad/s", "rpm", "deg/s", "m/s", "mm/s", "V")
         choice.questions.append(
             Question(
@@ -493,7 +470,7 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
         The period; None where no velocity has a known unit, or two say different periods.
     """
     periods: list[float] = []
-    sizes = {**_ANGULAR_SPEEDS, **_LINEAR_SPEEDS}
+    sizes = {**ANGULAR_SPEEDS, **LINEAR_SPEEDS}
     for c in choice.coordinates:
         if c.velocity is None:
             continue

@@ -1,6 +1,6 @@
-"""Relations between columns: derivatives, copies in other units, commands that are followed."""
+"""Relations between columns: derivatives, copies, set points that are followed, causes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,17 +11,17 @@ from tustinnet.data.drafting.numbers import Values
 
 _WIDTHS = (1, 2, 4, 8, 16, 32, 64)  # samples over which a column is integrated
 _MOST_ROWS = 20_000  # displacements that are compared
-_FEWER_ROWS = 5_000  # accelerations that are explained
-_WITHOUT = [0, 1, 2, 4]  # the regression without the column that explains
-_LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # samples by which a command may lead
+_LATE = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40)  # samples by which a position may follow its set point
+_BLOCKS = (1, 4, 12)  # samples over which causes are averaged: fast ones, and slow ones in noise
+_OWN_LAGS = 12  # at most, of which an order selection takes as many as a column needs
+_FEWEST_BLOCKS = 25  # in a record
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
-
 _CIRCLE = 1.05  # no cosine is larger
 _ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
 _OF_ANGLE = 0.3  # range of a cosine or sine, at least
-_SPANS = (1, 2, 4, 8, 16, 32)  # samples over which an acceleration is averaged
 
 Pairs = Float[np.ndarray, "c c"]
+Table = Float[np.ndarray, "_ c"]  # the columns of a record, of any length
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,12 @@ class Slopes:
         """Correlation and factor of a velocity with the slope of a position."""
         i, j = self.names.index(position), self.names.index(velocity)
         return float(self.correlation[i, j]), float(self.factor[i, j])
+
+    def of(self, names: Iterable[str]) -> "Slopes":
+        """The comparison of some of the columns."""
+        chosen = [self.names.index(name) for name in names]
+        pick = np.ix_(chosen, chosen)
+        return Slopes(tuple(names), self.correlation[pick], self.factor[pick])
 
 
 @np.errstate(all="ignore")  # constants have no correlation; it is set to 0
@@ -88,44 +94,92 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
     return best
 
 
-@dataclass(frozen=True)
-class Following:
-    """The course of one column against that of another one.
+@np.errstate(all="ignore")  # constants follow nothing
+def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
+    """How far columns repeat the values of others a little later, and how many samples later.
 
-    Attributes:
-        correlation: of both at the best lag.
-        factor: the second over the first.
-        lead: samples by which the first precedes the second.
+    Args:
+        records: the columns of each record.
+
+    Returns:
+        The share of the variance of column j that the earlier value of column i leaves nothing of,
+        [i, j], at most 1; and the lag.
     """
-
-    correlation: float
-    factor: float
-    lead: int
+    size = records[0].shape[1]
+    best, lags = np.full((size, size), -np.inf), np.zeros((size, size))
+    for late in _LATE:
+        differences, spreads = np.zeros((size, size)), np.zeros(size)
+        for record in records:
+            if len(record) > 4 * late + 20:
+                first, later = record[: len(record) - late], record[late:]
+                squares = (first**2).sum(axis=0)[:, None] + (later**2).sum(axis=0)
+                differences += squares - 2 * first.T @ later
+                spreads += ((later - later.mean(axis=0)) ** 2).sum(axis=0)
+        fit = np.nan_to_num(1 - differences / spreads, nan=-np.inf)
+        better = 1 - fit < 0.9 * (1 - best)
+        best, lags = np.where(better, fit, best), np.where(better, late, lags)
+    return best, lags
 
 
 @np.errstate(all="ignore")
-def compare_courses(first: Sequence[Values], second: Sequence[Values]) -> Following:
-    """Compares two columns at several lags, the best of which counts.
+def find_causes(records: Sequence[Table]) -> Pairs:
+    """How much the past of each column helps to foresee each other one beyond its own past.
+
+    The own past has as many samples as the Bayesian information criterion takes, so that a smooth
+    column is not "caused" by whatever else is smooth. Averages over some samples show what a slow
+    or noisy machine does.
 
     Args:
-        first: samples of a column, record by record.
-        second: those of another one.
+        records: the columns of each record.
+
+    Returns:
+        The logarithm of the ratio of the variances of the forecasts of column j without and with
+        column i, [i, j]; 0 where it is not significant.
     """
-    best = Following(0.0, 0.0, 0)
-    for lag in (0, *_LAGS, *(-lag for lag in _LAGS)):
-        before = [
-            a[: len(a) - lag] if lag >= 0 else a[-lag:] for a in first if len(a) > 4 * abs(lag)
+    size = records[0].shape[1]
+    gains = np.zeros((size, size))
+    for width in _BLOCKS:
+        blocks = [
+            r[: len(r) // width * width].reshape(-1, width, size).mean(axis=1) for r in records
         ]
-        after = [b[lag:] if lag >= 0 else b[:lag] for b in second if len(b) > 4 * abs(lag)]
-        if not before:
+        blocks = [block for block in blocks if len(block) >= _FEWEST_BLOCKS]
+        if not blocks:
             continue
-        a, b = np.concatenate(before), np.concatenate(after)
-        usable = np.isfinite(a) & np.isfinite(b)
-        a, b = a[usable] - a[usable].mean(), b[usable] - b[usable].mean()
-        correlation = float(np.nan_to_num(a @ b / np.sqrt((a @ a) * (b @ b))))
-        if abs(correlation) > abs(best.correlation) + 1e-6:
-            best = Following(correlation, float(np.nan_to_num((a @ b) / (a @ a))), lag)
-    return best
+        spread = np.concatenate(blocks).std(axis=0)
+        scale = np.where(spread > 0, spread, 1.0)
+        lagged = [
+            np.concatenate([(b / scale)[_OWN_LAGS - lag : len(b) - lag] for b in blocks])
+            for lag in range(_OWN_LAGS + 1)
+        ]
+        for j in range(size):
+            gains[:, j] = np.maximum(gains[:, j], _gains_of(lagged, j))
+    return gains
+
+
+def _gains_of(lagged: Sequence[Table], j: int) -> Values:
+    """The gains of all columns for the forecast of column j, given all columns by their lag."""
+    target, n = lagged[0][:, j], len(lagged[0])
+    own = np.column_stack([np.ones(n), *(table[:, j] for table in lagged[1:])])
+    basis = np.linalg.qr(own)[0]
+    products = basis.T @ target
+    noise = 1e-18 * n
+    left = np.maximum(target @ target - np.cumsum(products**2), 0.0) + noise
+    orders = np.arange(1, len(left) + 1)
+    order = int(np.argmin((n * np.log(left) + orders * np.log(n))[2:])) + 3
+    basis = basis[:, :order]
+    rest = target - basis @ products[:order]
+    first, second = (table - basis @ (basis.T @ table) for table in lagged[1:3])
+    squares = (first**2).sum(axis=0)
+    is_new = squares > 1e-10 * n
+    squares = np.where(is_new, squares, np.inf)
+    second = second - first * ((first * second).sum(axis=0) / squares)
+    others = (second**2).sum(axis=0)
+    explained = (first.T @ rest) ** 2 / squares
+    explained += np.where(others > 1e-10 * n, (second.T @ rest) ** 2 / others, 0.0)
+    unexplained = float(rest @ rest) + noise
+    gain = np.log(unexplained / np.maximum(unexplained - explained, noise))
+    gain[j] = 0.0
+    return np.where(gain > 2 * np.log(n) / n, gain, 0.0)
 
 
 @np.errstate(all="ignore")
@@ -204,55 +258,3 @@ def are_of_one_angle(first: Sequence[Values], second: Sequence[Values]) -> bool:
     radius = a * a + b * b
     moves = min(float(np.ptp(a)), float(np.ptp(b))) > _OF_ANGLE
     return moves and bool((np.abs(radius - 1) < _ON_CIRCLE).all())
-
-
-@np.errstate(all="ignore")
-def explained_acceleration(
-    first: Sequence[Values], second: Sequence[Values], times: Sequence[Values]
-) -> float:
-    """The share of the acceleration of a column that another one explains, 0 to 1.
-
-    It is the share of what position, velocity and direction of motion leave unexplained in a linear
-    regression, over the span of samples at which it is largest. An input explains much of the
-    acceleration of a position, and a position little of that of an input.
-
-    Args:
-        first: samples of the column that explains, record by record.
-        second: samples of the column that accelerates.
-        times: times of each record [s].
-    """
-    best = 0.0
-    for span in _SPANS:
-        rows, targets = [], []
-        weights = np.convolve(np.ones(span), np.ones(span)) / span**2
-        for u, q, t in zip(first, second, times, strict=True):
-            if len(t) < 6 * span + 10:
-                continue
-            width = span * float(np.median(np.diff(t)))
-            stride = max(1, span // 2, sum(map(len, times)) // _FEWER_ROWS)
-            v = (q[2 * span :] - q[: -2 * span]) / (2 * width)
-            a = (q[2 * span :] - 2 * q[span:-span] + q[: -2 * span]) / width**2
-            # the second difference is the acceleration weighted by a triangle around the sample
-            average = np.convolve(u, weights, "valid")[1 : 1 + len(a)]
-            direction = np.sign(np.where(np.abs(v) > 0.02 * np.abs(v).max(), v, 0.0))
-            rows.append(np.column_stack([q[span:-span], v, direction, average])[::stride])
-            targets.append(a[::stride])
-        if sum(map(len, rows)) < 30:
-            continue
-        table = np.column_stack([np.concatenate(rows), np.concatenate(targets)])
-        table = table - table.mean(axis=0)
-        table = table / np.where(table.std(axis=0) > 0, table.std(axis=0), 1.0)
-        if not np.isfinite(table).all():
-            continue
-        products = table.T @ table / len(table)
-        before = _unexplained(products[np.ix_(_WITHOUT, _WITHOUT)])
-        after = _unexplained(products)
-        best = max(best, 1 - after / before if before > 0 else 0.0)
-    return best
-
-
-def _unexplained(products: Pairs) -> float:
-    """The share of the last column that the others leave unexplained, by correlations of all."""
-    inner, outer = products[:-1, :-1], products[:-1, -1]
-    slopes = np.linalg.lstsq(inner, outer, rcond=1e-10)[0]
-    return max(float(products[-1, -1] - outer @ slopes), 0.0)

@@ -115,6 +115,63 @@ STRONG: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRON
 WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
+DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what
+LETTERS = (
+    "ä:ae ö:oe ü:ue ß:ss Ä:Ae Ö:Oe Ü:Ue φ:phi ϕ:phi θ:theta ϑ:theta ψ:psi ω:omega α:alpha β:beta "
+    "γ:gamma τ:tau Δ:delta ẋ:xdot \u0307:dot"
+)
+"""How letters with accents and Greek ones are spelled."""
+
+# units by quantity, as cards have them, and how else they are spelled
+UNITS = """
+position:rad:radian radians
+position:deg:degree degrees grad grd ° degre degres grado grados gradi graus graden grader stopni \
+stopnie stupne 度
+position:rev:revs turns turn umdr umdrehungen revolutions rotations rot tour tours giri vueltas
+position:mrad:
+position:m:meter metre meters metres
+position:cm:
+position:mm:
+position:um:µm μm
+position:in:inch inches
+position:counts:cnt cnts count tick ticks pulses inc incs ink inkr inkremente increments impulse \
+steps lsb
+velocity:rpm:1/min u/min min^-1 min-1 rev/min r/min rev_min u_min upm 1_min tr/min tr_min giri/min \
+ob/min r/m
+velocity:km/h:kmh kph
+velocity:rev/s:rps hz_rev
+velocity:rad/s:rads
+velocity:m/s:mps
+velocity:deg/s:dps
+acceleration:g:
+acceleration:mg:
+voltage:V:volt volts
+voltage:mV:
+current:A:amp amps ampere
+current:mA:
+duty:%:pct percent prozent
+force:N:newton newtons
+force:kN:
+torque:N m:nm n*m n_m newtonmeter
+torque:mN m:mnm mn*m
+torque:N cm:ncm n*cm
+pressure:bar:
+pressure:Pa:
+pressure:psi:
+time:s:sec secs second seconds sek sekunden 秒
+time:ms:msec millis milliseconds millisekunden
+time:us:usec micros microseconds mikrosekunden µs μs
+time:ns:nsec nsecs nanos nanoseconds nanosekunden
+other:degC:°c c celsius
+other:K:
+other:Hz:
+other:W:
+other:kg:
+other:g/s:
+other:l/min:
+other:dB:
+other:lx:lux
+"""

@@ -27,7 +27,7 @@ from tustinnet.signals.low_pass import low_pass, noise_bandwidth
 SAMPLES = 2.5  # that are compared for each period of the cut-off frequency
 HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
 _EVALUATED = 20  # samples for each period of it at which forces are evaluated, at most
-_MOTION = 3.0  # cut-off frequency of the motion by that of the forces
+_MOTION = 6.0  # cut-off of the motion by that of the forces: friction needs sharper reversals
 _INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
 _FEWEST = 20  # samples that must be left of a record
 _STEP = 1e-3  # of a value or a range, by which derivatives are differences
@@ -87,6 +87,11 @@ class FilteredRecord(NamedTuple):
     def kept(self) -> slice:
         """The samples that are compared."""
         return slice(self.edge, len(self.q) - self.edge, self.step)
+
+    @property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """Times of the samples that are compared [s]."""
+        return self.record.t[0] + self.dt * np.arange(len(self.q))[self.kept]
 
     def compare(self, forces: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "k m"]:
         """Forces along the record as they are compared: filtered, at nearly independent samples."""

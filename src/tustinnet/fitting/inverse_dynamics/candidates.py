@@ -20,7 +20,6 @@ from tustinnet.fitting.inverse_dynamics.linear_forces import (
     parse_candidates,
 )
 from tustinnet.fitting.inverse_dynamics.solver import (
-    Prior,
     coordinates_of,
     left_out_squares,
     solve,
@@ -194,7 +193,7 @@ def _longer(choice: Choice, forces: LinearForces) -> ParameterVector:
 
 def _evaluate(forces: LinearForces, vector: ParameterVector, columns: list[Columns]) -> Choice:
     """Forces fitted to all folds, and to all but each."""
-    sums, prior = sum_up(columns), Prior(forces.space)
+    sums, prior = sum_up(columns), forces.prior
     vector = solve(sums, prior, vector).vector
     squares = left_out_squares(sums, prior, vector)
     return Choice(forces, vector, columns, squares)

@@ -97,7 +97,7 @@ def describe_column_mistakes(
         errors: what is missing of the forces.
         cutoff: frequency up to which forces are compared [Hz].
     """
-    poor = [e for e in errors if e.size and e.train > _MUCH * e.size]
+    poor = [e for e in errors if e.split == "train" and e.share > _MUCH]
     if not poor or _describe_far_positions(problem.system, problem.records):
         return []  # the latter says it already
     comparison = _Comparison(problem, space, cutoff)
@@ -179,7 +179,7 @@ def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experimen
 
 def _describe_poor(poor: Sequence[ForceError]) -> list[str]:
     """Sentence on joints at which most of the force is missing, and nothing simple explains it."""
-    names = [e.coordinate for e in poor if e.train > _MOST * e.size]
+    names = [e.coordinate for e in poor if e.share > _MOST]
     if not names:
         return []
     return [

@@ -17,18 +17,24 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.fitting.inverse_dynamics.along import filter_record, require_possible
+from tustinnet.fitting.inverse_dynamics.along import (
+    FilteredRecord,
+    filter_record,
+    require_possible,
+)
 from tustinnet.fitting.inverse_dynamics.candidates import Choice, Trial, choose_forces
 from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_column_mistakes
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces, levels_of
+from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force_errors
 from tustinnet.fitting.inverse_dynamics.solver import (
     Prior,
     Solution,
     force_matrix,
+    least_squares,
     solve,
 )
-from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, rest_speeds, sum_up
+from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, sum_up
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
 from tustinnet.fitting.shooting.base_parameters import (
@@ -58,7 +64,6 @@ _HALVINGS = 10  # of a step
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
 _POSES = 3  # in which it is looked which coordinates the inputs drive
 _RANK = 1e-6  # of inputs' directions, below which one is a combination of others
-_LEAST_SQUARES = 1e-12  # of the largest singular value, below which a direction has no effect
 _UNINFORMED = 1e-9  # of the information of all folds, below which others have none of a parameter
 
 
@@ -118,10 +123,9 @@ class _Errors(NamedTuple):
 def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identification | None:
     """Identifies the parameters of a problem by the forces along the records' motion.
 
-    Every joint is weighed by what it leaves at the end, moving and at rest apart. The file's
-    inertia of a link counts as ten measurements, the prior of any other parameter as one, so
-    directions that the records know nothing of stay there. Of a closed loop the system alone is
-    identified, by what its controller computed as recorded.
+    Every joint is weighed by what it leaves at the end, moving and at rest apart. Priors
+    keep directions that the records know nothing of near the nominal values. Of a closed loop the
+    system alone is identified, by what its controller computed as recorded.
 
     Args:
         problem: the problem.
@@ -216,7 +220,7 @@ def _fit(
         should_stop: asked before forces are made linear anew.
         report: called with each fit.
     """
-    prior, missing = Prior(forces.space), forces.missing(vector)
+    prior, missing = forces.prior, forces.missing(vector)
     for number in range(1, _LINEARISED + 1):
         columns = forces.columns(vector, alone)
         if not all(
@@ -252,9 +256,10 @@ def _cost(
     prior: Prior,
     vector: ParameterVector,
 ) -> float:
-    """Half the sum of squares of missing forces by their sizes, and the prior's."""
+    """Half the sum of squares of missing forces by their sizes, with what priors and gains add."""
     squares = sum(np.sum((own / unit) ** 2) for own in missing)
-    return float(squares / 2 + prior.at(vector)[0])
+    samples = np.full(len(unit), float(sum(map(len, missing))))
+    return float(squares / 2 + prior.at(vector)[0] + prior.of_gains(samples, vector)[0])
 
 
 def _without_idle(choice: Choice) -> tuple[LinearForces, ParameterVector]:
@@ -298,11 +303,6 @@ def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> b
     return int(ranks.max()) == n
 
 
-def root_mean_square(forces: Float[np.ndarray, "k n_q"]) -> Float[np.ndarray, " n_q"]:
-    """The root mean square of each column."""
-    return np.sqrt(np.mean(forces**2, axis=0))
-
-
 def _make_identification(
     closed_loop: Problem, state: SearchState, result: _Result
 ) -> Identification:
@@ -311,10 +311,10 @@ def _make_identification(
     Forces are those of the system alone; simulated is the closed loop, if there is one.
     """
     problem, fit, space = closed_loop.plant, result.fit, state.space
-    records, prior, vector = problem.records, Prior(space), state.vector
+    records, prior, vector = problem.records, fit.forces.prior, state.vector
     cutoff = fit.forces.parts[0].cutoff
     matrices = _matrices(fit)
-    parameter_errors = _errors(fit, prior, *matrices)
+    parameter_errors = _errors(fit, *matrices)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -327,6 +327,7 @@ def _make_identification(
     model = make_model(closed_loop, state)
     horizons = {name: steps * records[0].dt for name, steps in state.horizons.items()}
     errors = _force_errors(result, problem.validation)
+    size = np.array([e.size for e in errors if e.split == "train"])
     informed = deviations < INFORMED * prior.spread
     # a level beside the system that is not needed is none of its parameters
     levels = {p.name for p in fit.forces.brought}
@@ -334,10 +335,10 @@ def _make_identification(
         replace(e, is_informed=e.is_informed and not (e.bound == "lower" and e.name in levels))
         for e in _estimates(vector, space, deviations, informed)
     )
-    base_parameters = _estimate_base_parameters(fit, prior, parameter_errors)
+    base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
     sentences = [
         *state.remarks,
-        findings.describe_forces(errors, cutoff),
+        findings.describe_forces(errors),
         *findings.describe_trials(result.trials),
         *findings.describe_informed(space.names, informed, len(base_parameters)),
         *_describe_slip(fit.forces.beside, space.to_values_in_range(vector), problem.system),
@@ -356,7 +357,6 @@ def _make_identification(
     ]
     matrix = matrices[1].sum(axis=0) + prior.at(vector)[2]
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
-    size = np.array([e.size for e in errors])
     by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in fit.missing]
     outcome = f"{result.steps} steps of inverse dynamics"
     return Identification(
@@ -385,68 +385,51 @@ def _make_identification(
         validation_rmse=None,
         substeps=model.substeps,
         iterations=result.steps,
-        force_errors=tuple(errors),
+        force_errors=errors,
         base_parameters=base_parameters,
     )
 
 
-def _force_errors(result: _Result, validation: Sequence[Experiment]) -> list[ForceError]:
+def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[ForceError, ...]:
     """The force that is missing at each coordinate, beside that of trivial references."""
     fit, plain = result.fit, result.plain
-    columns, vector = fit.columns, fit.solution.vector
-    slow, missing = rest_speeds(np.concatenate([c.speed for c in columns])), fit.missing
-    train, size = root_mean_square(np.concatenate(missing)), _sizes(columns)
-    judged, references, held_out, size_held_out = columns, plain.forces, None, None
-    if validation:
-        own = fit.forces.of_records(validation)
-        references, missing = plain.forces.of_records(validation), own.missing(vector)
-        judged = references.columns(plain.solution.vector)
-        held_out, size_held_out = root_mean_square(np.concatenate(missing)), _sizes(judged)
-    sizes, left = (np.concatenate(x) for x in ([own.sizes for own in judged], missing))
-    moving = np.concatenate([own.speed for own in judged]) >= slow
-    nominal = references.space.to_vector(references.space.nominal)
-    by_file = np.concatenate(references.missing(nominal))
-    found = _least_squares(plain)
-    by_least_squares = np.concatenate(
-        [own.slopes[:, :, : len(found)] @ found + own.rest for own in judged]
-    )
+    found, nominal = least_squares(plain.sums), plain.forces.space.nominal
+    by_file = plain.forces.missing(plain.forces.space.to_vector(nominal))
 
-    def share(missing: np.ndarray, k: int, kept: np.ndarray | slice = slice(None)) -> float:
-        size = np.linalg.norm(sizes[kept, k])
-        return float(np.linalg.norm(missing[kept, k]) / size) if size > 0 else 0.0
-
-    return [
-        ForceError(
-            coordinate=c.name,
-            unit="N m" if c.kind == "angular" else "N",
-            size=float(size[k]),
-            train=float(train[k]),
-            held_out=None if held_out is None else float(held_out[k]),
-            size_held_out=None if size_held_out is None else float(size_held_out[k]),
-            moving=share(left, k, moving[:, k]),
-            by_file=share(by_file, k),
-            by_least_squares=share(by_least_squares, k),
-            is_driven=any(bool(own.applied[:, k].any()) for own in columns),
+    def forces_along(
+        split: str,
+        part: FilteredRecord,
+        columns: Columns,
+        missing: Float[np.ndarray, "k n_q"],
+        missing_by_file: Float[np.ndarray, "k n_q"],
+    ) -> RecordForces:
+        by_least_squares = columns.slopes[:, :, : len(found)] @ found + columns.rest
+        return RecordForces(
+            record=part.record.name,
+            split=split,
+            coordinates=fit.forces.system.coordinates,
+            cutoff=part.cutoff,
+            t=part.times,
+            applied=columns.applied,
+            needed=columns.applied + missing,
+            needed_by_file=columns.applied + missing_by_file,
+            needed_by_least_squares=columns.applied + by_least_squares,
+            speed=columns.speed,
         )
-        for k, c in enumerate(fit.forces.system.coordinates)
-    ]
 
-
-def _least_squares(plain: _Fit) -> Float[np.ndarray, " n_c"]:
-    """The linear coordinates of a system by least squares alone: no prior, no ranges."""
-    (matrices,), variances = plain.sums.total.matrices, plain.solution.variances
-    weights = 1 / variances.mean(axis=1, keepdims=True)
-    matrix = np.einsum("jr,jrkl->kl", np.broadcast_to(weights, variances.shape), matrices)
-    size = np.sqrt(np.diag(matrix)[:-1])
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _LEAST_SQUARES, True)
-    return -scale * (inverse @ (scale * matrix[:-1, -1]))
-
-
-def _sizes(columns: Sequence[Columns]) -> Float[np.ndarray, " n_q"]:
-    """Root mean square of the actuators' forces; without an actuator that of the needed ones."""
-    sizes = root_mean_square(np.concatenate([own.sizes for own in columns]))
-    return np.maximum(sizes, 1e-12)
+    train = zip(fit.forces.parts, fit.columns, fit.missing, by_file, strict=True)
+    every = [forces_along("train", *row) for row in train]
+    if validation:
+        own, references = (f.of_records(validation) for f in (fit.forces, plain.forces))
+        held_out = zip(
+            own.parts,
+            references.columns(plain.solution.vector),
+            own.missing(fit.solution.vector),
+            references.missing(references.space.to_vector(nominal)),
+            strict=True,
+        )
+        every += [forces_along("validation", *row) for row in held_out]
+    return force_errors(every)
 
 
 def _matrices(
@@ -458,12 +441,14 @@ def _matrices(
     point = LinearCoordinates(space, space.to_values(vector))
     parts = [force_matrix(matrix, space, vector, point)[1:] for matrix in by_fold]
     gradients, matrices = zip(*parts, strict=True)
-    return np.stack(gradients), np.stack(matrices)
+    of_gains = [
+        fit.forces.prior.of_gains(counts, vector)[1] for counts in fit.sums.counts.sum(axis=2)
+    ]
+    return np.stack(gradients) + of_gains, np.stack(matrices)
 
 
 def _errors(
     fit: _Fit,
-    prior: Prior,
     gradients: Float[np.ndarray, "f n_p"],
     matrices: Float[np.ndarray, "f n_p n_p"],
 ) -> _Errors:
@@ -473,14 +458,13 @@ def _errors(
 
     Args:
         fit: the estimates.
-        prior: the priors.
         gradients: see `_matrices`.
         matrices: see `_matrices`.
     """
     space, vector = fit.forces.space, fit.solution.vector
     inside, n_p = space.inside(vector), len(vector)
     both = np.ix_(inside, inside)
-    precision = prior.at(vector)[2][both]
+    precision = fit.forces.prior.at(vector)[2][both]
     whole = matrices.sum(axis=0)[both]
     noise = np.full((n_p, n_p), np.nan)
     noise[both] = inverse = np.linalg.inv(whole + precision)
@@ -507,22 +491,20 @@ def _errors(
 
 
 def _estimate_base_parameters(
-    fit: _Fit, prior: Prior, errors: _Errors
+    fit: _Fit, errors: _Errors, size: Float[np.ndarray, " n_q"]
 ) -> tuple[BaseParameterEstimate, ...]:
     """Estimates of the base parameters, in the order of the parameters that they are named after.
 
     Args:
         fit: the estimates.
-        prior: the priors.
         errors: their errors; parameters at a bound count as exact.
+        size: of the actuators' force at each coordinate [N m or N].
     """
     space, vector = fit.forces.space, fit.solution.vector
     scale, inside = space.derivatives(vector), space.inside(vector)
     coordinates = LinearCoordinates(space, space.to_values_in_range(vector))
-    names, spread = coordinates.names, coordinates.spread(scale * prior.spread)
-    by_coordinate = (
-        np.concatenate([own.slopes for own in fit.columns]) / _sizes(fit.columns)[:, None]
-    )
+    names, spread = coordinates.names, coordinates.spread(scale * fit.forces.prior.spread)
+    by_coordinate = np.concatenate([own.slopes for own in fit.columns]) / size[:, None]
     by_coordinate = by_coordinate.reshape(-1, len(names))
     combinations = find_combinations(by_coordinate, spread, order_of(names))
     estimates = []

@@ -25,7 +25,7 @@ from tustinnet.fitting.inverse_dynamics.along import (
     filter_record,
     follow,
 )
-from tustinnet.fitting.inverse_dynamics.solver import coordinates_of
+from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of
 from tustinnet.fitting.inverse_dynamics.sums import Columns
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.equations import SystemEquations, system_equations
@@ -66,6 +66,16 @@ class LinearForces:
         equations = system_equations(self.system)
         return tuple(ForcesAlong(equations, part, self.system.nominal()) for part in self.parts)
 
+    @cached_property
+    def prior(self) -> Prior:
+        """The priors of the parameters."""
+        return Prior(self.space, self.gains)
+
+    @cached_property
+    def gains(self) -> dict[str, int]:
+        """Gains of the inputs with the places of the coordinates that they act on."""
+        return _input_gains(self.system, self.parts[0].q[0])
+
     def of_records(self, records: Sequence[Experiment]) -> "LinearForces":
         """The same along other records."""
         cutoff = self.parts[0].cutoff
@@ -95,7 +105,7 @@ class LinearForces:
         brought: tuple[Parameter, ...],
     ) -> "LinearForces":
         other = LinearForces(self.system, space, self.parts, beside, brought)
-        other.__dict__["along"] = self.along  # the system is evaluated once
+        other.__dict__.update(along=self.along, gains=self.gains)  # the system is asked once
         return other
 
     def columns(
@@ -216,6 +226,33 @@ def parse_candidates(system: LagrangianSystem, names: Sequence[str]) -> tuple[Pl
                 f"ask for it by `changes=` 'model.forces=[\"{force}\"]'",
             )
     return forces
+
+
+def _input_gains(system: LagrangianSystem, q: Float[np.ndarray, " n_q"]) -> dict[str, int]:
+    """The parameters that the inputs' force at one coordinate is proportional to, and its place.
+
+    Args:
+        system: the system.
+        q: positions at which it is looked.
+    """
+    if (input_map := system.input_map) is None:
+        return {}
+    nominal, still, u = system.nominal(), jnp.zeros(len(q)), jnp.ones(len(system.inputs))
+
+    def pushed(values: Mapping[str, float]) -> np.ndarray:
+        ends = (np.asarray(input_map(jnp.asarray(q), still, x, values)) for x in (u, 0.0 * u))
+        return np.subtract(*ends)
+
+    force, gains = pushed(nominal), dict[str, int]()
+    for p in system.parameters:
+        # a doubled gain doubles the force; derivatives would take longer to compile than these
+        more = (
+            np.zeros_like(force) if p.fixed else pushed({**nominal, p.name: 2 * p.nominal}) - force
+        )
+        driven = np.flatnonzero(more)
+        if len(driven) == 1 and np.isclose(more[driven], force[driven]).all():
+            gains[p.name] = int(driven[0])
+    return gains
 
 
 def levels_of(force: PlacedForce) -> list[str]:

@@ -1,21 +1,16 @@
-"""Forces along a record by a model, beside those of its actuators."""
+"""Forces along records by equations of motion, beside those of actuators and trivial references."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.channels import Coordinate
-from tustinnet.data.experiment import Experiment
-from tustinnet.errors import InputError
-from tustinnet.families.family import family_of
-from tustinnet.fitting.inverse_dynamics.along import ForcesAlong, filter_record, require_possible
-from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.sums import force_sizes, rest_speeds
-from tustinnet.fitting.shooting.equations import system_equations
-from tustinnet.models.contract import Model, require_float64
-from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.fitting.report import ForceError
+
+_LEAST = 1e-12  # size of a force [N m or N]
 
 
 @dataclass(frozen=True)
@@ -24,20 +19,27 @@ class RecordForces:
 
     Attributes:
         record: the record's name.
+        split: its split; "" without one.
         coordinates: the coordinates.
         cutoff: frequency up to which forces are compared [Hz].
         t: times of the samples [s], (k,).
-        needed: what the motion needs by the model, (k, n_q) [N m or N].
         applied: what the actuators give, (k, n_q) [N m or N].
+        needed: what the motion needs by the model, (k, n_q) [N m or N].
+        needed_by_file: the same by the nominal values, as of a robot's file.
+        needed_by_least_squares: the same by least squares on training records without priors,
+            ranges and added forces; None without such records.
         speed: size of the velocities, (k, n_q) [rad/s or m/s].
     """
 
     record: str
+    split: str
     coordinates: tuple[Coordinate, ...]
     cutoff: float
     t: Float[np.ndarray, " k"]
-    needed: Float[np.ndarray, "k n_q"]
     applied: Float[np.ndarray, "k n_q"]
+    needed: Float[np.ndarray, "k n_q"]
+    needed_by_file: Float[np.ndarray, "k n_q"]
+    needed_by_least_squares: Float[np.ndarray, "k n_q"] | None
     speed: Float[np.ndarray, "k n_q"]
 
     @property
@@ -51,98 +53,50 @@ class RecordForces:
         return self.speed >= rest_speeds(self.speed)
 
     @property
-    def share(self) -> dict[str, float]:
-        """Missing force by that of the actuators, root mean squares, by coordinate.
-
-        Of a coordinate without an actuator by the force that its motion needs.
-        """
-        return self._shares(np.ones_like(self.moves))
-
-    @property
-    def share_moving(self) -> dict[str, float]:
-        """The same of the samples at which the coordinate moves."""
-        return self._shares(self.moves)
-
-    def _shares(self, kept: Bool[np.ndarray, "k n_q"]) -> dict[str, float]:
-        size = force_sizes(self.applied, self.needed)
-        missing, of = (np.sqrt(np.sum(x**2 * kept, axis=0)) for x in (self.missing, size))
-        shares = missing / np.maximum(of, 1e-300)
-        return {c.name: float(x) for c, x in zip(self.coordinates, shares, strict=True)}
+    def errors(self) -> tuple[ForceError, ...]:
+        """What is missing at each coordinate, in N m or N and by the actuators' forces."""
+        return force_errors([self])
 
 
-def inverse_dynamics(model: Model, record: Experiment, cutoff: float | None = None) -> RecordForces:
-    """The forces that the motion of a record needs by a model, beside those of its actuators.
-
-    Nothing is simulated: positions are filtered and differentiated. Of a closed loop the system
-    alone counts, with the inputs that its controller computed as recorded.
+def force_errors(forces: Sequence[RecordForces]) -> tuple[ForceError, ...]:
+    """What is missing at each coordinate along the records of each split.
 
     Args:
-        model: a model with equations of motion.
-        record: a record, of any split.
-        cutoff: frequency up to which forces are compared [Hz]; by default that up to which the
-            equations of motion can explain forces that they were not fitted to. Numbers of other
-            frequencies are others.
-
-    Raises:
-        InputError: a model without equations of motion, or one whose forces do not follow from a
-            motion; a record of another system, or one that is too short.
+        forces: the forces along records of the same coordinates.
     """
-    require_float64("inverse_dynamics")
-    equations = family_of(model).equations(model)
-    if equations is None:
-        expected = "equations of motion, as of an identified system"
-        raise InputError("inverse_dynamics", "a model without equations of motion", expected)
-    system = equations.system.plant
-    require_possible(system, [record])
-    alone = record.without_controller()
-    system.channels.require_same(alone.channels, alone.name, f"the system '{system.name}'")
-    return forces_along(equations, record, cutoff or choose_cutoff(system, [alone]))
+    errors: list[ForceError] = []
+    for split in dict.fromkeys(part.split for part in forces):
+        own = [part for part in forces if part.split == split]
+        applied, needed, by_file, speed = (
+            np.concatenate([getattr(part, name) for part in own])
+            for name in ("applied", "needed", "needed_by_file", "speed")
+        )
+        sizes, moves = force_sizes(applied, needed), speed >= rest_speeds(speed)
+        by_least_squares = [part.needed_by_least_squares for part in own]
+        fitted = [x for x in by_least_squares if x is not None]
+        least = _shares(np.concatenate(fitted) - applied, sizes) if fitted else None
+        size, missing = (np.sqrt(np.mean(x**2, axis=0)) for x in (sizes, needed - applied))
+        by_nominal = _shares(by_file - applied, sizes)
+        moving = _shares((needed - applied) * moves, sizes * moves)
+        errors += [
+            ForceError(
+                split=split,
+                coordinate=c.name,
+                unit="N m" if c.kind == "angular" else "N",
+                cutoff=own[0].cutoff,
+                size=max(float(size[k]), _LEAST),
+                missing=float(missing[k]),
+                moving=moving[k],
+                by_file=by_nominal[k],
+                by_least_squares=None if least is None else least[k],
+                is_driven=bool(applied[:, k].any()),
+            )
+            for k, c in enumerate(own[0].coordinates)
+        ]
+    return tuple(errors)
 
 
-def unexplained_forces(
-    model: LagrangianModel, records: Sequence[Experiment], cutoff: float
-) -> dict[str, float]:
-    """Missing force by that of the actuators along several records, see `RecordForces.share`.
-
-    Args:
-        model: equations of motion to which `find_obstacle` finds no obstacle.
-        records: the records.
-        cutoff: frequency up to which forces are compared [Hz].
-
-    Raises:
-        InputError: a record that is too short.
-    """
-    parts = [forces_along(model, e, cutoff) for e in records]
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("t", "needed", "applied", "speed")
-    }
-    return replace(parts[0], **joined).share
-
-
-def forces_along(model: LagrangianModel, record: Experiment, cutoff: float) -> RecordForces:
-    """The forces along a record by equations of motion, see `inverse_dynamics`.
-
-    Args:
-        model: equations of motion to which `find_obstacle` finds no obstacle.
-        record: the record.
-        cutoff: frequency up to which forces are compared [Hz].
-
-    Raises:
-        InputError: a record that is too short.
-    """
-    system = model.system.plant
-    values = {name: float(x) for name, x in model.values.items()}
-    part = filter_record(record.without_controller(), cutoff)
-    along = ForcesAlong(system_equations(system), part, values)
-    needed = along.needed(values)
-    t = record.t[0] + part.dt * np.arange(len(part.q))[part.kept]
-    return RecordForces(
-        record.name,
-        system.coordinates,
-        cutoff,
-        t,
-        needed,
-        needed - along.missing(values),
-        part.compare(np.abs(part.v)),
-    )
+def _shares(missing: Float[np.ndarray, "k n_q"], sizes: Float[np.ndarray, "k n_q"]) -> list[float]:
+    """Missing force by the actuators', root mean squares, of each coordinate."""
+    lengths = np.linalg.norm(missing, axis=0), np.linalg.norm(sizes, axis=0)
+    return [float(a / b) if b > 0 else 0.0 for a, b in zip(*lengths, strict=True)]

@@ -8,6 +8,7 @@ References:
     approach, IEEE Transactions on Robotics 36(2): the log-det divergence of pseudo-inertias.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +24,8 @@ _STEPS = 50  # of Newton's method for each set of weights, at most
 _CONVERGED = 1e-6  # decrease of the cost, in squares of standard deviations
 _HALVINGS = 30
 _PASSES = 30  # of the search for the parameters that are at a bound
-_MEASUREMENTS = 10.0  # that the file's inertia of a link counts as
 _REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
+_NO_EFFECT = 1e-12  # of the largest singular value, below which a direction has none
 _LEAST = 1e-9  # of a force, below which nothing is told apart
 
 
@@ -32,20 +33,28 @@ class Prior:
     """Priors in the coordinates of a search, about the nominal values.
 
     A link whose ten inertial parameters are free is kept near the file's by the log-det divergence
-    of its pseudo-inertia, so it stays one that can be built. Any other parameter has its own
-    standard deviation; without one half of its range.
+    of its pseudo-inertia, so it stays one that can be built; how near says the standard deviation
+    of its mass. Any other parameter has its own; without one half of its range.
 
     Args:
         space: the search space.
+        gains: parameters that the input of a coordinate is multiplied by, with the coordinate's
+            place.
     """
 
-    def __init__(self, space: SearchSpace) -> None:
+    def __init__(self, space: SearchSpace, gains: Mapping[str, int] | None = None) -> None:
         self.space, free = space, space.free_parameters
+        self._gains = [(i, gains[n]) for i, n in enumerate(space.names) if gains and n in gains]
         self.centre = space.to_vector(space.nominal)
-        priors = np.array([p.prior or np.inf for p in free]) / space.derivatives(self.centre)
+        derivatives = space.derivatives(self.centre)
+        priors = np.array([p.prior or np.inf for p in free]) / derivatives
         self.precision = 1 / np.minimum(priors, (space.upper - space.lower) / 2) ** 2
         # what is carried in groups of records is not what the file says
         self.bodies = [c for group, c in bodies_of(space.names) if not group]
+        # of a link that is s times as heavy, and else the same, the divergence is 2 (s - 1)^2
+        masses = [columns[0] for columns in self.bodies]
+        relative = np.array([free[i].nominal for i in masses]) / derivatives[masses]
+        self._weights = self.precision[masses] * relative**2 / 4
         for columns in self.bodies:
             self.precision[columns] = 0.0
         nominal = LinearCoordinates(space, space.to_values(self.centre)).values
@@ -68,16 +77,39 @@ class Prior:
             return cost, gradient, matrix
         point = point or LinearCoordinates(self.space, self.space.to_values(vector))
         by_vector = point.derivatives * self.space.derivatives(vector)
-        for columns, nominal in zip(self.bodies, self._nominal, strict=True):
+        for columns, nominal, weight in zip(self.bodies, self._nominal, self._weights, strict=True):
             inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
             ratio = nominal @ _pseudo_inertia(point.values[columns])
-            cost += _MEASUREMENTS * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
+            cost += weight * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
             own, turned = by_vector[np.ix_(columns, columns)], inverse @ _BASIS
             slope = np.einsum("ab,kba->k", nominal - inverse, _BASIS)
-            gradient[columns] += _MEASUREMENTS * own.T @ slope
+            gradient[columns] += weight * own.T @ slope
             curvature = np.einsum("kab,lba->kl", turned, turned)
-            matrix[np.ix_(columns, columns)] += _MEASUREMENTS * own.T @ curvature @ own
+            matrix[np.ix_(columns, columns)] += weight * own.T @ curvature @ own
         return cost, gradient, matrix
+
+    def of_gains(
+        self, counts: Float[np.ndarray, " n_q"], vector: ParameterVector
+    ) -> tuple[float, ParameterVector]:
+        """What is added to the cost because forces are compared in units of the inputs.
+
+        A smaller gain makes the noise of an input smaller in N m, and explains nothing: the density
+        of inputs is that of forces times their derivative by the input, for each measurement.
+
+        Args:
+            counts: independent measurements by coordinate.
+            vector: the vector.
+
+        Returns:
+            The term, and its derivative by the vector.
+        """
+        values, slopes = self.space.to_values(vector), self.space.derivatives(vector)
+        cost, gradient = 0.0, np.zeros(len(vector))
+        for i, k in self._gains:
+            gain = values[self.space.names[i]]
+            cost -= float(counts[k] * np.log(abs(gain)))
+            gradient[i] -= counts[k] * slopes[i] / gain
+        return cost, gradient
 
 
 class Solution(NamedTuple):
@@ -115,9 +147,30 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
         mean = np.maximum(left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1), least)
         variances = np.maximum(left / np.maximum(counts, 1), _REST_SHARE * mean[:, None])
         matrix = np.einsum("jr,jrkl->kl", 1 / variances, matrices)
-        vector, cost, more = _minimise(matrix, prior, vector)
+        vector, cost, more = _minimise(matrix, prior, vector, counts.sum(axis=1))
         steps += more
     return Solution(vector, variances, steps, cost)
+
+
+def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
+    """The linear coordinates that explain forces best, without priors and ranges.
+
+    Joints are weighed by what they leave.
+
+    Args:
+        sums: sums of squares.
+    """
+    total = sums.total
+    matrices, counts = total.matrices[0].sum(axis=1), total.counts[0].sum(axis=1)
+    left, found = matrices[:, -1, -1], np.zeros(matrices.shape[-1] - 1)
+    for _ in range(_REWEIGHTINGS):
+        matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
+        size = np.sqrt(np.diag(matrix)[:-1])
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _NO_EFFECT, True)
+        found = -scale * (inverse @ (scale * matrix[:-1, -1]))
+        left = total.squares(found)[0].sum(axis=1)
+    return found
 
 
 def left_out_squares(
@@ -157,7 +210,10 @@ def force_matrix(
 
 
 def _minimise(
-    matrix: Float[np.ndarray, "n n"], prior: Prior, vector: ParameterVector
+    matrix: Float[np.ndarray, "n n"],
+    prior: Prior,
+    vector: ParameterVector,
+    counts: Float[np.ndarray, " n_q"],
 ) -> tuple[ParameterVector, float, int]:
     """The vector of the lowest cost within the ranges, the cost, and the number of steps."""
     space = prior.space
@@ -165,7 +221,8 @@ def _minimise(
     def at(vector: ParameterVector) -> tuple[float, ParameterVector, np.ndarray]:
         point = LinearCoordinates(space, space.to_values(vector))
         of_forces, of_prior = force_matrix(matrix, space, vector, point), prior.at(vector, point)
-        return tuple(a + b for a, b in zip(of_forces, of_prior, strict=True))  # pyright: ignore
+        of_gains = (*prior.of_gains(counts, vector), 0.0)
+        return tuple(a + b + c for a, b, c in zip(of_forces, of_prior, of_gains, strict=True))  # pyright: ignore
 
     lower, upper = space.lower, space.upper
     cost, gradient, curvature = at(vector)

@@ -240,20 +240,18 @@ def _wider(e: Estimate) -> tuple[float, float]:
     return float(f"{lower:.3g}"), float(f"{upper:.3g}")
 
 
-def describe_forces(errors: Sequence[ForceError], cutoff: float) -> str:
-    """Sentence on the errors of the forces of each coordinate, held out where that is known.
+def describe_forces(errors: Sequence[ForceError]) -> str:
+    """Sentence on the errors of the forces of each coordinate, of the last split.
 
     Args:
         errors: the errors.
-        cutoff: the frequency up to which forces were compared [Hz].
     """
-    is_held_out = all(e.held_out is not None for e in errors)
+    split, cutoff = errors[-1].split, errors[-1].cutoff
+    errors = [e for e in errors if e.split == split]
     listed = ", ".join(
-        f"{e.coordinate} {100 * e.share:.3g} % "
-        f"({e.held_out if e.held_out is not None else e.train:.3g} {e.unit})"
-        for e in errors
+        f"{e.coordinate} {100 * e.share:.3g} % ({e.missing:.3g} {e.unit})" for e in errors
     )
-    where = "the validation records" if is_held_out else "the training records"
+    where = "the validation records" if split == "validation" else "the training records"
     means = (
         f"{100 * np.mean([getattr(e, name) for e in errors if e.is_driven]):.3g} % {words}"
         for name, words in (

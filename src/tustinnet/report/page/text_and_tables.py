@@ -11,7 +11,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import KEY as SPOILED
 from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
 from tustinnet.families.family import family_of
-from tustinnet.fitting.report import BaseParameterEstimate, Estimate
+from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.fits import (
     ESTIMATE_COLUMNS,
@@ -19,6 +19,7 @@ from tustinnet.report.fits import (
     estimate_cells,
     estimates_table,
     estimates_title,
+    force_errors_table,
     is_many,
     position_in_range,
     split_informed,
@@ -259,20 +260,12 @@ def base_parameter_tables(results: Sequence[ModelResult]) -> list[Table]:
 
 def forces_table(results: Sequence[ModelResult]) -> Table | None:
     """Table of the forces that are missing at each coordinate; None without inverse dynamics."""
-    rows = []
+    errors: dict[str, list[ForceError]] = {}
     for result in results:
         identification = result.reported.header.get("identification") or {}
         for e in identification.get("force_errors", ()):
-            held_out = e["held_out"] and e["held_out"] / e["size_held_out"]
-            shares = (e["train"] / e["size"], held_out, e["moving"])
-            shares = (*shares, e["by_least_squares"], e["by_file"])
-            cells = ["–" if share is None else number(100 * share) for share in shares]
-            size, unit = number(e["size"]), e["unit"]
-            rows.append([result.reported.label, e["coordinate"], f"{size} {unit}", *cells])
-    columns = ["model", "coordinate", "actuator's force", "missing, train [%]", "validation [%]"]
-    columns += ["while it moves [%]", "by least squares alone [%]", "by first values [%]"]
-    title = "Root mean square of the forces that a motion needs and the actuators do not give"
-    return Table(columns, rows, title) if rows else None
+            errors.setdefault(f"{result.reported.label}, {e['split']}", []).append(ForceError(**e))
+    return force_errors_table(errors) if errors else None
 
 
 def stages_table(results: Sequence[ModelResult]) -> Table:

@@ -1,0 +1,417 @@
+"""Evidence on the roles of columns: points of their names, shapes and relations, which add up."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
+from tustinnet.data.drafting.numbers import Numbers, is_decimal
+from tustinnet.data.drafting.relations import (
+    Pairs,
+    Slopes,
+    Table,
+    find_causes,
+    find_followers,
+)
+from tustinnet.data.drafting.vocabulary import DISTURBANCES, QUALIFIERS, STRONG, WEAK
+from tustinnet.data.units import ANGLE, LENGTH
+
+Role = Literal[
+    "time",
+    "counter",
+    "position",
+    "velocity",
+    "acceleration",
+    "input",
+    "set point",
+    "constant",
+    "other",
+    "no numbers",
+]
+ROLES: tuple[Role, ...] = (
+    "position",
+    "velocity",
+    "acceleration",
+    "input",
+    "set point",
+    "other",
+)
+"""The roles among which an assignment chooses."""
+
+_ROLE_OF: dict[Quantity, Role] = {
+    **dict.fromkeys(INPUTS, "input"),
+    "position": "position",
+    "velocity": "velocity",
+    "acceleration": "acceleration",
+    "time": "other",
+    "error": "other",
+    "flag": "other",
+    "counter": "other",
+    "other": "other",
+}
+Stage = Literal["command", "torque", "current", "pressure"]
+_STAGES: tuple[Stage, ...] = ("command", "torque", "current", "pressure")
+_STAGE_OF: dict[Quantity, Stage] = {
+    "torque": "torque",
+    "force": "torque",
+    "current": "current",
+    "pressure": "pressure",
+}
+# SI units in units of speeds, of angles and of lengths
+ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
+LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Points of evidence and prices of assignments; a point is about a factor of e of belief.
+
+    They were set by hand, in halves, on recorded machines, folders in which a user had seen a
+    mistake, and one half of made-up laboratories; the other half only judged them.
+
+    Attributes:
+        letter: of a letter or word that has several meanings, as `u` or `motor`; a word or unit
+            that has one counts as `read_name` weighs it, 3 to 8.
+        against: for each role that a name does not say, where it says another one; twice where it
+            says that by a word or unit that has one meaning.
+        command: of a name that says a command, for a set point.
+        derived: of a name that says a filtered or simulated value, for a column that is not used.
+        later: less for an input for each stage of its drive before it, of which one is the input.
+        held: of levels that are held, for an input, and twice against a motion.
+        white: of steps as large as those of white noise, against a position.
+        smooth: of small steps, for a position.
+        wrap: of values that start again after a turn, for a position.
+        count: of steps of one encoder count, for a position.
+        derivative: at most, for a velocity whose integral is the change of a position.
+        no_factor: price of a derivative with a factor that no two units explain, as of changes per
+            sample that a program adds up; counts may have any.
+        member: for a pair of one number or one thing by their names.
+        follow: at most, for a set point that a position follows one to one, and later, unless a
+            name says a command.
+        cause: at most, for an input whose past helps to foresee a position.
+        back: share that counts against it where the position foresees the input.
+        no_input: price of a machine that nothing drives.
+        no_position: price of a machine without a motion.
+        further_input: price of each further family of inputs.
+        stage: price of two stages of one drive, as voltage and current, that are both inputs.
+        copy: price of a second column of the same values.
+        no_velocity: price of a position without a velocity, where others have one.
+        alone: price of a velocity that is the slope of no position.
+        useless: for leaving out what no card uses: a supply's voltage, a direction of a circle.
+        no_slope: price of a velocity of a position of which it is not the slope.
+        no_follow: price of a set point that nothing follows; a third of it for a named command.
+        near: a smaller margin is a question.
+        slopes: shares of the variance that a slope explains: below the first it is none, below the
+            second unclear.
+        copies: shares of the variance from which on a column repeats another one, for the price
+            of a copy, and for one and a half.
+        alike: correlation from which on two columns are proportional, nearly.
+        circle: deviation of a radius, relative to it.
+    """
+
+    letter: float = 2.0
+    against: float = 2.0
+    command: float = 2.0
+    derived: float = 2.5
+    later: float = 0.5
+    held: float = 2.0
+    white: float = 5.0
+    smooth: float = 1.0
+    wrap: float = 4.0
+    count: float = 1.0
+    derivative: float = 6.0
+    no_factor: float = 1.5
+    member: float = 1.0
+    follow: float = 4.0
+    cause: float = 5.0
+    back: float = 0.6
+    no_input: float = 3.0
+    no_position: float = 8.0
+    further_input: float = 2.5
+    stage: float = 8.0
+    copy: float = 4.0
+    no_velocity: float = 1.5
+    alone: float = 4.0
+    useless: float = 8.0
+    no_slope: float = 2.0
+    no_follow: float = 3.0
+    near: float = 2.0
+    slopes: tuple[float, float] = (0.4, 0.8)
+    copies: tuple[float, float] = (0.7, 0.9)
+    alike: float = 0.95
+    circle: float = 0.03
+
+
+WEIGHTS = Weights()
+
+
+class Evidence(NamedTuple):
+    """A reason for or against taking a column for something, its points, and it in words."""
+
+    role: Role
+    points: float
+    sentence: str
+
+
+def name_evidence(reading: NameReading) -> list[Evidence]:
+    """Evidence in the words and the unit of a name."""
+    w, is_command = WEIGHTS, reading.qualifier == "command"
+    evidence: list[Evidence] = []
+    spoken: set[Role] = set()
+    is_stated = bool(reading.stated(reading.quantities))
+    for quantity, weight in reading.quantities.items():
+        word, role = reading.word[quantity], _ROLE_OF[quantity]
+        if is_stated and len(word) == 1:
+            continue  # `acc_x` is no position x
+        text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
+        if word == "[us]":  # of pulses that drive a servo, as it is no clock
+            role, weight = "input", w.letter
+        spoken.add(role)
+        if is_command and role in ("position", "velocity", "acceleration"):
+            role = "set point"
+        evidence.append(Evidence(role, max(weight, w.letter), text))
+    evidence += [
+        Evidence(role, -w.against * (2 if is_stated else 1), "")
+        for role in ROLES[:-1]
+        if spoken and role not in spoken and not (is_command and role == "set point")
+    ]
+    if "input" in spoken:
+        evidence.append(Evidence("input", -w.later * _STAGES.index(stage_of(reading)), ""))
+    if is_command:
+        points = 0.25 * w.command if "input" in spoken else w.command
+        evidence += [
+            Evidence("set point", points, "named a command"),
+            Evidence("input", 0.5 * w.command, "named a command"),
+            Evidence("position", -w.command, ""),
+            Evidence("velocity", -2 * w.command, ""),
+        ]
+    elif reading.qualifier in ("filtered", "model"):
+        evidence += [
+            Evidence("other", w.derived, f"named {reading.qualifier}"),
+            *(Evidence(role, -0.5 * w.derived, "") for role in ("position", "velocity", "input")),
+        ]
+    elif reading.qualifier == "measured" and "input" in spoken:
+        evidence.append(Evidence("other", 0.5 * w.derived, "a measured value of an input"))
+    return evidence
+
+
+def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
+    """Evidence in the numbers of a column alone."""
+    w = WEIGHTS
+    if reading.stated(["voltage"]) and numbers.is_nearly_constant:
+        return [Evidence("other", 2 * w.useless, "nearly constant, as the voltage of a supply")]
+    if numbers.binary:
+        return [
+            Evidence("other", 0.5 * w.held, "only two values"),
+            Evidence("input", 0.5 * w.held, "only two values"),
+            *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity")),
+        ]
+    if numbers.levels:
+        return [
+            Evidence("input", w.held, "held levels"),
+            Evidence("set point", 0.5 * w.held, "held levels"),
+            *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity", "acceleration")),
+        ]
+    evidence: list[Evidence] = []
+    if numbers.wrap is not None:
+        evidence.append(Evidence("position", w.wrap, f"it wraps at {numbers.wrap:.6g}"))
+    elif numbers.is_white:
+        evidence += [
+            Evidence("position", -w.white, ""),
+            Evidence("set point", -0.5 * w.white, ""),
+            Evidence("velocity", -0.25 * w.white, ""),
+            Evidence("other", 0.25 * w.white, "only noise"),
+        ]
+    if numbers.smooth:
+        count = numbers.count
+        if count is not None and (numbers.whole or not is_decimal(count)):
+            text = f"steps of {count:.6g}, as encoder counts"
+            evidence.append(Evidence("position", w.count, text))
+        evidence.append(Evidence("position", w.smooth, "smooth"))
+        evidence.append(Evidence("velocity", 0.3 * w.smooth, "smooth"))
+    return evidence
+
+
+class EvidenceTable:
+    """All evidence on the columns of some records.
+
+    Attributes:
+        names: the columns that move, in the order of the files.
+        readings: the meaning of their names.
+        own: evidence in the name and the shape of each.
+        points: the sum of this evidence, by column and role.
+        slope: points for column j as the derivative of column i, [i, j].
+        follow: points for column i as the set point of column j, [i, j].
+        cause: net points for column i as what moves column j, [i, j].
+        repeats: prices of using two columns of the same values.
+        is_alike: whether two columns are proportional, nearly.
+        family: the family of each column; those of one family have one role.
+        stage: the stage of a drive of which a column speaks.
+        joint: the words that say at which of several positions a column acts.
+    """
+
+    def __init__(
+        self,
+        readings: Mapping[str, NameReading],
+        numbers: Mapping[str, Numbers],
+        records: Sequence[Table],
+        slopes: Slopes,
+        *,
+        has_times: bool,
+    ) -> None:
+        self.names = tuple(readings)
+        self.readings = [*readings.values()]
+        self.own = [
+            [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
+        ]
+        self._add_circles(records)
+        self.points = np.array(
+            [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
+        )
+        self.slope = self._slope_points(slopes, numbers, has_times)
+        fit, late = find_followers(records)
+        self._set_likeness(records, fit)
+        self.follow = self._follow_points(fit, late)
+        self.cause = self._cause_points(find_causes(records))
+        self.family = find_families(self.readings, self.slope)
+        self.stage = [stage_of(r) for r in self.readings]
+        self.is_disturbance = [bool(DISTURBANCES & {*r.words}) for r in self.readings]
+        places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
+        joints = [_joint_of(r) for r in self.readings]
+        self.joint = [joint if joint in places else None for joint in joints]
+
+    def says(self, column: int, role: Role) -> bool:
+        """Whether the name of a column speaks of a role."""
+        return any(_ROLE_OF[q] == role for q in self.readings[column].quantities)
+
+    @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
+    def _add_circles(self, records: Sequence[Table]) -> None:
+        """Evidence against the two directions of a point on a circle whose angle is there, too."""
+        w = WEIGHTS
+        for i, j in itertools.permutations(range(len(self.names)), 2):
+            points = [(r[:, i], r[:, j]) for r in records]
+            radii = [np.hypot(x, y) for x, y in points]
+            if any(
+                np.std(radius) > min(w.circle * radius.mean(), 0.3 * np.std(x), 0.3 * np.std(y))
+                for radius, (x, y) in zip(radii, points, strict=True)
+            ):
+                continue
+            angle = np.concatenate([np.unwrap(np.arctan2(y, x)) for x, y in points])
+            for k in range(len(self.names)):
+                values = np.concatenate([r[:, k] for r in records])
+                if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 1 - w.circle / 6:
+                    text = f"of a circle on which '{self.names[k]}' is the angle"
+                    self.own[i].append(Evidence("other", w.useless, text))
+
+    def _slope_points(
+        self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool
+    ) -> Pairs:
+        w = WEIGHTS
+        fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
+        points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
+        least, clear = w.slopes
+        points = np.where(fit < clear, -0.25 * w.no_slope, points)
+        points = np.where(fit < least, -w.no_slope, points)
+        # too few samples to say anything
+        points = np.where(slopes.factor == 0, -0.25 * w.no_slope, points)
+        for i, j in zip(*np.nonzero(fit >= clear), strict=True):
+            a, b = self.readings[i], self.readings[j]
+            is_rate = (
+                b.unit in ("", *ANGULAR_SPEEDS, *LINEAR_SPEEDS) or "^2" in b.unit or b.unit == "g"
+            )
+            if not is_rate or (None not in (a.kind, b.kind) and a.kind != b.kind):
+                points[i, j] = -w.no_slope
+                continue
+            unsure = 1.02 / float(fit[i, j]) ** 0.5 - 1
+            is_unit = explains_factor(float(slopes.factor[i, j]), a.unit, b.unit, unsure)
+            if has_times and not is_unit and not numbers[self.names[i]].whole:
+                points[i, j] -= w.no_factor
+        pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
+        points += w.member * np.array(pairs)
+        np.fill_diagonal(points, -w.no_slope)
+        return points
+
+    def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
+        """Sets which columns have the same values."""
+        with np.errstate(all="ignore"):
+            correlation = np.atleast_2d(np.corrcoef(np.concatenate(records).T))
+        size = np.abs(np.nan_to_num(correlation))
+        self.is_alike: Bool[np.ndarray, "c c"] = size > WEIGHTS.alike
+        same = np.where(size > 0.999, size, np.maximum(fit, fit.T))
+        some, most = WEIGHTS.copies
+        self.repeats = WEIGHTS.copy * np.where(same > most, 1.5, np.where(same > some, 1.0, 0.0))
+
+    def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
+        w = WEIGHTS
+        points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
+        commands = np.array([[r.qualifier == "command"] for r in self.readings])
+        points -= np.where(fit < fit.T, 1.0, 0.0)
+        is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
+        return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
+
+    def _cause_points(self, gain: Pairs) -> Pairs:
+        w = WEIGHTS
+        push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
+        net = push - w.back * push.T - np.maximum(0.0, self.slope.T)
+        says = np.array([[self.says(i, "input")] for i in range(len(self.names))])
+        return np.where((self.repeats > 0) & ~says, -1.0, net)
+
+
+def explains_factor(factor: float, unit: str, speed: str, tolerance: float) -> bool:
+    """Whether a velocity may be a factor times the slope of a position in its unit.
+
+    Args:
+        factor: the factor, of numbers.
+        unit: unit of the position, empty where it is unknown.
+        speed: unit of the velocity, empty where it is unknown.
+        tolerance: relative deviation.
+    """
+    for units, speeds in ((ANGLE, ANGULAR_SPEEDS), (LENGTH, LINEAR_SPEEDS)):
+        own = [units[unit]] if unit in units else [] if unit else [*units.values()]
+        others = [speeds[speed]] if speed in speeds else [] if speed else [*speeds.values()]
+        if any(abs(factor * b / a - 1) < tolerance for a in own for b in others):
+            return True
+    return False
+
+
+def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c"]) -> list[int]:
+    """The number of the family of each column: names that differ by numbers, axes or members only.
+
+    A family of which one is the derivative of another, or that all columns belong to, is none.
+    """
+    known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i, reading in enumerate(readings):
+        plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
+        marks = [w for w in plain if w in known or len(w) <= 2 or w in ("cos", "sin")]
+        key = (*(marks or plain), reading.unit) if plain else (str(i),)
+        groups.setdefault(key, []).append(i)
+    families = [*range(len(readings))]
+    for members in groups.values():
+        if len(members) < len(readings) and slope[np.ix_(members, members)].max() < 3:
+            for i in members:
+                families[i] = members[0]
+    return families
+
+
+def _are_of_one(a: NameReading, b: NameReading) -> bool:
+    """Whether two names have the same number, or are of the same thing."""
+    numbers = [{w for w in r.words if w.isdigit()} for r in (a, b)]
+    if any(numbers):
+        return numbers[0] == numbers[1]
+    return bool(a.object) and a.object == b.object
+
+
+def _joint_of(reading: NameReading) -> frozenset[str]:
+    """The words by which a name says at which of several joints it is: its number or its object."""
+    return frozenset(w for w in reading.object if w.isdigit()) or reading.object
+
+
+def stage_of(reading: NameReading) -> Stage:
+    """The stage of a drive of which a name speaks; a command or a voltage moves first."""
+    strongest = max(INPUTS, key=lambda q: reading.quantities.get(q, 0.0))
+    return "command" if reading.qualifier == "command" else _STAGE_OF.get(strongest, "command")

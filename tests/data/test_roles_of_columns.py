@@ -1,0 +1,295 @@
+"""Evidence on the roles of columns, the assignment that follows from it, and its margins."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated.laboratories import twins
+
+import tustinnet as tn
+from tustinnet.data.drafting.draft import Draft, draft_card
+from tustinnet.data.drafting.evidence import WEIGHTS, explains_factor, name_evidence
+from tustinnet.data.drafting.names import read_name
+
+DT = 0.01
+N = 1500
+
+
+def levels(seed: int, hold: int = 60) -> np.ndarray:
+    """An input that is held at random levels."""
+    return np.repeat(np.random.default_rng(seed).uniform(-2, 2, N // hold + 1), hold)[:N]
+
+
+def moved_by(u: np.ndarray, damping: float = 1.5, stiffness: float = 8.0) -> np.ndarray:
+    """Positions and velocities of an oscillator that an input drives."""
+    x = v = 0.0
+    states = []
+    for force in u:
+        for _ in range(5):
+            v += DT / 5 * (10 * force - damping * v - stiffness * x)
+            x += DT / 5 * v
+        states.append((x, v))
+    return np.array(states).T
+
+
+def draft(folder: Path, *records: Mapping[str, np.ndarray], clock: str = "t") -> Draft:
+    """The draft for records of some columns at equal times; its card is in the folder and loads."""
+    for k, columns in enumerate(records):
+        t = {clock: DT * np.arange(N)} if clock else {}
+        table = t | dict(columns)
+        header = ",".join(table)
+        np.savetxt(
+            folder / f"r{k}.csv",
+            np.column_stack([*table.values()]),
+            "%.7g",
+            ",",
+            header=header,
+            comments="",
+        )
+    made = draft_card(folder, [f"r{k}.csv" for k in range(len(records))])
+    (folder / "dataset.toml").write_text(made.text, encoding="utf-8")
+    tn.load(folder)
+    return made
+
+
+def uses(made: Draft) -> dict[str, str]:
+    """What each column is used as in the card; of velocities, the column of the position."""
+    of = {c.velocity.column: c.column for c in made.choice.coordinates if c.velocity}
+    return {c.name: of.get(c.name, c.use) for c in made.columns if c.use != "time"}
+
+
+# --- each kind of evidence by itself ---
+
+
+def test_words_and_units_of_names_speak_for_roles_and_against_others() -> None:
+    def points(name: str) -> dict[str, float]:
+        sums: dict[str, float] = {}
+        for e in name_evidence(read_name(name)):
+            sums[e.role] = sums.get(e.role, 0.0) + e.points
+        return sums
+
+    for name, role in (
+        ("theta", "position"),
+        ("Drehzahl", "velocity"),
+        ("torque [N m]", "input"),
+        ("Sollposition", "set point"),
+        ("reward", "other"),
+        ("q_d", "set point"),
+    ):
+        of = points(name)
+        assert max(of, key=lambda r: of[r]) == role, name
+    assert points("theta [deg]")["position"] > points("theta")["position"]
+    assert points("theta")["velocity"] < 0
+    assert points("i_A")["input"] < points("u_V")["input"]  # a voltage moves first
+
+
+def test_names_decide_between_columns_that_move_alike(tmp_path: Path) -> None:
+    angle, force = np.sin(np.arange(N) / 40), np.sin(np.arange(N) / 23)
+    made = draft(tmp_path, {"force": angle, "angle": force})
+    assert uses(made) == {"force": "input", "angle": "coordinate"}
+    assert "'angle' in its name" in made.text
+
+
+def test_units_decide_where_names_say_nothing(tmp_path: Path) -> None:
+    a, b = np.sin(np.arange(N) / 40), np.sin(np.arange(N) / 23)
+    assert uses(draft(tmp_path, {"ch1 [V]": a, "ch2 [deg]": b})) == {
+        "ch1 [V]": "input",
+        "ch2 [deg]": "coordinate",
+    }
+
+
+def test_held_levels_are_an_input_also_in_degrees(tmp_path: Path) -> None:
+    tilt = np.round(10 * levels(1))
+    ball, _ = moved_by(tilt / 40)
+    made = draft(tmp_path, {"ball_mm": 100 * ball, "servo_deg": tilt})
+    assert uses(made) == {"ball_mm": "coordinate", "servo_deg": "input"}
+
+
+def test_a_slope_is_a_velocity_and_its_factor_needs_units(tmp_path: Path) -> None:
+    u = levels(2)
+    x, v = moved_by(u)
+    rate = 180 / np.pi * v
+    assert uses(draft(tmp_path, {"one": u, "two": x, "three": rate})) == {
+        "one": "input",
+        "two": "coordinate",
+        "three": "two",
+    }
+    assert explains_factor(180 / np.pi, "", "", 0.02)
+    assert not explains_factor(180 / np.pi, "rad", "rad/s", 0.02)
+    assert not explains_factor(2.0, "", "", 0.02)
+
+
+def test_what_a_position_follows_one_to_one_is_its_set_point(tmp_path: Path) -> None:
+    goal = np.sin(np.arange(N) / 40) + np.sin(np.arange(N) / 23)
+    late = np.roll(goal, 9)
+    late[:9] = goal[0]
+    u, _ = moved_by(levels(4))
+    made = draft(tmp_path, {"one": goal, "x_m": late + 1e-3 * u, "motor_V": u})
+    assert uses(made) == {"one": "", "x_m": "coordinate", "motor_V": "input"}
+    assert "'x_m' follows it, one to one" in made.choice.unused["one"]
+
+
+def test_the_cause_comes_before_the_effect(tmp_path: Path) -> None:
+    u = np.random.default_rng(5).normal(size=N)
+    x, _ = moved_by(u)
+    made = draft(tmp_path, {"V1": u, "V2": x}, clock="")
+    assert uses(made) == {"V1": "input", "V2": "coordinate"}
+    assert "it moves 'V2'" in made.text
+
+
+def test_a_smooth_column_is_not_caused_by_whatever_else_is_smooth(tmp_path: Path) -> None:
+    t = DT * np.arange(N)
+    waves = [np.sum([np.sin(f * t + k) for f in (1.1, 1.9, 3.2)], axis=0) for k in (0, 2)]
+    made = draft(tmp_path, {"theta1": waves[0], "theta2": waves[1]})
+    assert uses(made) == {"theta1": "coordinate", "theta2": "coordinate"}
+    assert made.notes == ("no input was found: the records are taken for free motion",)
+
+
+def test_directions_of_a_circle_are_no_positions_beside_its_angle(tmp_path: Path) -> None:
+    angle = 1.2 * np.sin(np.arange(N) / 40)
+    x, y = 0.7 * np.sin(angle), -0.7 * np.cos(angle)
+    assert uses(draft(tmp_path, {"x": x, "y": y, "angle": angle})) == {
+        "x": "",
+        "y": "",
+        "angle": "coordinate",
+    }
+
+
+# --- constraints ---
+
+
+def test_a_family_of_numbered_columns_has_one_role_and_pairs_by_number(tmp_path: Path) -> None:
+    columns: dict[str, np.ndarray] = {}
+    for k in range(1, 5):
+        u = levels(10 + k, 40 + 10 * k) * (0.02 if k == 4 else 1.0)
+        columns[f"q{k}"], columns[f"w{k}"] = moved_by(u, stiffness=5.0 * k)
+        columns[f"i{k}"] = u if k < 3 else u + 0.3 * columns[f"q{k}"]
+    made = draft(tmp_path, columns)
+    expected = {f"q{k}": "coordinate" for k in range(1, 5)}
+    expected |= {f"w{k}": f"q{k}" for k in range(1, 5)} | {f"i{k}": "input" for k in range(1, 5)}
+    assert uses(made) == expected
+
+
+def test_of_the_stages_of_a_drive_the_first_is_the_input(tmp_path: Path) -> None:
+    u = levels(6)
+    x, v = moved_by(u)
+    current = u - 0.2 * v + 0.01 * np.random.default_rng(0).normal(size=N)
+    made = draft(tmp_path, {"x_m": x, "torque_Nm": 0.3 * current, "i_A": current, "u_V": u})
+    assert [name for name, use in uses(made).items() if use == "input"] == ["u_V"]
+    assert made.choice.unused["i_A"] == "an effect of 'u_V'"
+
+
+def test_copies_and_filtered_values_are_used_once(tmp_path: Path) -> None:
+    u = levels(7)
+    x, v = moved_by(u)
+    smooth = np.convolve(np.pad(x, 2, "edge"), np.ones(5) / 5, "valid")
+    made = draft(tmp_path, {"pos": x, "pos_filt": smooth, "vel": v, "u": u, "u_cmd": 2 * u})
+    assert uses(made) == {
+        "pos": "coordinate",
+        "pos_filt": "",
+        "vel": "pos",
+        "u": "",
+        "u_cmd": "input",
+    }
+    assert made.choice.unused["u"] == "proportional to the input 'u_cmd'"
+
+
+def test_a_velocity_of_no_position_is_not_used(tmp_path: Path) -> None:
+    u = levels(8)
+    x, _ = moved_by(u)
+    made = draft(tmp_path, {"x_mm": 10 * x, "gyro_dps": moved_by(levels(9))[1], "u": u})
+    assert uses(made)["gyro_dps"] == ""
+    assert "the slope of no position" in made.choice.unused["gyro_dps"]
+
+
+# --- margins ---
+
+
+def test_near_assignments_are_a_question_whose_answer_holds(tmp_path: Path) -> None:
+    files = twins(tmp_path)
+    made = draft_card(tmp_path, files)
+    keys = {q.key for q in made.questions if q.key.startswith("role")}
+    assert keys <= {"role one", "role two"}
+    assert keys
+    (used,) = (i.column for i in made.choice.inputs)
+    other = "two" if used == "one" else "one"
+    answered = draft_card(tmp_path, files, {f"role {other}": "input", f"role {used}": "none"})
+    assert [i.column for i in answered.choice.inputs] == [other]
+    assert not [q for q in answered.questions if q.key.startswith("role")]
+    assert "as you say" in answered.text
+
+
+def test_clear_columns_are_no_question(tmp_path: Path) -> None:
+    u = levels(11)
+    x, v = moved_by(u)
+    made = draft(tmp_path, {"angle_rad": x, "rate_rad_s": v, "motor_V": u})
+    assert made.questions == ()
+    assert "check" not in made.text.split("\n", 1)[1]
+
+
+def test_a_draft_from_python_has_margins_and_writes_nothing(tmp_path: Path) -> None:
+    twins(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    made = tn.draft(tmp_path)
+    assert sorted(tmp_path.iterdir()) == before
+    margins = {c.name: c.margin for c in made.columns}
+    assert margins["one"] < WEIGHTS.near < margins["phi_rad"] < margins["t"]
+    answered = tn.draft(tmp_path, {"role one": "input", "role two": "none"})
+    assert "as you say" in answered.text
+    with pytest.raises(tn.InputError, match="no such file or folder"):
+        tn.draft(tmp_path / "nowhere")
+
+
+# --- times ---
+
+
+def test_times_of_few_digits_say_the_period(tmp_path: Path) -> None:
+    t = np.arange(600) / 30
+    for k in range(2):
+        rows = [f"{a:.2E},{b:.4f}" for a, b in zip(t, np.sin(2 * t + k), strict=True)]
+        (tmp_path / f"r{k}.csv").write_text("\n".join(["t,theta_rad", *rows]))
+    card = tomllib.loads(draft_card(tmp_path, ["r0.csv", "r1.csv"]).text)
+    assert card["dt"] == pytest.approx(1 / 30, rel=5e-3)
+    assert ("time" in card, "inputs" in card) == (False, False)
+
+
+def test_a_first_row_that_is_there_twice_is_cut_off(tmp_path: Path) -> None:
+    t = np.append(0.0, DT * np.arange(N - 1))
+    x, _ = moved_by(levels(12))
+    for k in range(2):
+        table = np.column_stack([t, x + k, levels(12)])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.6g", ",", header="t,x_m,u", comments="")
+    made = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert any("1 row" in note for note in made.notes)
+    (tmp_path / "dataset.toml").write_text(made.text)
+    assert [len(record) for record in tn.load(tmp_path)] == [N - 1, N - 1]
+
+
+# --- bad input ---
+
+
+def test_names_alike_but_for_case_are_two_columns(tmp_path: Path) -> None:
+    u = levels(13)
+    x, _ = moved_by(u)
+    made = draft(tmp_path, {"X_m": x, "x_m": moved_by(levels(14))[0], "U": u})
+    assert uses(made) == {"X_m": "coordinate", "x_m": "coordinate", "U": "input"}
+    assert len({c.name for c in made.choice.coordinates}) == 2
+
+
+def test_columns_that_move_only_elsewhere_are_no_trouble(tmp_path: Path) -> None:
+    t = DT * np.arange(9000)
+    late = np.where(t < 1, np.sin(9 * t), 0.0)
+    gaps = np.where(np.arange(9000) % 50 == 0, np.nan, 1e99 * np.cos(t))
+    for k in range(2):
+        table = np.column_stack([t, np.sin(2 * t + k), np.cos(2 * t + k), late, late, gaps])
+        header = "t,x_m,y_m,button,valve_A,odd"
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.7g", ",", header=header, comments="")
+    made = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert {"x_m", "y_m"} <= {c.column for c in made.choice.coordinates}
+
+
+def test_points_are_documented() -> None:
+    documentation = type(WEIGHTS).__doc__ or ""
+    assert all(f"{name}:" in documentation for name in vars(WEIGHTS))
