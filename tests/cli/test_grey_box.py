@@ -502,8 +502,8 @@ GREY = ["--recipe", "grey", "--system", "{}"]
             ["--recipe", "standard", "--set", "model.fixed.gain=4"],
             ["recipe 'standard', model.fixed", "unknown key"],
         ),
-        ([*GREY, "--seeds", "2"], ["--seeds", "'grey' identifies", "no seeds"]),
-        ([*GREY, "--seeds", "1"], ["--seeds", "no seeds"]),
+        ([*GREY, "--seeds", "2"], ["--seeds", "nothing in 'grey' is random"]),
+        ([*GREY, "--seeds", "1"], ["--seeds", "nothing in 'grey' is random"]),
         ([*GREY, "--set", "rates=[1,0.5]"], ["recipe 'grey', rates", "unknown key"]),
         ([*GREY, "--resume"], ["--resume", "a fit that is no training is not resumed"]),
     ],
@@ -629,9 +629,7 @@ def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, cap
     assert "fall3" in told
 
 
-def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
-    tmp_path, small_recipe, monkeypatch, capsys
-):
+def test_the_demo_does_the_whole_job_and_says_twin_everywhere(tmp_path, monkeypatch, capsys):
     runs = {"train": (3, 2), "validation": (1, 1), "test": (1, 1)}
     monkeypatch.setattr(qube_servo2_twin, "_TWIN_RUNS", runs)
     log_runs = twin.log_runs
@@ -649,7 +647,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
             "folds": 3,
             "candidates": [
                 {"name": "physics", "recipe": "grey", "set": quick},
-                {"name": "network", "recipe": str(small_recipe)},
+                {"name": "linear", "recipe": "linear"},
             ],
             "rounds": [{"folds": 1}],
         }
@@ -665,7 +663,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(
     assert "Twin (simulated, favours Lagrangian models)" in printed
     table = json.loads((out / "twin_table.json").read_text())
     means = {name: m["mean"] for name, m in table["models"].items()}
-    assert means["physics (chosen)"] < means["network"]
+    assert means["physics (chosen)"] < means["linear"]
     page = (out / "twin_report.html").read_text(encoding="utf-8")
     assert "2 test records that it was not fitted to" in page
     assert [page.count(f"Show {name}") for name in means] == [1, 1]

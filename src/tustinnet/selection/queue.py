@@ -115,6 +115,7 @@ class CandidateQueue:
             self.judge_by_pieces_if_lost()
             return self.choose()
         earlier = {(job.candidate, job.fold) for job in self._running}  # or further ahead
+        known = len(self._jobs)
         for candidate, jobs in steps:
             depends_on = {*candidate.corrects, *candidate.begins_with}
             for job in jobs:
@@ -123,6 +124,8 @@ class CandidateQueue:
                 if begun is not None:
                     return [begun]
             earlier |= {(job.candidate, job.fold) for job in jobs}
+        if len(self._jobs) > known:  # some were left out: others may have waited for them
+            return self.choose()
         return self._continue_stopped()
 
     def _is_costly(self, candidate: Candidate) -> bool:
