@@ -273,13 +273,12 @@ Image("network/figures/training.png")
 #
 # ## Compare with something simple
 #
-# Is a network needed at all? To find out, we train a linear state-space model on the same records.
+# Is a network needed at all? To find out, we fit a linear state-space model to the same records.
 # Then `compare` shows both. What the first command prints goes to the file `linear.txt`; we do not
 # need it here.
 
 # %% language="bash"
-# tustinnet fit LOGS --recipe standard --out linear --quiet --set 'model={kind="linear"}' \
-#     --set stages.0.epochs=10 --set stages.0.windows.count=300 > linear.txt
+# tustinnet fit LOGS --recipe linear --out linear --quiet > linear.txt
 # tustinnet compare network/model.safetensors linear/model.safetensors LOGS \
 #     --split validation --figures compared
 
@@ -287,7 +286,7 @@ Image("network/figures/training.png")
 Image("compared/steps4.png")
 
 # %% [markdown]
-# The errors of the linear model are 6 to 13 times as large. The torque of gravity depends on the
+# The errors of the linear model are 6 to 10 times as large. The torque of gravity depends on the
 # sine of the angle, and a linear model cannot have a sine. If both models were equally good, you
 # would take the linear one. If both were bad, you would look for faults of the records or of the
 # bench: an input that was not logged, a wrong sign, play in a gear.

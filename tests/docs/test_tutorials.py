@@ -22,8 +22,6 @@ SHORTER = {
     "from-logs": {
         "stages.0.epochs=60": "stages.0.epochs=5",
         "windows.count=800": "windows.count=100",
-        "stages.0.epochs=10": "stages.0.epochs=2",
-        "windows.count=300": "windows.count=50",
     },
     "publication": {
         "stages.0.epochs=20": "stages.0.epochs=2",
