@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.report.figures import write_figure
+from tustinnet.report.drawing import write_figure
 from tustinnet.report.learning import learning_figure, learning_table
 from tustinnet.report.progress import FitProgress
 from tustinnet.selection.cross_validation import (

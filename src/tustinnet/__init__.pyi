@@ -42,6 +42,8 @@ from .models.lagrangian import LagrangianModel as LagrangianModel
 from .models.lagrangian import LagrangianSystem as LagrangianSystem
 from .models.lagrangian import Memory as Memory
 from .models.lagrangian import Parameter as Parameter
+from .models.written_equations import EquationsOfMotion as EquationsOfMotion
+from .models.written_equations import equations_of_motion as equations_of_motion
 from .report.page.write import write_report as write_report
 from .selection.cluster import cluster as cluster
 from .selection.cross_validation import cross_validate as cross_validate

@@ -161,6 +161,9 @@ READERS: Registry[Any] = Registry(
         ".xlsx": "tustinnet.data.formats.excel:READER",
         ".h5": "tustinnet.data.formats.hdf5:READER",
         ".hdf5": "tustinnet.data.formats.hdf5:READER",
+        ".json": "tustinnet.data.formats.json_rows:READER",
+        ".jsonl": "tustinnet.data.formats.json_rows:READER",
+        ".ndjson": "tustinnet.data.formats.json_rows:READER",
     },
 )  # by the ending of the files
 PUBLICATION = "tustinnet.reproduce"  # the package whose recipes are those of the publication

@@ -14,7 +14,7 @@ from torture.pendulum import SYSTEM as SMALL
 import tustinnet as tn
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.report.figures import write_figure
+from tustinnet.report.drawing import write_figure
 from tustinnet.report.learning import learning_figure
 from tustinnet.selection.learning import (
     Draw,

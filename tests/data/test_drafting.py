@@ -290,3 +290,24 @@ def test_any_columns_make_a_card_that_loads_or_are_refused(seed: int, tmp_path: 
         return
     (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
     tn.load(tmp_path)
+
+
+def test_a_set_point_has_the_unit_of_what_follows_it(tmp_path: Path) -> None:
+    count, t = 2 * np.pi / 4096, 0.02 * np.arange(400)
+    for k in range(2):
+        goal = 0.7 * np.sin((2 + k) * t) * np.sin(0.9 * t)
+        position = np.interp(t - 0.05, t, goal)
+        speed = np.gradient(position, t)
+        pl.DataFrame(
+            {
+                "time": t,
+                "position": np.round(position / count) * count,
+                "speed": speed,
+                "goal_position": goal,
+            }
+        ).write_csv(tmp_path / f"log{k}.csv")
+    card = draft(tmp_path)
+    assert [c["unit"] for c in card["coordinates"]] == ["rad"]
+    assert [(i["column"], i["unit"], i.get("assumed")) for i in card["inputs"]] == [
+        ("goal_position", "rad", None)
+    ]

@@ -272,7 +272,12 @@ def test_columns_in_pairs_have_times_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["torque/time"], [0.0, 0.02])
     assert columns["torque"].tolist() == [1.0, 2.0]
     assert columns.clocks["torque"] == "torque/time"
-    assert columns.units == {"position": "mm", "torque": "N m"}
+    assert columns.units == {
+        "position/time": "s",
+        "position": "mm",
+        "torque/time": "s",
+        "torque": "N m",
+    }
 
 
 def test_names_of_several_words_stand_far_apart(tmp_path: Path) -> None:
@@ -331,7 +336,8 @@ def test_a_long_table_is_columns_by_signal(slower: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(columns["t_ms"], 1e3 * t)
     else:
         assert columns.clocks["motor"] == "motor/t_ms"
-        np.testing.assert_allclose(columns["motor/t_ms"], t[::slower])
+        np.testing.assert_allclose(columns["motor/t_ms"], 1e3 * t[::slower])
+        assert draft_card(tmp_path, ["can.csv"]).dt == pytest.approx(0.01)
 
 
 def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from tustinnet.data.declaration import declare
 from tustinnet.registry import FAMILIES, READERS
 
 PAGES = sorted((DOCS / "how-to").glob("*.md"))
-MODULES = ("make_logs", "drag", "table", "json_lines")  # files of the pages that other files import
+MODULES = ("make_logs", "drag", "table", "rec_files")  # files of the pages that other files import
 
 
 def written(page: str, heading: str, language: str, number: int = 0) -> str:
@@ -112,21 +112,21 @@ def test_an_export_is_written_and_checked(place, capsys):
     np.testing.assert_allclose(a, expected, atol=1e-14)
 
 
-def as_json_lines(folder: Path) -> None:
+def as_objects_by_line(folder: Path) -> None:
     """Turns the CSV files of a folder into files with an object of JSON on every line."""
     for file in folder.glob("*.csv"):
         names, *rows = (line.split(",") for line in file.read_text().splitlines())
         objects = [dict(zip(names, map(float, row), strict=True)) for row in rows]
         lines = "".join(json.dumps(o) + "\n" for o in objects)
-        file.with_suffix(".jsonl").write_text(lines)
+        file.with_suffix(".rec").write_text(lines)
         file.unlink()
     card = folder / "dataset.toml"
-    card.write_text(card.read_text().replace(".csv", ".jsonl"))
+    card.write_text(card.read_text().replace(".csv", ".rec"))
 
 
 def test_logs_of_another_format_are_read_by_a_program(place, capsys):
     expected = tn.load("LOGS")
-    as_json_lines(place / "LOGS")
+    as_objects_by_line(place / "LOGS")
     _, names = typed(written("add-a-reader", "In a program of your own", "python"), capsys)
     for data in (names["data"], tn.load("CONVERTED")):
         for record in data:
@@ -135,21 +135,21 @@ def test_logs_of_another_format_are_read_by_a_program(place, capsys):
 
 
 def test_a_package_adds_a_reader(place, monkeypatch):
-    as_json_lines(place / "LOGS")
-    with pytest.raises(tn.InputError, match=r"ending '\.jsonl'"):
+    as_objects_by_line(place / "LOGS")
+    with pytest.raises(tn.InputError, match=r"ending '\.rec'"):
         tn.load("LOGS")
-    (place / "json_lines.py").write_text(written("add-a-reader", "In a package", "python"))
+    (place / "rec_files.py").write_text(written("add-a-reader", "In a package", "python"))
     package = tomllib.loads(written("add-a-reader", "In a package", "toml"))
     ((ending, at),) = package["project"]["entry-points"][READERS.group].items()
-    info = place / "installed/json_lines-1.0.dist-info"
+    info = place / "installed/rec_files-1.0.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: json-lines\nVersion: 1.0\n")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rec-files\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[{READERS.group}]\n{ending} = {at}\n")
     monkeypatch.syspath_prepend(place / "installed")
     if reading_process._process is not None:  # it imports what was installed when it began
         reading_process._process.stop()
     assert len(tn.load("LOGS")) == 5
-    file = place / "LOGS/run1.jsonl"
+    file = place / "LOGS/run1.rec"
     whole = file.read_text().splitlines()
     for defect, message in (
         (

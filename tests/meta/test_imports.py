@@ -75,6 +75,13 @@ def test_records_are_inspected_without_jax_and_scipy(folder):
     assert heavy_after(command("inspect", folder)) <= READING
 
 
+def test_a_card_is_drafted_and_drawn_without_jax(folder, tmp_path):
+    for log in folder.glob("*.csv"):
+        (tmp_path / log.name).write_bytes(log.read_bytes())
+    assert "jax" not in heavy_after(command("init", tmp_path, "--yes"))
+    assert (tmp_path / "init.png").is_file()
+
+
 def test_a_header_is_shown_by_its_family_and_without_what_reads_records_and_draws(model):
     assert heavy_after(command("show", model)) == {"jax", "equinox"}
 

@@ -13,9 +13,7 @@ from tustinnet.errors import InputError
 from tustinnet.export.source import make_source
 from tustinnet.program.numbers import run
 from tustinnet.program.primitives import MOVES, RULES
-from tustinnet.program.primitives import MOVES, RULES
 from tustinnet.program.reading import read
-from tustinnet.program.tape import Tape
 from tustinnet.program.tape import Tape
 from tustinnet.registry import FAMILIES
 

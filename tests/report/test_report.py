@@ -16,12 +16,12 @@ from tustinnet.evaluate.scores import Score
 from tustinnet.fitting.gradient.plan import make_plan
 from tustinnet.fitting.listener import EpochReport, Listener, SearchProgress
 from tustinnet.fitting.task import Member, make_task
+from tustinnet.report.drawing import write_figure
 from tustinnet.report.figures import (
     ahead_figure,
     free_run_figure,
     inspection_figure,
     training_figure,
-    write_figure,
 )
 from tustinnet.report.progress import FitProgress, duration
 from tustinnet.report.tables import Table, number, numbers

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.path import Path
 
-from tustinnet.report.figures import write_figure
+from tustinnet.report.drawing import write_figure
 from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
 
 both = pytest.mark.parametrize("draw", [mechanism_figure, architecture_figure])

@@ -103,7 +103,8 @@ def compare(
     else:
         terminal.print_tables(comparison_table(records, scores, runs.start))
     if figures is not None:
-        from tustinnet.report.figures import free_run_figure, write_figure
+        from tustinnet.report.drawing import write_figure
+        from tustinnet.report.figures import free_run_figure
 
         for i, e in enumerate(records):
             run_scores = {label: model_scores[i] for label, model_scores in scores.items()}

@@ -156,7 +156,7 @@ def control(
         sentences,
         summarise,
     )
-    from tustinnet.report.figures import write_figure
+    from tustinnet.report.drawing import write_figure
     from tustinnet.report.page.controller import write_control_page
     from tustinnet.simulate.range import Range
     from tustinnet.store.exported import require_export_folder

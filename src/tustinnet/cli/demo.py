@@ -84,7 +84,8 @@ def demo(
         if not json:
             terminal.print_tables(time_table(reports))
 
-        from tustinnet.report.figures import free_run_figure, inspection_figure, write_figure
+        from tustinnet.report.drawing import write_figure
+        from tustinnet.report.figures import free_run_figure, inspection_figure
 
         write_figure(inspection_figure(training, reports), out, "twin_records.png")
         print_step(f"3/6 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
@@ -184,7 +185,7 @@ def _swing_up(
     from tustinnet.control.trial import try_design
     from tustinnet.models.physical_values import equations_in
     from tustinnet.report.control import closed_loop_figure
-    from tustinnet.report.figures import write_figure
+    from tustinnet.report.drawing import write_figure
     from tustinnet.simulate.range import Range
 
     physical = [m for m in models if equations_in(m.model) is not None]

@@ -130,7 +130,8 @@ def evaluate(
     else:
         evaluation.print_tables()
     if figures is not None:
-        from tustinnet.report.figures import ahead_figure, write_figure
+        from tustinnet.report.drawing import write_figure
+        from tustinnet.report.figures import ahead_figure
 
         for name, figure in _draw(model.stem, records, scores, bands, along):
             write_figure(figure, figures, f"{name}.png")

@@ -337,7 +337,8 @@ def _print_run(run: "Run", data: str) -> None:
 
 def _draw_run(run: "Run", data: "DataSet") -> None:
     """Draws training curves or error correlations, and the free runs of the best model."""
-    from tustinnet.report.figures import free_run_figure, training_figure, write_figure
+    from tustinnet.report.drawing import write_figure
+    from tustinnet.report.figures import free_run_figure, training_figure
     from tustinnet.report.identification import correlation_figure
     from tustinnet.store.log import read_log
 

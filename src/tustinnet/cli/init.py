@@ -195,7 +195,7 @@ def write_draft(draft: "Draft", folder: Path) -> None:
 def draw_draft(draft: "Draft", folder: Path) -> None:
     """Draws every column of a record of a draft into a folder."""
     from tustinnet.report.draft_figure import draft_figure
-    from tustinnet.report.figures import write_figure
+    from tustinnet.report.drawing import write_figure
 
     write_figure(draft_figure(draft), folder, FIGURE)
 

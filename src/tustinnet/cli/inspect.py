@@ -88,7 +88,8 @@ def inspect(
     else:
         _print_inspection(records, inspection)
     if figure is not None:
-        from tustinnet.report.figures import inspection_figure, write_figure
+        from tustinnet.report.drawing import write_figure
+        from tustinnet.report.figures import inspection_figure
 
         image = inspection_figure(list(records), list(inspection.reports))
         write_figure(image, figure.parent, figure.name)

@@ -122,7 +122,7 @@ def learning_curve(
             for sentence in sentences:
                 terminal.echo(f"* {sentence}")
 
-        from tustinnet.report.figures import write_figure
+        from tustinnet.report.drawing import write_figure
 
         write_figure(learning_figure(curve), out, names[2])
     console.print(f"written: {', '.join(str(out / name) for name in names)}")

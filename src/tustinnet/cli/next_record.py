@@ -306,7 +306,7 @@ def _write(result: "RecordDesign", out: Path, *, json: bool) -> None:
         for sentence in sentences(result):
             terminal.echo(f"* {sentence}")
 
-    from tustinnet.report.figures import write_figure
+    from tustinnet.report.drawing import write_figure
 
     write_figure(design_figure(result), out, FIGURE)
     terminal.messages().print(

@@ -87,7 +87,7 @@ def residuals(
         for r in reports:
             terminal.echo(f"{r.coordinate}: {r.sentence}")
     if figure is not None:
-        from tustinnet.report.figures import write_figure
+        from tustinnet.report.drawing import write_figure
 
         write_figure(residual_figure(reports, channels, title), figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")

@@ -124,7 +124,8 @@ def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
 
 def draw_choice(choice: "Choice") -> None:
     """Writes the table of candidates with sentences, their figure, and some free runs."""
-    from tustinnet.report.figures import free_run_figure, write_figure
+    from tustinnet.report.drawing import write_figure
+    from tustinnet.report.figures import free_run_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
     from tustinnet.store.files import write_into
     from tustinnet.store.run_folder import TABLE

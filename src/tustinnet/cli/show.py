@@ -24,6 +24,7 @@ def show(model: options.Model, json: options.Json = False) -> None:
         *structure,
         *_fit_lines(header),
         *_identification_lines(header),
+        *(("equation", line) for line in header.get("equations", ())),
         *_score_lines(header),
         *([("versions", ", ".join(f"{k} {v}" for k, v in versions.items()))] if versions else []),
     ]

@@ -63,7 +63,10 @@ def align_columns(
             "the times to bring them onto",
             f'set `column = "{clocks[name(card.coordinates[0].column)]}"` under [time]',
         )
+    assert card.time is not None
     base = columns.clocks[time]
+    # a clock that is no column of the file is in s
+    second = card.time.factor() if base == time else 1.0
     own = {clock: columns[clock] for clock in dict.fromkeys(used.values()) if clock is not None}
     for clock, t in own.items():
         if len(t) < 2 or not (np.diff(t) > 0).all():
@@ -73,7 +76,9 @@ def align_columns(
     held = {c for c in own if all(r is _resample_held for n, r in rules.items() if clocks[n] == c)}
     inside = find_covered(own[base], {c: (t[0], t[-1]) for c, t in own.items()}, held)
     if inside.sum() < 2:
-        spans = ", ".join(f"{clock} {t[0]:.6g}..{t[-1]:.6g} s" for clock, t in own.items())
+        spans = ", ".join(
+            f"{clock} {t[0] * second:.6g}..{t[-1] * second:.6g} s" for clock, t in own.items()
+        )
         raise InputError(
             where,
             f"the columns have no time in common ({spans})",
@@ -98,7 +103,7 @@ def align_columns(
             else []
         ),
         *(
-            _note(clock, own[clock], base, [c for c, k in clocks.items() if k == clock])
+            _note(clock, own[clock] * second, base, [c for c, k in clocks.items() if k == clock])
             for clock in own
             if clock != base
         ),
@@ -142,7 +147,7 @@ def find_covered(
 
 
 def _note(clock: str, t: Times, base: str, names: list[str]) -> str:
-    """A remark on columns that were brought onto other times, and on gaps in theirs."""
+    """A remark on columns that were brought from times [s] onto others, and on gaps in them."""
     steps = np.diff(t)
     gaps = int((steps > _GAP * np.median(steps)).sum())
     text = f"{', '.join(names[:4])}{', ...' if len(names) > 4 else ''} brought from {clock} "

@@ -39,7 +39,7 @@ class Listing:
         names: names of the columns.
         others: a description of everything in the file that is no column of numbers, by name.
         clocks: for columns whose samples have times of their own, the name of the column of these
-            times [s], by name. A column of times is its own clock.
+            times, by name. A column of times is its own clock.
         units: units by the name of the column, where the file has them.
         labels: what a file calls a column in a text beside it, by its name, where it does.
         parts: records among several in the file, by label.
@@ -64,8 +64,9 @@ class Columns:
     Attributes:
         names: names of the columns.
         notes: remarks on how the file was read.
+        rows: the rows of a text file, counted from 1; None of other files.
         others: a description of everything in the file that is no column of numbers, by name.
-        clocks: names of the columns of times [s] of those columns that have times of their own.
+        clocks: names of the columns of times of those columns that have times of their own.
         units: units by the name of the column, where the file has them.
         labels: what the file calls a column in a text beside it, by its name, where it does.
         parts: records among several in the file, by label: groups of HDF5, episodes.
@@ -93,7 +94,7 @@ class Columns:
             escape_unprinted(label): Part(escape_unprinted(part.prefix), part.rows)
             for label, part in (parts or {}).items()
         }
-        self._read, self._rows = read, rows
+        self._read, self.rows = read, rows
         self._columns: dict[str, Column] = {}
 
     @classmethod
@@ -114,9 +115,9 @@ class Columns:
 
     def place(self, sample: int) -> str:
         """The place of a sample: the row of a text file, else its number."""
-        if self._rows is None:
+        if self.rows is None:
             return f"sample {sample} (counted from 0)"
-        return f"row {self._rows[sample]}"
+        return f"row {self.rows[sample]}"
 
     def fetch(self, names: Sequence[str]) -> None:
         """Reads some columns at once, which is quicker than one after the other."""
@@ -153,7 +154,7 @@ class Columns:
         units = {name: self.units[s] for name, s in sources.items() if s in self.units}
         labels = {name: self.labels[s] for name, s in sources.items() if s in self.labels}
         return Columns(
-            tuple(sources), read, self._rows, self.notes, texts, units=units, labels=labels
+            tuple(sources), read, self.rows, self.notes, texts, units=units, labels=labels
         )
 
     def _match_element(self, name: str) -> re.Match[str] | None:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.data.merged_topics import FEW_VALUES, MISSING, NOTE, find_merged_topics
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
@@ -40,6 +41,7 @@ _FEWEST_ALIKE = 3  # rows that show which columns are texts
 _LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
+_EMPTY = ("", "nan", "null", "none")  # cells without a value, in small letters
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
@@ -146,25 +148,66 @@ def read_text(
     units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if file.pairs is None else file.pairs.clocks
     columns = Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
-    return _spread_if_long(columns, table, found.rows, dialect)
+    return columns if clocks else _by_topic(columns, table, found.rows, dialect, path)
+
+
+def _by_topic(
+    columns: Columns, table: "pl.DataFrame", header_rows: int, dialect: Dialect, path: Path
+) -> Columns:
+    """The columns of a table, with times of their own where its rows are of several topics."""
+    return (
+        _spread_if_long(columns, table, header_rows, dialect)
+        or _split_if_merged(columns, table.slice(header_rows), dialect, path)
+        or columns
+    )
 
 
 def _spread_if_long(
     columns: Columns, table: "pl.DataFrame", header_rows: int, dialect: Dialect
-) -> Columns:
-    """The columns of a table, by signal where it is a long table of times, signals and values."""
+) -> Columns | None:
+    """The columns by signal of a long table of times, signals and values; None of another one."""
     names = columns.names
     if not header_rows or len(names) != _LONG_TABLE:
-        return columns
+        return None
     texts = [
         n
         for n, cell in zip(names, _texts(table, header_rows), strict=True)
         if not (dialect.is_number(cell) or is_date(cell))
     ]
     if len(texts) != 1:
-        return columns
+        return None
     cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()
-    return spread_signals(columns, cells.fill_null("").to_list(), texts[0]) or columns
+    return spread_signals(columns, cells.fill_null("").to_list(), texts[0])
+
+
+def _split_if_merged(
+    columns: Columns, table: "pl.DataFrame", dialect: Dialect, path: Path
+) -> Columns | None:
+    """The columns with times of their own of a table of merged topics; None of another one."""
+    cells = dict(zip(columns.names, table.get_columns(), strict=True))
+    present = {name: _has_value(column) for name, column in cells.items()}
+    topics = find_merged_topics(present, lambda name: columns[name])
+    if not topics:
+        return None
+    rows = np.asarray(columns.rows)
+
+    def read(name: str) -> Column:
+        source, chosen = topics[name].source, topics[name].rows
+        some = cells[source].filter(chosen)
+        return _numbers(some, dialect, path, source, rows[chosen], has_header=True)
+
+    return Columns(
+        [*topics],
+        lambda names: [read(name) for name in names],
+        notes=(*columns.notes, NOTE),
+        others=dict.fromkeys({*cells} - {*topics}, FEW_VALUES),
+        clocks={name: topic.clock for name, topic in topics.items()},
+        units={n: columns.units[t.source] for n, t in topics.items() if t.source in columns.units},
+    )
+
+
+def _has_value(cells: "pl.Series") -> Bool[np.ndarray, " n"]:
+    return (~cells.fill_null("").str.strip_chars().str.to_lowercase().is_in(_EMPTY)).to_numpy()
 
 
 @dataclass(frozen=True)
@@ -332,6 +375,9 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
     try:
         dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
     except InputError:
+        return None
+    # of merged topics: which cells are empty has to be known
+    if sum(map(content.count, (b",,", b",\n", b"nan", b"NaN"))) > MISSING * len(rows):
         return None
     is_labelled = _LABELLED.match(lines[-1][1]) is not None
     if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands or is_labelled:

@@ -3,25 +3,22 @@
 Databases export them, as `time,signal,value`. Here they become columns by signal.
 """
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from tustinnet.data.columns import Column, Columns
-from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 
 _MOST_SIGNALS = 60
 _FEWEST_VALUES = 10  # of each signal
 _REPEATED = 0.5  # share of the rows whose time another row has, too
-_UNIT = re.compile(r"[\[(_ ](s|ms|us|ns)[\])]?$")
 
 
 def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Columns | None:
     """The columns of a long table by signal, None where a table of three columns is none.
 
-    Signals of the same times share a column of times; others have one of their own [s].
+    Signals of the same times share a column of times; others have one of their own.
 
     Args:
         columns: the table, with one column of texts.
@@ -50,13 +47,13 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
         columns_by_name[time] = t[rows[0]]
         columns_by_name |= {str(signals[k]): values[rows[k]] for k in order}
     else:
-        unit = columns.units.get(time) or (m[1] if (m := _UNIT.search(time)) else "s")
         for k in order:
             name, clock = str(signals[k]), f"{signals[k]}/{time}"
-            columns_by_name |= {clock: t[rows[k]] * TIME.get(unit, 1.0), name: values[rows[k]]}
+            columns_by_name |= {clock: t[rows[k]], name: values[rows[k]]}
             clocks |= {clock: clock, name: clock}
     note = f"a row for each value: columns by '{label}'"
-    units = {time: columns.units[time]} if time in columns_by_name and time in columns.units else {}
+    times = {time, *clocks.values()} & columns_by_name.keys()
+    units = dict.fromkeys(times, columns.units[time]) if time in columns.units else {}
     return Columns(
         tuple(columns_by_name),
         lambda wanted: [columns_by_name[name] for name in wanted],

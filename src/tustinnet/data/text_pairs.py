@@ -23,7 +23,7 @@ class Pairs:
 
     Attributes:
         names: names of the columns, times before their values.
-        units: units of values by their names.
+        units: units by the names of columns, as far as they are known.
         factor: seconds in a unit of the times, None where the file does not say it.
     """
 
@@ -67,6 +67,7 @@ def find_pairs(above: Sequence[Sequence[str]], table: Table) -> Pairs | None:
     unit = next((match[1] for match in matches if match), None)
     return Pairs(
         tuple(name for value in values for name in (f"{value}/time", value)),
-        {value: text for value, text in zip(values, texts, strict=False) if text},
+        {value: text for value, text in zip(values, texts, strict=False) if text}
+        | dict.fromkeys([f"{value}/time" for value in values] if unit else [], "s"),
         None if unit is None else TIME[unit],
     )

@@ -29,6 +29,7 @@ from tustinnet.fitting.report import FitResult, Identification, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Task
 from tustinnet.models.contract import require_float64
+from tustinnet.models.written_equations import equations_header
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
@@ -164,6 +165,7 @@ class Run:
                 mean_rmse_by_unit(member.scores, channels),
             ),
             **system_header(self.system),
+            **equations_header(member.result.model),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
             **spoiled_header(self.spoiled, self.left_out),
         }

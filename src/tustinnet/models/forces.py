@@ -424,10 +424,9 @@ class ForceParameter:
     is_level: bool = False
     prior: Callable[[Motion], float] | None = None
 
-    def for_coordinate(self, coordinate: Coordinate, motion: Motion) -> Parameter:
+    def for_coordinate(self, coordinate: Coordinate, force_unit: str, motion: Motion) -> Parameter:
         """The parameter of the law at a coordinate that moves in some way."""
-        force = {"rad": "N m", "m": "N"}.get(coordinate.unit, f"J/{coordinate.unit}")
-        unit = self.unit.format(force=force, position=coordinate.unit)
+        unit = self.unit.format(force=force_unit, position=coordinate.unit)
         prior = None if self.prior is None else self.prior(motion)
         return Parameter(
             f"{coordinate.name}.{self.name}", unit, *self.range(motion), self.fixed, prior

@@ -149,6 +149,8 @@ class LagrangianSystem:
         feedback: the controller in the loop, whose set points are among the inputs; None without.
         alone: the system without the controller in the loop; None without one.
         unmeasured: coordinates that no sensor measures; None without.
+        energy_unit: unit of the energies; another one than J where an inertia is 1 by choice, as
+            `rad^2/s^2` of those per inertia.
     """
 
     name: str
@@ -170,6 +172,7 @@ class LagrangianSystem:
     feedback: PDFeedback | None = None
     alone: "LagrangianSystem | None" = None
     unmeasured: UnmeasuredCoordinates | None = None
+    energy_unit: str = "J"
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]
@@ -195,6 +198,14 @@ class LagrangianSystem:
                 f"of all {len(self.coordinates)}, or none",
             )
         self._require_shapes()
+
+    def force_unit(self, coordinate: Coordinate) -> str:
+        """The unit of generalised forces on a coordinate."""
+        unit = coordinate.unit
+        if self.energy_unit == f"{unit}^2/s^2":
+            return f"{unit}/s^2"
+        forces = {"rad": "N m", "m": "N"} if self.energy_unit == "J" else {}
+        return forces.get(unit, f"{self.energy_unit}/{unit}")
 
     def nominal(self) -> dict[str, float]:
         """The nominal values by name."""

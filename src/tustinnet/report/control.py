@@ -13,7 +13,7 @@ from tustinnet.control.closed_loop import ClosedLoopResult
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.export.write import ControllerExport
 from tustinnet.control.robustness import Robustness
-from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
+from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.tables import Table
 
 _LABEL = 50  # characters of a label of the figure of robustness

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tustinnet.data.drafting.draft import Draft, DraftColumn
-from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style, plot_line
+from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 
 _COLOURS = {
     "time": COLOURS[4],

@@ -1,16 +1,11 @@
 """Figures of records, free runs and trainings."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from io import BytesIO
-from pathlib import Path
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
@@ -20,63 +15,17 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces
-from tustinnet.report.page.signals import bounded, find_extremes
+from tustinnet.report.drawing import COLOURS, INPUT, LONG, MEASURED, figure_style, plot_line
+from tustinnet.report.page.signals import bounded
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, write_into
 
-MEASURED = "#111111"
-INPUT = "#5b7fa6"
-COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _LINEAR_BELOW = 3  # values that differ by a smaller factor are drawn on a linear axis
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
-_BINS = 1200  # fewest along a line of a figure, more than it has pixels
-_LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
-_DOTS = 150  # an inch
 _COVERED = 0.1  # NRMSE below which the lines of measured and simulated positions are one
 _MANY_COORDINATES = 3  # with errors beside positions, as below them the figure would be too high
 _PANEL, _PANEL_WITH_ERROR = 1.9, 3.1  # in: height for a coordinate
-_STYLE = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.titlesize": 9,
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.1,
-    "legend.frameon": False,
-    "svg.hashsalt": "tustinnet",
-    "text.parse_math": False,  # a name with $ is a name
-    "text.usetex": False,  # nor does it reach LaTeX, whatever a `matplotlibrc` says
-}
-
-
-@contextmanager
-def figure_style() -> Iterator[None]:
-    """Style of all figures, within the context; matplotlib's settings outside stay as they are."""
-    with mpl.rc_context(cast(Any, _STYLE)):
-        yield
-
-
-def write_figure(figure: Figure, folder: Path, name: str) -> None:
-    """Writes a figure into a folder, in the format of its ending, completely or not at all.
-
-    Raises:
-        InputError: another ending than .png, .svg or .pdf, or the file cannot be written.
-    """
-    require_outputs([folder / name], overwrite=True, endings=FIGURE_ENDINGS)
-    buffer, ending = BytesIO(), Path(name).suffix[1:].lower()
-    if ending == "png":
-        figure.set_dpi(_DOTS)
-        FigureCanvasAgg(figure).print_png(buffer)  # `savefig` draws twice, to lay out first
-    else:
-        # the bytes say nothing of when they were written, and are the same each time
-        metadata = {"Date" if ending == "svg" else "CreationDate": None}
-        with figure_style():
-            figure.savefig(buffer, format=ending, dpi=_DOTS, metadata=metadata)
-    write_into(folder, name, buffer.getvalue())
 
 
 def free_run_figure(
@@ -98,7 +47,7 @@ def free_run_figure(
         recorded: label of the record's own line.
         bands: bands around the free runs by label.
     """
-    e, is_long = experiment, len(experiment) > _LONG
+    e, is_long = experiment, len(experiment) > LONG
     n_q = e.channels.n_q
     horizon = next((score.horizon for score in runs.values()), None)
     nrmse = np.array([score.nrmse for score in runs.values()])
@@ -163,16 +112,6 @@ def _draw_band(
     low, high = (bounded(end[after, j], e.q[after, j]) for end in (band.low, band.high))
     label = f"{100 * band.level:g} % of {'the time' if band.scope == 'time' else 'whole records'}"
     axes.fill_between(t[after], low, high, color=colour, alpha=0.2, linewidth=0, label=label)
-
-
-def plot_line(
-    axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any
-) -> None:
-    """Draws a line; of a long one only extremes of intervals narrower than a pixel of a PNG."""
-    if len(y) > _LONG:
-        samples = find_extremes(y[:, None], len(y) // _BINS)
-        t, y = t[samples], y[samples]
-    axes.plot(t, y, **style)
 
 
 def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tustinnet.fitting.report import Identification
-from tustinnet.report.figures import COLOURS, INPUT, figure_style
+from tustinnet.report.drawing import COLOURS, INPUT, figure_style
 from tustinnet.report.fits import position_in_range
 
 MOST_DRAWN = 30  # parameters that have room for their names

@@ -45,7 +45,7 @@ def learning_figure(curve: LearningCurve) -> "Figure":
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
-    from tustinnet.report.figures import COLOURS, figure_style
+    from tustinnet.report.drawing import COLOURS, figure_style
 
     with figure_style():
         figure = Figure(figsize=(6.0, 3.8), layout="constrained")

@@ -105,7 +105,7 @@ def design_figure(design: RecordDesign) -> "Figure":
     # the tables of this module are printed before matplotlib is loaded
     from matplotlib.figure import Figure
 
-    from tustinnet.report.figures import INPUT, MEASURED, figure_style
+    from tustinnet.report.drawing import INPUT, MEASURED, figure_style
 
     n = design.channels.n_q
     with figure_style():

@@ -30,7 +30,7 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
     # the table of this module is printed before matplotlib is loaded
     from matplotlib.figure import Figure
 
-    from tustinnet.report.figures import figure_style
+    from tustinnet.report.drawing import figure_style
 
     dt = channels.dt
     with figure_style():
@@ -64,7 +64,7 @@ def downweighted_table(stretches: Sequence[Stretch]) -> Table:
 
 
 def _stems(axes: "Axes", times: np.ndarray, values: np.ndarray, bound: float) -> None:
-    from tustinnet.report.figures import COLOURS, INPUT
+    from tustinnet.report.drawing import COLOURS, INPUT
 
     axes.axhspan(-bound, bound, color=_BAND, alpha=0.2)
     axes.axhline(0, color="0.5", linewidth=0.6)

@@ -96,7 +96,7 @@ def candidates_figure(choice: Choice) -> "Figure":
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    from tustinnet.report.figures import COLOURS, figure_style
+    from tustinnet.report.drawing import COLOURS, figure_style
 
     results = _sort_scored(choice)[::-1]
     with figure_style():

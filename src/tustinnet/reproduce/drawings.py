@@ -10,7 +10,7 @@ from matplotlib.patches import FancyArrowPatch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path
 from numpy.typing import ArrayLike
 
-from tustinnet.report.figures import COLOURS, INPUT, MEASURED, figure_style
+from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style
 
 Pair = tuple[float, float]
 

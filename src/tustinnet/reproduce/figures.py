@@ -109,7 +109,7 @@ def _write_runs(name: str, runs: dict[str, Score], data: DataSet, stem: Path) ->
 
 
 def _write_formats(figure: "Figure", stem: Path) -> list[Path]:
-    from tustinnet.report.figures import write_figure
+    from tustinnet.report.drawing import write_figure
 
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:

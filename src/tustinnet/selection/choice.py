@@ -17,6 +17,7 @@ from tustinnet.evaluate.scores import Score, scores_header
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
+from tustinnet.models.written_equations import equations_header
 from tustinnet.selection.final_models import FinalModel, SelectionResults
 from tustinnet.selection.folds import kind_of
 from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
@@ -285,6 +286,7 @@ class Choice:
                 "standard_error": mean_and_error(rmse.values())[1],
             },
             **self.context.system_header(final.model),
+            **equations_header(final.model),
             **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
             **spoiled_header(self.spoiled, self.left_out),
         }

@@ -147,10 +147,16 @@ class Mechanism(SystemTemplate):
             functions["potential"],
             functions["dissipation"],
             functions["input_map"],
+            energy_unit=_energy_unit(coordinates),
         )
 
 
 MECHANISM = Mechanism()
+
+
+def _energy_unit(coordinates: Sequence[Coordinate]) -> str:
+    """The unit of energies, of which the first inertia is 1."""
+    return f"{coordinates[0].unit}^2/s^2"
 
 
 def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
@@ -187,7 +193,7 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
     """Inertias as shares: the first is the unit, so forces are accelerations."""
     terms: list[Term] = []
     for i, c in enumerate(coordinates):
-        unit = {"rad": "kg m^2", "m": "kg"}.get(c.unit, f"J s^2/{c.unit}^2")
+        unit = "1" if c.unit == coordinates[0].unit else f"{coordinates[0].unit}^2/{c.unit}^2"
         terms.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
         if len(coordinates) > _FEW:
             terms += _chain_inertias(coordinates, i)

@@ -70,13 +70,13 @@ class Log:
         has_header: whether the first row of a file whose columns have no names is a header; None
             where they have names.
         record: label of one of several records in the file, None for a whole file.
-        clocks: columns of times [s], of which the first has those of all samples here; empty
+        clocks: columns of times, of which the first has those of all samples here; empty
             where columns have no times of their own.
         units: units by column, where the file has them.
         has_damaged_rows: whether rows that are no samples are left out.
         labels: what the file calls columns in texts beside them.
         clock_of: the column of the times of each column that has times of its own.
-        spans: first and last time of each of these columns in the file [s].
+        spans: first and last time of each of these columns in the file.
         joined: other files of the record by their labels.
         factor: seconds in a unit of the first of `clocks`.
     """
@@ -411,7 +411,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
     unit, because, sure = "s", "in s, as the file says", True
-    if not own_times or logs[0].joined:
+    if not own_times or logs[0].joined or logs[0].units.get(best) != "s":
         unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
     intervals = _intervals([log.values[best] for log in logs])

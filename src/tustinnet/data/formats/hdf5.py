@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.reader import REAL, Array, Contents, Part, Reader, Shape
+from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape, parts_of_groups
 from tustinnet.errors import InputError
 
 _DEEPEST = 20  # groups in one another
@@ -73,7 +73,9 @@ def _contents(path: Path) -> Contents:
             texts = (item.data.attrs.get(key) for key in _UNITS)
             unit = next((text for text in texts if isinstance(text, str | bytes)), "")
             units[item.name] = unit if isinstance(unit, str) else unit.decode("utf-8", "replace")
-    return Contents(arrays, others, units=units, parts=_parts([name for name, _ in arrays]))
+    return Contents(
+        arrays, others, units=units, parts=parts_of_groups([name for name, _ in arrays])
+    )
 
 
 def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
@@ -113,22 +115,6 @@ def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:
                     if _is_elsewhere(inner):
                         raise _elsewhere_error(path, full)
                     yield _Item(full, inner, field, shape)
-
-
-def _parts(names: list[str]) -> dict[str, Part]:
-    """Groups beside one another with arrays of the same names: they are records."""
-    inside: dict[str, set[str]] = {}
-    for name in names:
-        pieces = name.split("/")
-        for k in range(1, len(pieces)):
-            inside.setdefault("/".join(pieces[:k]), set()).add("/".join(pieces[k:]))
-    siblings: dict[str, list[str]] = {}
-    for group in inside:
-        siblings.setdefault(group.rpartition("/")[0], []).append(group)
-    for groups in siblings.values():
-        if len(groups) > 1 and all(inside[group] == inside[groups[0]] for group in groups):
-            return {group.rpartition("/")[2]: Part(f"{group}/") for group in groups}
-    return {}
 
 
 READER = Reader("h5py", _contents, _arrays)

@@ -67,3 +67,19 @@ class Reader:
     arrays: Callable[[Path, set[str]], dict[str, Array]]
     extra: str = ""
     speed: float = 10e6
+
+
+def parts_of_groups(names: list[str]) -> dict[str, Part]:
+    """Groups beside one another, `run1/` and `run2/`, with arrays of the same names: records."""
+    inside: dict[str, set[str]] = {}
+    for name in names:
+        pieces = name.split("/")
+        for k in range(1, len(pieces)):
+            inside.setdefault("/".join(pieces[:k]), set()).add("/".join(pieces[k:]))
+    siblings: dict[str, list[str]] = {}
+    for group in inside:
+        siblings.setdefault(group.rpartition("/")[0], []).append(group)
+    for groups in siblings.values():
+        if len(groups) > 1 and all(inside[group] == inside[groups[0]] for group in groups):
+            return {group.rpartition("/")[2]: Part(f"{group}/") for group in groups}
+    return {}

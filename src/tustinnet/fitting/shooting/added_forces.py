@@ -85,7 +85,8 @@ def force_parameters(
             )
         motion = replace(motion, width=values.get(force.own_width))
         coordinate = replace(system.coordinates[force.index], name=force.channel)
-        every = [need.for_coordinate(coordinate, motion) for need in force.brought.values()]
+        unit = system.force_unit(coordinate)
+        every = [need.for_coordinate(coordinate, unit, motion) for need in force.brought.values()]
         parameters |= {p.name: p for p in every}
     # frictions that were added before share some
     return tuple(p for name, p in parameters.items() if name not in system.added_parameters)

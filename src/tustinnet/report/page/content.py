@@ -118,6 +118,7 @@ def _model_content(result: ModelResult) -> dict[str, Any]:
     return {
         "label": reported.label,
         "warmUp": reported.model.warm_up,
+        "energyUnit": result.energy_unit,
         "ahead": [pack(errors) for errors in result.ahead.T],
         "residuals": [
             {

@@ -14,6 +14,7 @@ from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_altern
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
+from tustinnet.models.physical_values import equations_in
 from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.simulate.range import ExtrapolationPoint, Range
 from tustinnet.simulate.starts import start_named
@@ -40,8 +41,9 @@ class ModelResult:
         every: predictions ahead begin at one sample in so many.
         residuals: residuals by coordinate, empty where a free run diverges.
         bands: bands around the free runs, empty of a model without.
-        energies: energies at measured and at simulated states [J], None of a model without
-            equations of motion.
+        energies: energies at measured and at simulated states, from the lowest measured one on;
+            None of a model without equations of motion.
+        energy_unit: their unit, empty of a model without.
         notes: results that are missing, and the reasons.
     """
 
@@ -54,6 +56,7 @@ class ModelResult:
     residuals: Sequence[ResidualReport]
     bands: Sequence[Band]
     energies: tuple[Energies, Energies] | None
+    energy_unit: str
     notes: tuple[str, ...]
 
 
@@ -104,7 +107,10 @@ def compute_model_result(
         ahead = rmse_ahead_by_unit(errors, model.channels)
     measured = energy_along(model, records, [e.measured_states() for e in records])
     simulated = energy_along(model, records, runs)
-    energies = None if measured is None or simulated is None else (measured, simulated)
+    equations, energies = equations_in(model), None
+    if measured is not None and simulated is not None:
+        lowest = min(float(energy.min()) for energy in measured)  # where 0 is, is a choice
+        energies = [e - lowest for e in measured], [e - lowest for e in simulated]
     return ModelResult(
         reported,
         scores,
@@ -115,5 +121,6 @@ def compute_model_result(
         residuals,
         bands,
         energies,
+        "" if equations is None else equations.system.energy_unit,
         tuple(notes),
     )

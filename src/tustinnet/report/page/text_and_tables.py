@@ -12,6 +12,7 @@ from tustinnet.data.spoiled import KEY as SPOILED
 from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError
+from tustinnet.models.written_equations import equations_header
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.fits import (
     ESTIMATE_COLUMNS,
@@ -234,6 +235,12 @@ def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
         places = [*map(_place, others), *[None] * len(many_fixed)]
         groups.append(ParameterGroup(reported.label, title, table, places, is_collapsed=True))
     return groups
+
+
+def equations_of(results: Sequence[ModelResult]) -> list[tuple[str, tuple[str, ...]]]:
+    """The equations of motion of each model that has some which can be read, by its label."""
+    written = {r.reported.label: equations_header(r.reported.model) for r in results}
+    return [(label, header["equations"]) for label, header in written.items() if header]
 
 
 def _place(e: Estimate) -> tuple[float, float, float]:

@@ -186,6 +186,7 @@ def _make_context(
         "scores": comparison_table(records, scores, start),
         "by_coordinate": text.coordinates_table(results, channels),
         "parameters": [group for groups in parameters for group in groups],
+        "equations": text.equations_of(results),
         "base_parameters": text.base_parameter_tables(results),
         "forces": text.forces_table(results),
         "stages": text.stages_table(results),

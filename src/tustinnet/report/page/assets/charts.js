@@ -36,10 +36,11 @@ function timeCharts() {
       lines: record().runs.map((run, i) => lineOf(i, run.error[j])),
     }), { timed: true, height: 160 });
   });
+  const [energyUnit] = data.models.map((model) => model.energyUnit).filter(Boolean);
   if ($("plots-energy"))
     new Plot($("plots-energy"), "Energy against time, at measured and at simulated states", () => ({
-      x: record().t, y: "energy [J]",
-      lines: record().runs.flatMap((run, i) => (run.energy.length ? [
+      x: record().t, y: `energy [${energyUnit}]`,
+      lines: record().runs.flatMap((run, i) => (run.energy.length && data.models[i].energyUnit === energyUnit ? [
         lineOf(i, run.energy[0], { label: `measured, by ${data.models[i].label}`, width: 0.7, dash: undefined }),
         lineOf(i, run.energy[1]),
       ] : [])),

@@ -1,0 +1,129 @@
+"""Equations of motion as people write them, with the values that a fit found."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from tustinnet.errors import InputError
+from tustinnet.models.contract import ContinuousModel, Model
+from tustinnet.models.physical_values import equations_in
+from tustinnet.program.reading import Unreadable, read
+from tustinnet.program.sums import Sum, Symbol, TooLong, read_sums, write_latex, write_plain
+
+_MOST_COORDINATES = 4  # more are chains, whose equations fill pages
+_LONGEST = 600  # characters of an equation in plain text
+_GREEK = {
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa"),
+    *("lambda", "mu", "nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
+}
+
+
+@dataclass(frozen=True)
+class EquationsOfMotion:
+    """The equations of motion of a model, one a coordinate.
+
+    Attributes:
+        text: in plain text: `theta'' = -20 sin(theta) - 0.8 theta' + 4 torque`.
+        latex: in LaTeX.
+    """
+
+    text: tuple[str, ...]
+    latex: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.text)
+
+    def _repr_latex_(self) -> str:
+        lines = r" \\ ".join(line.replace("=", "&=", 1) for line in self.latex)
+        return rf"$$\begin{{aligned}} {lines} \end{{aligned}}$$"
+
+
+def equations_of_motion(model: Model | ContinuousModel) -> EquationsOfMotion:
+    """The equations of motion in a model, with its values.
+
+    The left side has the accelerations with their inertias, the right side all forces; an equation
+    of one acceleration is divided by a constant inertia. Positions are in rad or m.
+
+    Args:
+        model: a model with equations of motion, of a group where values differ by groups.
+
+    Raises:
+        InputError: a model without equations of motion, or whose equations are too long to read.
+    """
+    equations = equations_in(model)
+    if equations is None:
+        raise InputError("equations", "a model without equations of motion", "one with them")
+    system = equations.system.plant
+    equations = system.model({p.name: equations.values[p.name] for p in system.parameters})
+    coordinates = [_symbol_name(name) for name in system.coordinate_names]
+    if (n := len(coordinates)) > _MOST_COORDINATES:
+        raise _too_long(f"{n} coordinates")
+    own = [_symbol_name(name.replace(" ", "_")) for name in system.states.memory.names]
+    n_z, n_u = len(own), len(system.inputs)
+
+    def forces(q: Any, v: Any, *others: Any) -> dict[str, Any]:
+        z = others[0] if n_z else jnp.zeros(0)
+        u = others[-1] if n_u else jnp.zeros(0)
+        force = equations.conservative(q, v) + equations.applied(q, v, z, u)
+        return {"inertia": equations.mass_matrix(q).ravel(), "force": force}
+
+    symbols = {
+        "q": coordinates,
+        "v": [_derivative(c, 1) for c in coordinates],
+        **({"z": own} if n_z else {}),
+        **({"u": [_symbol_name(i.name) for i in system.inputs]} if n_u else {}),
+    }
+    try:
+        program = read(forces, {name: len(group) for name, group in symbols.items()})
+        sums = read_sums(program, symbols)
+    except (Unreadable, TooLong) as error:
+        raise _too_long(str(error)) from error
+    accelerations = [_derivative(c, 2) for c in coordinates]
+    inertia = np.array(sums["inertia"], object).reshape(n, n)
+    text, latex = [], []
+    for i in range(n):
+        row, force = list(inertia[i]), sums["force"][i]
+        alone = row[i].value if all(x.value == 0 for k, x in enumerate(row) if k != i) else None
+        if alone:
+            row[i], force = Sum.number(1.0), force.scaled(1 / alone)
+        left = Sum.number(0.0)
+        for x, a in zip(row, accelerations, strict=True):
+            left = left + x.grouped() * Sum.factor(a)
+        text.append(f"{write_plain(left)} = {write_plain(force)}")
+        latex.append(f"{write_latex(left)} = {write_latex(force)}")
+        if len(text[-1]) > _LONGEST:
+            raise _too_long(f"an equation of {len(text[-1])} characters")
+    return EquationsOfMotion(tuple(text), tuple(latex))
+
+
+def equations_header(model: Model | ContinuousModel) -> dict[str, tuple[str, ...]]:
+    """The entry of a model file's header with the equations; none where they cannot be read."""
+    try:
+        return {"equations": equations_of_motion(model).text}
+    except InputError:
+        return {}
+
+
+def _too_long(found: str) -> InputError:
+    return InputError("equations", found, "equations that can be read")
+
+
+def _symbol_name(name: str) -> Symbol:
+    """The symbol of a name: Greek letters are those, other names stand upright."""
+    stem, _, index = name.partition("_")
+    if stem.lower() in _GREEK:
+        letter = rf"\{stem}"
+        return Symbol(name, f"{letter}_{{{index}}}" if index else letter)
+    if re.fullmatch("[A-Za-z][0-9]*", name):
+        return Symbol(name, f"{name[0]}_{{{name[1:]}}}" if name[1:] else name)
+    upright = name.replace("_", r"\_")
+    return Symbol(name, rf"\mathrm{{{upright}}}")
+
+
+def _derivative(symbol: Symbol, order: int) -> Symbol:
+    """A derivative by time."""
+    mark = r"\dot" if order == 1 else r"\ddot"
+    return Symbol(symbol.text + "'" * order, rf"{mark}{{{symbol.latex}}}")

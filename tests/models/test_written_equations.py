@@ -1,0 +1,83 @@
+"""Equations of motion as people write them say what the model computes."""
+
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy import cos, exp, sign, sin, sqrt, tanh  # noqa: F401 (of the formulas)
+
+import tustinnet as tn
+from tustinnet.errors import InputError
+from tustinnet.models.written_equations import equations_header
+
+
+def nominal(system: tn.LagrangianSystem) -> tn.LagrangianModel:
+    """The model of a system with the values that its parameters begin with."""
+    return system.model({name: jnp.asarray(value) for name, value in system.nominal().items()})
+
+
+LIBRARY = ("reaction_wheel", "crane", "ball_and_beam", "cart_pole", "duffing", "positioning_axis")
+
+
+def test_the_equation_of_a_pendulum_is_that_of_the_textbook() -> None:
+    channels = (tn.Coordinate("theta", "angular"),), (tn.Input("torque", "N m"),)
+    system = tn.LagrangianSystem(
+        "pendulum",
+        *channels,
+        (tn.Parameter("stiff", "N m", 20.0, 1.0, 50.0),),
+        kinetic=lambda q, v, p: 0.25 * v[0] ** 2,
+        potential=lambda q, p: -p["stiff"] * jnp.cos(q[0]),
+        dissipation=lambda q, v, p: 0.4 * v,
+        input_map=lambda q, v, u, p: 2.0 * u,
+    )
+    written = tn.equations_of_motion(nominal(system))
+    assert str(written) == "theta'' = -40 sin(theta) + 4 torque - 0.8 theta'"
+    assert written.latex == (
+        r"\ddot{\theta} = -40\, \sin\left(\theta\right) + 4\, \mathrm{torque} "
+        r"- 0.8\, \dot{\theta}",
+    )
+    assert written._repr_latex_().startswith(r"$$\begin{aligned} \ddot{\theta} &= -40")
+
+
+def evaluate(text: str, numbers: dict[str, float]) -> float:
+    """The value of one side of an equation in plain text."""
+    factor = r"(?<=[\w')|]) (?=[\w(|])"  # a blank between factors is a product
+    text = re.sub(r"\|([^|]*)\|", r"abs(\1)", text)
+    text = re.sub(factor, " * ", text).replace("^", "**")
+    for name in sorted(numbers, key=len, reverse=True):
+        text = re.sub(rf"(?<!\w){re.escape(name)}(?![\w'])", f"({numbers[name]!r})", text)
+    return float(eval(text))
+
+
+@pytest.mark.parametrize("name", ["qube-servo2", *LIBRARY])
+def test_both_sides_are_equal_where_the_model_accelerates_so(name: str) -> None:
+    folder = "src/tustinnet/systems/library"
+    place = name if name == "qube-servo2" else f"{folder}/{name}.py"
+    system = tn.load_system(place)
+    model = nominal(system)
+    equations = tn.equations_of_motion(model)
+    generator = np.random.default_rng(1)
+    for _ in range(3):
+        x = generator.normal(size=2 * len(system.coordinates))
+        u = generator.normal(size=len(system.inputs))
+        a = np.asarray(model.acceleration(jnp.asarray(x), jnp.asarray(u)))
+        names = [c.name for c in system.coordinates]
+        numbers = dict(zip(names, x, strict=False))
+        numbers |= {f"{n}'": v for n, v in zip(names, x[len(names) :], strict=True)}
+        numbers |= {f"{n}''": y for n, y in zip(names, a, strict=True)}
+        numbers |= {i.name: float(y) for i, y in zip(system.inputs, u, strict=True)}
+        for line in equations.text:
+            left, right = (evaluate(side, numbers) for side in line.split(" = "))
+            terms = [
+                abs(evaluate(t, numbers))
+                for t in re.split(r" [+-] (?![^(]*\))", line.split(" = ")[1])
+            ]
+            assert left == pytest.approx(right, abs=2e-3 * max(terms))
+
+
+def test_models_without_equations_and_long_ones_are_refused_with_the_reason() -> None:
+    arm = tn.load_system("benchmarks/simulated/systems/planar_arm.py")
+    with pytest.raises(InputError, match="equations that can be read"):
+        tn.equations_of_motion(nominal(arm))
+    assert equations_header(nominal(arm)) == {}
