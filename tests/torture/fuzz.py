@@ -80,7 +80,7 @@ def targets(place: Path) -> dict[str, Target]:
             partial(_check_model, place, kind),
             0.3,
         )
-        for kind in (*material.KINDS, "euler-lagrange")
+        for kind in (*material.KINDS, "linear", "euler-lagrange")
     ]
     found += [
         Target("card", place / "dataset.toml", "text", partial(_check_card, place), 4),

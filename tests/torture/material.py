@@ -14,6 +14,7 @@ from conftest import CARD, SMALL_RECIPE, record, write_folder
 
 import tustinnet as tn
 from tustinnet.data.catalog import QUBE_SERVO2
+from tustinnet.families.linear import FAMILY, LinearHyper
 from tustinnet.fits.request import FitRequest, PreparedFit, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.task import make_task
@@ -156,6 +157,9 @@ def write_all(place: Path) -> None:
     write_logs(place)
     for kind in KINDS:
         tn.save(model(kind), place / f"{kind}.safetensors")
+    train = records().split("train")
+    linear = FAMILY.one_step_model(LinearHyper(kind="linear", internal=1), [*train], "auto")
+    tn.save(linear, place / "linear.safetensors")
     tn.save(physics(), place / "euler-lagrange.safetensors")
     (place / "recipe.toml").write_text(recipe("tustin-net"))
     (place / "search.toml").write_text(SEARCH)

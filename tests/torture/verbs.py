@@ -38,7 +38,7 @@ _OUTPUTS = ("--out", "--figure", "--figures")
 _COMPUTING = (
     "tustinnet.fits.in_folder.fit_task",
     "tustinnet.selection.jobs.fit_task",
-    "tustinnet.selection.select.Halving.run",
+    "tustinnet.selection.select.run_jobs",
     "tustinnet.systems.qube_servo2_twin.twin",
 )
 _COPY = "system.py"  # kept beside a model that is written

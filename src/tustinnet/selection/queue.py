@@ -14,7 +14,6 @@ import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.deadline import NEVER, Deadline
-from tustinnet.fitting.recipe import Recipe
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
@@ -98,7 +97,7 @@ class CandidateQueue:
         self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
         self._promising = promising
         self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
-        self._seconds_of_kind: dict[tuple[str, float], float] = {}
+        self._seconds_of_usual: dict[float, float] = {}  # of what usually takes so long
         self._running = list[Job]()
         self._jobs: dict[tuple[str, str], Job] = {}  # all that began, by candidate and name
         self._stopped: dict[tuple[str, str], float] = {}  # seconds of jobs that may go on
@@ -233,14 +232,15 @@ class CandidateQueue:
         return self._expected(job) * self._options.rarely**power
 
     def _expected(self, job: Job) -> float:
-        """Expected seconds of a job: as it took before, else as others of its kind, else as usual.
+        """Expected seconds of a job: as before, else as one that usually takes as long, else that.
 
         Nothing where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
-        of_kind = self._seconds_of_kind.get(_kind(job.recipe), job.recipe.usual_seconds)
-        return self._seconds.get(job.candidate, of_kind) * len(job.seeds)
+        usual = job.recipe.usual_seconds
+        here = self._seconds_of_usual.get(usual, usual)
+        return self._seconds.get(job.candidate, here) * len(job.seeds)
 
     def _is_on_disk(self, job: Job) -> bool:
         """Whether a run that is resumed has the scores of a job."""
@@ -329,7 +329,7 @@ class CandidateQueue:
         self.results[name] = self.results[name].with_job(result)
         if result.ended != "failed":
             self._seconds[name] = result.seconds / len(job.seeds)
-            self._seconds_of_kind[_kind(job.recipe)] = self._seconds[name]
+            self._seconds_of_usual[job.recipe.usual_seconds] = self._seconds[name]
         if result.ended == "out of time":
             self._stopped[name, job.name] = result.seconds
         if result.ended != "done" and not result.earlier:  # what was said when it was done
@@ -435,8 +435,3 @@ class CandidateQueue:
             f"on {counted(len(rmse), 'record')}, "
             f"{len(best.fits_by_fold)} of {counted(folds, 'fold')}"
         )
-
-
-def _kind(recipe: Recipe) -> tuple[str, float]:
-    """A key that recipes share whose fits take about as long."""
-    return recipe.family.kind, recipe.usual_seconds
