@@ -13,7 +13,7 @@ def row(law: Law) -> str:
     parameters = []
     for p in law.parameters:
         at_input = law.is_at_input
-        made = p.for_input(VOLTAGE, MOTION) if at_input else p.for_coordinate(THETA, MOTION)
+        made = p.for_input(VOLTAGE, MOTION) if at_input else p.for_coordinate(THETA, "N m", MOTION)
         fixed = ", fixed" if p.fixed else ""
         parameters.append(f"`{made.name}` ({p.symbol}) [{made.unit}]{fixed}")
     return f"| `{law.name}` | {law.help} | {'; '.join(parameters)} |"

@@ -263,7 +263,7 @@ def test_forces_are_added_to_robots_with_elastic_gears(law, encoder):
     new = tuple(
         p.for_input(system.inputs[1], motion)
         if at_input
-        else p.for_coordinate(system.coordinates[1], motion)
+        else p.for_coordinate(system.coordinates[1], "N", motion)
         for p in force.brought.values()
     )
     more = with_forces(system, (name,), new)

@@ -227,7 +227,7 @@ def draft_into_run(
         return card
     folder, files = list_logs([folder], follow_links=follow_links)
     draft = make_draft(folder, files, is_asking=False, follow_links=follow_links)
-    if card.is_file() and any(is_readable(path) for path in out.iterdir()):
+    if card.is_file() and any(is_readable(p) and p.suffix != ".json" for p in out.iterdir()):
         raise InputError(
             out, "a folder of records with a card of its own", "another folder for the run"
         )
