@@ -5,6 +5,7 @@ Loggers write what arrives, or topics are merged by their times, as `time,angle,
 as a topic of a bag.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from tustinnet.errors import InputError
 MISSING = 0.1  # of the rows; columns that lack fewer have damaged rows
 NOTE = "rows with values of some columns only: each has the times of its own"
 FEW_VALUES = "fewer than 10 values, or times that repeat"  # what is no topic
+_TIME = re.compile(r"(?i)time|zeit|stamp|(?<![a-z])t(?![a-z])")
 _FEWEST_VALUES = 10  # of a topic, and of the others beside it
 
 Rows = Bool[np.ndarray, " n"]
@@ -71,4 +73,5 @@ def _is_time(name: str, read: Callable[[str], Column]) -> bool:
         steps = np.diff(read(name))
     except InputError:  # text
         return False
-    return bool((steps >= 0).all() and steps.any() and (steps != 1).any())
+    is_named = _TIME.search(name) is not None
+    return bool(is_named and (steps >= 0).all() and steps.any() and (steps != 1).any())
