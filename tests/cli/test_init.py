@@ -159,6 +159,8 @@ def test_fit_drafts_a_card_into_its_own_folder(tiny_recipe, tmp_path, capsys):
     card.write_text(card.read_text() + "# mine\n")
     assert "dataset.toml: there already" in tustinnet(capsys, *words)[2]
     assert card.read_text().endswith("# mine\n")
+    (out / "log.jsonl").touch()  # as an identification leaves it
+    assert "dataset.toml: there already" in tustinnet(capsys, *words)[2]
 
 
 def test_links_that_leave_the_folder_are_read_only_if_that_is_said(logs, tmp_path, capsys):

@@ -192,3 +192,7 @@ def test_the_json_of_other_programs_beside_logs_is_left_out_with_a_line(tmp_path
     draft = tn.draft(tmp_path)
     assert "settings.json" not in draft.text
     assert any("settings.json" in note for note in draft.notes)
+    # nor is it a record of a card that names no files
+    card, _, _ = draft.text.partition("[splits]")
+    (tmp_path / "dataset.toml").write_text(card)
+    assert [e.name for e in tn.load(tmp_path)] == ["run0", "run1"]

@@ -219,6 +219,7 @@ def draft_into_run(
     from tustinnet.data.drafting.files import list_logs
     from tustinnet.data.readers import is_readable
     from tustinnet.store.files import lock_folder, require_outputs
+    from tustinnet.store.run_folder import OWN
 
     require_apart(out, folder)
     card, console = out / CARD_NAME, terminal.messages()
@@ -227,7 +228,7 @@ def draft_into_run(
         return card
     folder, files = list_logs([folder], follow_links=follow_links)
     draft = make_draft(folder, files, is_asking=False, follow_links=follow_links)
-    if card.is_file() and any(is_readable(p) and p.suffix != ".json" for p in out.iterdir()):
+    if card.is_file() and any(is_readable(p) and p.name not in OWN for p in out.iterdir()):
         raise InputError(
             out, "a folder of records with a card of its own", "another folder for the run"
         )

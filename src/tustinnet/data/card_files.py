@@ -28,7 +28,10 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
     ]
     if not card.splits:
         # these files exist: their names need no check
-        entries = [(None, FileCard.model_construct(file=file)) for file in list_logs_in(folder)]
+        files = list_logs_in(folder)
+        # JSON beside logs of another format are settings of the rig
+        files = [file for file in files if not file.lower().endswith(".json")] or files
+        entries = [(None, FileCard.model_construct(file=file)) for file in files]
     split_by_part: dict[tuple[str, str], str | None] = {}
     for split, entry in entries:
         other = split_by_part.setdefault((entry.file, entry.part), split)
@@ -37,15 +40,15 @@ def list_record_files(folder: Path, card: Card) -> list[tuple[str | None, FileCa
                 entry.file, f"listed in the splits {other} and {split}", "one split a file"
             )
     stems = Counter(Path(entry.file).stem for _, entry in entries)
-    files = Counter(entry.file for _, entry in entries)
+    counts = Counter(entry.file for _, entry in entries)
     result = []
     for split, entry in entries:
         name = entry.name
         if name is None:
             path = Path(entry.file)
-            unique = stems[path.stem] == files[entry.file]
+            unique = stems[path.stem] == counts[entry.file]
             name = path.stem if unique else path.with_suffix("").as_posix().replace("/", "_")
-            if entry.cell is not None or entry.record is not None or files[entry.file] > 1:
+            if entry.cell is not None or entry.record is not None or counts[entry.file] > 1:
                 name += entry.part
             try:
                 require_name(name, entry.file)

@@ -36,6 +36,7 @@ SCORES = "scores.json"  # of a job of a selection
 BASE_PARAMETERS = "base_parameters.csv"  # of an identification by inverse dynamics
 TABLE = "candidates.md"  # of a selection
 CHECKPOINT = "checkpoint.safetensors"
+OWN = (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION, TABLE, BASE_PARAMETERS)  # in a run's folder
 WRITTEN = (MODEL, LOG, DAMAGED, CHECKPOINT)  # into the folder of a member
 
 Earlier = Literal["refuse", "resume", "discard"]  # the treatment of a run that is there
@@ -88,5 +89,5 @@ def discard_results(folder: Path) -> None:
         remove_below(place, WRITTEN)
         with suppress(OSError):  # other files are in it
             place.rmdir()
-    for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION, TABLE, BASE_PARAMETERS):
+    for name in OWN:
         (folder / name).unlink(missing_ok=True)
