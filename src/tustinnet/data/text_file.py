@@ -41,7 +41,7 @@ _FEWEST_ALIKE = 3  # rows that show which columns are texts
 _LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
-_EMPTY = ("", "nan", "null", "none")  # cells without a value, in small letters
+_NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
 _HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
@@ -207,7 +207,7 @@ def _split_if_merged(
 
 
 def _has_value(cells: "pl.Series") -> Bool[np.ndarray, " n"]:
-    return (~cells.fill_null("").str.strip_chars().str.to_lowercase().is_in(_EMPTY)).to_numpy()
+    return (~cells.fill_null("").str.contains(_NO_VALUE)).to_numpy()
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ def _value(
         case "input":
             return [Sum.factor(symbol) for symbol in symbols[node.data]]
         case "number":
-            return [Sum.number(node.data.value if hasattr(node.data, "value") else node.data)]
+            return [Sum.number(node.data)]
         case "table":
             return [Sum.number(x) for x in program.tables[node.data].tolist()]
         case "pick":
@@ -210,7 +210,7 @@ def _apply(op: str, x: list[Sum]) -> Sum:
 
 # --- as text ---
 
-_PLAIN_NAMES = {"max": "max", "min": "min", "rem": "mod", "select": "if"}
+_NAMES = {"rem": "mod", "select": "if"}
 _SIGNS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "and": "and", "or": "or"}
 _LATEX_FUNCTIONS = {"sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "max", "min"}
 
@@ -265,7 +265,7 @@ def _write_factor(factor: Factor, *, is_latex: bool) -> str:
         return f"{left}{f' {_SIGNS[factor.name]} '.join(parts)}{right}"
     if factor.name == "abs":
         return rf"\left|{parts[0]}\right|" if is_latex else f"|{parts[0]}|"
-    name = _PLAIN_NAMES.get(factor.name, factor.name)
+    name = _NAMES.get(factor.name, factor.name)
     if is_latex:
         name = rf"\{name}" if name in _LATEX_FUNCTIONS else rf"\operatorname{{{name}}}"
     return f"{name}{left}{', '.join(parts)}{right}"

@@ -93,9 +93,9 @@ def _read(path: Path) -> _Arrays:
     """All that a file holds; names without the key that all of them are under."""
     arrays = _Arrays()
     arrays.add("", _parse(path, arrays.notes))
-    while len({*(name.partition("/")[0] for name in arrays.numbers)}) == 1:
-        if not all("/" in name for name in arrays.numbers):
-            break
+    while len({name.partition("/")[0] for name in arrays.numbers}) == 1 and all(
+        "/" in name for name in arrays.numbers
+    ):
         arrays.numbers = {name.partition("/")[2]: a for name, a in arrays.numbers.items()}
     return arrays
 
@@ -115,10 +115,10 @@ def _parse(path: Path, notes: list[str]) -> Any:
             "write it as CSV or Parquet",
         )
     text = path.read_text(encoding="utf-8-sig")
-    lines = [line for line in text.splitlines() if line.strip()]
     try:
         return json.loads(text)
     except json.JSONDecodeError:
+        lines = [line for line in text.splitlines() if line.strip()]
         if len(lines) < 2 or lines[0].rstrip()[-1] not in "]}":
             raise
     try:

@@ -14,7 +14,7 @@ from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_altern
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
 from tustinnet.evaluate.scores import Score, evaluate
-from tustinnet.models.physical_values import equations_in
+from tustinnet.families.family import family_of
 from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.simulate.range import ExtrapolationPoint, Range
 from tustinnet.simulate.starts import start_named
@@ -107,7 +107,7 @@ def compute_model_result(
         ahead = rmse_ahead_by_unit(errors, model.channels)
     measured = energy_along(model, records, [e.measured_states() for e in records])
     simulated = energy_along(model, records, runs)
-    equations, energies = equations_in(model), None
+    equations, energies = family_of(model).equations(model), None
     if measured is not None and simulated is not None:
         lowest = min(float(energy.min()) for energy in measured)  # where 0 is, is a choice
         energies = [e - lowest for e in measured], [e - lowest for e in simulated]
