@@ -1,8 +1,9 @@
 """The queue of a selection: which job is next, and what is known of the candidates by then.
 
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
-more folds and with more seeds. Of all that could change the ranking next is what takes least: a
-first fit of what was never tried, or a further one of those that are among the best.
+more folds and with more seeds. Next is what could change the ranking soonest: first fits, the
+quickest first; then what takes least of further fits of those that are among the best, and of
+first fits of a second network of a kind.
 """
 
 import math
@@ -223,13 +224,18 @@ class CandidateQueue:
 
     # --- what it costs ---
 
-    def _weight(self, candidate: Candidate, job: Job, rounds_behind: int) -> float:
-        """Expected seconds of a candidate's next job, more where it rarely changes the ranking."""
-        power = rounds_behind
+    def _weight(self, candidate: Candidate, job: Job, rounds_behind: int) -> tuple[bool, float]:
+        """A key that orders candidates: first fits before the others, then expected seconds.
+
+        These count more where the job rarely changes the ranking. A first fit of a second network
+        of a kind is none of the first.
+        """
+        power, is_late = rounds_behind, rounds_behind > 0
         if candidate.name not in {*self._seconds, *self._promising}:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
-        return self._expected(job) * self._options.rarely**power
+            is_late = power > 0 and candidate.content.family.has_seeds
+        return is_late, self._expected(job) * self._options.rarely**power
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
