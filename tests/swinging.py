@@ -167,15 +167,17 @@ def read_by_encoder(e: tn.Experiment) -> tn.Experiment:
     )
 
 
-def driven_again(system: LagrangianSystem, values: dict[str, float]) -> list[tn.Experiment]:
-    """What another system does from the starts and voltages of the records, through encoders."""
+def driven_again(
+    system: LagrangianSystem, values: dict[str, float], by: Iterable[tn.Experiment] | None = None
+) -> list[tn.Experiment]:
+    """What another system does from the starts and voltages of records, through encoders."""
     model = tn.discretise(
         system.model({k: jnp.asarray(x) for k, x in (system.nominal() | TRUTH | values).items()}),
         DT,
         8,
     )
     made = []
-    for e in records():
+    for e in by or records():
         begun = jnp.concatenate([jnp.asarray(e.q[0]), jnp.asarray(e.velocities()[0])])
         x0 = np.asarray(model.initial_state(begun, jnp.asarray(e.u[0])))
         x = np.asarray(tn.rollout(model, x0, e.u[:-1]))

@@ -5,7 +5,7 @@ from documented import section
 from tustinnet.channels import Coordinate, Input
 from tustinnet.models.forces import LAWS, Law, Motion
 
-MOTION = Motion(1.0, 1.0, 1.0, 1.0, dt=0.01, longest=8.0)
+MOTION = Motion(1.0, 1.0, 1.0, 1.0, ends=(-1.0, 1.0), dt=0.01, longest=8.0, drive=1.0)
 THETA, VOLTAGE = Coordinate("theta", "angular"), Input("voltage", "V")
 
 

@@ -47,6 +47,11 @@ VALUES = {
     **{f"{law}_{i}": 0.1 * i for law in ("curve", "slip") for i in (1, 2, 3, 4, 5)},
     "slip_travel": 0.4,
     "armature": 0.3,
+    "lower_end": 0.1,
+    "upper_end": 0.6,
+    "stop_stiffness": 2.0,
+    "stop_damping": 0.5,
+    "dead_zone": 0.4,
 }
 Z = 0.25  # deflection of a spring that relaxes, or of a friction with memory
 LUGRE_RATE = -1.1 - 1.1 * Z * (0.6 / 0.4) / (0.6 + 0.5 * np.exp(-((1.1 / 0.8) ** 2)))
@@ -58,6 +63,7 @@ AGAINST = {  # what each law does against the motion of the angle
     "slip": 0.1 + 0.2 + 0.3 * Z / 0.4 + 0.4 * Z / 1.2 + 0.5 * Z / 4.0,
     "load": forces.coulomb(V[1], 0.2 * jnp.sin(X[1]), 0.1),
     "coulomb_by_position": forces.coulomb(V[1], 0.7 * X[1], 0.1),
+    "end_stops": 2.0 * (X[1] - 0.6) * (1 + 0.5 * V[1]),
     "spring": 1.5 * X[1],
     "cubic": 2.5 * X[1] ** 3,
     "constant": 0.4,
@@ -156,6 +162,29 @@ def test_what_slips_winds_up_holds_and_is_cut_to_its_travel():
     # it has turned back: the small elements slip one way, the large ones still hold the other
     assert x[1] < 0
     assert x[2] < 0 < x[6]
+
+
+def test_ends_of_travel_push_back_and_never_pull():
+    ends = forces.end_stops
+    assert ends(0.3, 5.0, 0.1, 0.6, 2.0, 0.5) == 0.0
+    assert ends(0.7, 1.0, 0.1, 0.6, 2.0, 0.5) == pytest.approx(0.2 * 1.5)
+    assert ends(0.0, -1.0, 0.1, 0.6, 2.0, 0.5) == pytest.approx(-0.2 * 1.5)
+    assert ends(0.7, -3.0, 0.1, 0.6, 2.0, 0.5) == 0.0, "it leaves faster than the end follows"
+
+
+def test_within_a_dead_zone_an_input_does_nothing():
+    system = nominal(added(CART, "dead_zone"))
+    assert system.internal == ()
+    assert system.system.added_parameters == ("force.dead_zone",)
+    x, plain = jnp.concatenate([X, V]), nominal(CART)
+    for u, acts in ((0.3, 0.0), (-0.4, 0.0), (2.0, 1.6), (-1.0, -0.6)):
+        found = system.derivative(x, jnp.array([u]))
+        np.testing.assert_allclose(found, plain.derivative(x, jnp.array([acts])), rtol=1e-6)
+    # of what a lag has reached
+    lagging = nominal(added(CART, "lag", "dead_zone"))
+    found = lagging.derivative(jnp.concatenate([x, jnp.array([0.3])]), jnp.array([2.0]))
+    np.testing.assert_allclose(found[:4], plain.derivative(x, jnp.zeros(1)), rtol=1e-6)
+    np.testing.assert_allclose(found[4], (2.0 - 0.3) / 0.5, rtol=1e-6)
 
 
 def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():

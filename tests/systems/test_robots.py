@@ -259,7 +259,8 @@ def test_forces_are_added_to_robots_with_elastic_gears(law, encoder):
     at_input = LAWS[law].is_at_input
     name = f"{law}:{system.inputs[1].name if at_input else 'elbow'}"
     (force,) = parse_forces(system, [name])
-    motion = Motion(force=3.0, position=0.5, travel=0.5, speed=1.0, dt=0.005, longest=10.0)
+    ends, drive = (-0.7, 0.8), 2.0
+    motion = Motion(3.0, 0.5, 0.5, 1.0, ends, dt=0.005, longest=10.0, drive=drive)
     new = tuple(
         p.for_input(system.inputs[1], motion)
         if at_input

@@ -26,10 +26,11 @@ from tustinnet.models.forces import (
     ForceParameter,
     ForceWithMemory,
     Friction,
+    InputCurve,
     Law,
     Spring,
 )
-from tustinnet.models.internal_states import Memory, Values
+from tustinnet.models.internal_states import NO_MEMORY, Memory, Values
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.old_names import FORCES, refuse_old_names
 
@@ -192,10 +193,14 @@ def with_forces(
     frictions.sort(key=lambda force: force.law.needs_limited_travel)
     with_states = [f for f in added if isinstance(f.law, ForceWithMemory | ActuatorLag)]
     lagging = {f.index: k for k, f in enumerate(with_states) if f.law.is_at_input}
+    curves = {f.index: (f, law) for f in added if isinstance(law := f.law, InputCurve)}
 
-    def reached(q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
-        """The inputs, in the place of those that lag the states that follow them."""
-        return jnp.stack([z[lagging[i]] if i in lagging else u[i] for i in range(len(u))])
+    def acting(q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
+        """What acts: the inputs, in the place of those that lag the states that follow them."""
+        reached = [z[lagging[i]] if i in lagging else u[i] for i in range(len(u))]
+        for i, (force, law) in curves.items():
+            reached[i] = law.acting(reached[i], *force.values(p))
+        return jnp.stack(reached)
 
     def dissipation(q: Any, v: Any, p: Values) -> Any:
         total = compute_friction(frictions, system.potential, q, v, p)
@@ -207,9 +212,9 @@ def with_forces(
 
     inertias = [force for force in added if isinstance(force.law, AddedInertia)]
     changed: dict[str, Any] = _with_inertias(system, inertias) if inertias else {}
-    if with_states:
-        memory = reduce(Memory.followed_by, map(_memory_of, with_states))
-        changed |= system.inside(memory, reached if lagging else None)
+    if with_states or curves:
+        memory = reduce(Memory.followed_by, map(_memory_of, with_states), NO_MEMORY)
+        changed |= system.inside(memory, acting if lagging or curves else None)
     return replace(
         system,
         parameters=(*system.parameters, *parameters),

@@ -184,6 +184,32 @@ def backlash_spring(q: Value, stiffness: Value, gap: Value) -> Any:
     return stiffness * jnp.maximum(jnp.abs(q) - gap, 0.0) ** 2 / 2
 
 
+def end_stops(
+    q: Value, v: Value, lower: Value, upper: Value, stiffness: Value, damping: Value
+) -> Any:
+    """Force of two ends of travel against positive motion [N m or N].
+
+    Beyond an end by x, `k x max(1 + d dx/dt, 0)`: it pushes and never pulls, and has no jump. A
+    coordinate that arrives at w leaves at about `w (1 - 2 d w / 3)` for small `d w`, and hardly
+    leaves for large.
+
+    Args:
+        q: position [rad or m].
+        v: velocity [rad/s or m/s].
+        lower: position of the lower end [rad or m].
+        upper: position of the upper end [rad or m].
+        stiffness: k of both [N m/rad or N/m].
+        damping: d of both [s/rad or s/m].
+
+    References:
+        Hunt, Crossley (1975), Coefficient of restitution interpreted as damping in vibroimpact,
+        Journal of Applied Mechanics 42(2), with the exponent 1.
+    """
+    beyond = [(jnp.maximum(q - upper, 0.0), v), (jnp.maximum(lower - q, 0.0), -v)]
+    above, below = (x * jnp.maximum(1.0 + damping * speed, 0.0) for x, speed in beyond)
+    return stiffness * (above - below)
+
+
 def maxwell_rate(v: Value, z: Value, relaxation: Value) -> Any:
     """Rate of a Maxwell element's elastic deflection: `dz/dt = v - r z` [rad/s or m/s].
 
@@ -327,6 +353,16 @@ def lag_rate(u: Value, w: Value, time_constant: Value) -> Any:
     return (u - w) / time_constant
 
 
+def dead_zone(u: Value, width: Value) -> Any:
+    """What acts of an input that has a dead zone: `u - clip(u, -d, d)`, 0 within.
+
+    Args:
+        u: the input, in its unit.
+        width: d, up to which nothing acts, in the same.
+    """
+    return u - jnp.clip(u, -width, width)
+
+
 def dc_motor(
     voltage: Value,
     speed: Value,
@@ -359,8 +395,10 @@ class Motion:
         position: distance from 0, root mean square [rad or m].
         travel: distance from the mean, root mean square [rad or m].
         speed: root mean square [rad/s or m/s].
+        ends: positions below and above which a hundredth of the samples are [rad or m].
         dt: sampling period [s].
         longest: duration of the longest record [s].
+        drive: largest absolute value of the input, of a law at an input, in its unit.
         width: width of the smoothed sign, where a law takes that of the system's own Coulomb
             friction [rad/s or m/s]; None otherwise.
     """
@@ -369,8 +407,10 @@ class Motion:
     position: float
     travel: float
     speed: float
+    ends: tuple[float, float]
     dt: float
     longest: float
+    drive: float = 0.0
     width: float | None = None
 
     @property
@@ -403,7 +443,8 @@ class ForceParameter:
     Attributes:
         name: its name, as files keep it.
         symbol: its letter in the formula of the law.
-        unit: its unit, with `{force}` and `{position}` for those of a coordinate.
+        unit: its unit, with `{force}` and `{position}` for those of a coordinate, `{input}` for
+            that of an input.
         range: initial value, lower and upper end of the search, from the motion in the records.
         fixed: whether the search leaves it at its initial value.
         shared: whether the laws of a coordinate share one parameter of this name.
@@ -434,9 +475,8 @@ class ForceParameter:
 
     def for_input(self, channel: Input, motion: Motion) -> Parameter:
         """The parameter of the law at an input; `motion` is that of any coordinate."""
-        return Parameter(
-            f"{channel.name}.{self.name}", self.unit, *self.range(motion), fixed=self.fixed
-        )
+        unit = self.unit.format(input=channel.unit)
+        return Parameter(f"{channel.name}.{self.name}", unit, *self.range(motion), fixed=self.fixed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -528,6 +568,18 @@ class ActuatorLag(Law):
     is_at_input: bool = True
 
 
+@dataclass(frozen=True, kw_only=True)
+class InputCurve(Law):
+    """What acts on the system in the place of an input, or of what follows it with a lag.
+
+    Attributes:
+        acting: `acting(u, *values)`, in the unit of the input.
+    """
+
+    acting: Callable[..., Any]
+    is_at_input: bool = True
+
+
 def _from_zero(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange]:
     """A range from 0 on, where the search begins."""
     return lambda motion: (0.0, 0.0, most(motion))
@@ -572,6 +624,24 @@ def _presliding_deflections(motion: Motion) -> SearchRange:
     least = motion.speed * motion.dt / 4
     most = max(motion.travel, 16 * least)
     return min(max(0.05 * motion.travel, 4 * least), most), least, most
+
+
+def _end(motion: Motion, which: int) -> SearchRange:
+    """Where few samples are beyond, and half of the travel to each side of that.
+
+    Further inside, ends would stand for what is missing between them.
+    """
+    around = motion.travel / 2
+    return motion.ends[which], motion.ends[which] - around, motion.ends[which] + around
+
+
+def _stop_stiffness(motion: Motion) -> SearchRange:
+    """By which the usual force reaches a tenth of the travel into an end, a hundredth and less.
+
+    Soft ends have derivatives where hard ones have none to speak of.
+    """
+    soft = 10.0 * motion.force / motion.travel
+    return soft, 0.1 * soft, 100.0 * soft
 
 
 def _time_constants(motion: Motion) -> SearchRange:
@@ -693,6 +763,24 @@ _LAWS: tuple[Law, ...] = (
         parameters=(_LOAD_SHARE, _OWN_SMOOTH_SPEED),
         force=coulomb_by_load,
         needs_load=True,
+    ),
+    Friction(
+        name="end_stops",
+        is_linear=False,
+        help="ends of travel: beyond an end by x, `k x max(1 + d dx/dt, 0)` back",
+        parameters=(
+            ForceParameter("lower_end", "e_1", "{position}", lambda m: _end(m, 0)),
+            ForceParameter("upper_end", "e_2", "{position}", lambda m: _end(m, 1)),
+            ForceParameter("stop_stiffness", "k", "{force}/{position}", _stop_stiffness),
+            ForceParameter(
+                "stop_damping",
+                "d",
+                "s/{position}",
+                lambda m: (10.0 / m.speed, 0.0, 100.0 / m.speed),
+            ),
+        ),
+        needs_limited_travel=True,
+        force=end_stops,
     ),
     Spring(
         name="spring",
@@ -845,6 +933,13 @@ _LAWS: tuple[Law, ...] = (
         help="inertia of a motor, `J a`: of use where a motor turns with several coordinates, as "
         "`armature:A+B`",
         parameters=(_ARMATURE,),
+    ),
+    InputCurve(
+        name="dead_zone",
+        is_linear=False,
+        help="dead zone of an input: nothing acts up to d, and beyond it `abs(u) - d`",
+        parameters=(ForceParameter("dead_zone", "d", "{input}", _from_zero(lambda m: m.drive)),),
+        acting=dead_zone,
     ),
     ActuatorLag(
         name="lag",

@@ -163,6 +163,9 @@ class Memory:
         )
 
 
+NO_MEMORY = Memory((), lambda q, v, z, p: z)
+
+
 def _call(function: Callable[..., Any], before: tuple[Array, ...], u: Any, p: Values) -> Array:
     """The result of a function that may take the inputs between other arguments and parameters."""
     inputs = (u,) if takes_inputs(function, f"{'qvz'[: len(before)]}p") else ()
@@ -229,7 +232,7 @@ class InternalStates:
     """
 
     unmeasured: UnmeasuredCoordinates = UnmeasuredCoordinates((), lambda q, p: q[:0])
-    memory: Memory = Memory((), lambda q, v, z, p: z)
+    memory: Memory = NO_MEMORY
 
     @cached_property
     def names(self) -> tuple[str, ...]:

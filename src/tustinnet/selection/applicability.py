@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import coordinate_timescales
+from tustinnet.data.inspection import coordinate_timescales, rotating_coordinates
 from tustinnet.errors import InputError
 from tustinnet.fits.timing import LAG
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
@@ -12,6 +12,7 @@ from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import resolve_system
+from tustinnet.models.forces import LAWS
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
@@ -72,6 +73,8 @@ def _reason_against(candidate: Candidate, context: RunContext, speed: str) -> st
         reason = f"only for {candidate.when} records"
     elif adds_lag(candidate) and not channels.inputs:
         reason = "only for records with inputs"
+    elif _needs_limited_travel(candidate) and _all_turn_around(context):
+        reason = "only for coordinates with an end, and all turn around"
     elif channels.controller is not None and _ignores_controller(candidate):
         reason = "without the controller of the data card"
     elif candidate.when == "no-system" and context.system is not None:
@@ -85,8 +88,21 @@ def _reason_against(candidate: Candidate, context: RunContext, speed: str) -> st
 
 def adds_lag(candidate: Candidate) -> bool:
     """Whether the recipe of a candidate adds the lag of an actuator."""
-    forces = getattr(candidate.content.model, "forces", ())
-    return any(force.partition(":")[0] == LAG for force in forces)
+    return LAG in _laws(candidate)
+
+
+def _laws(candidate: Candidate) -> list[str]:
+    """The names of the forces that the recipe of a candidate adds."""
+    return [f.partition(":")[0] for f in getattr(candidate.content.model, "forces", ())]
+
+
+def _needs_limited_travel(candidate: Candidate) -> bool:
+    return any(LAWS[name].needs_limited_travel for name in _laws(candidate) if name in LAWS)
+
+
+def _all_turn_around(context: RunContext) -> bool:
+    names = {c.name for c in context.data.channels.coordinates}
+    return rotating_coordinates(records_without_test(context.data)) == names
 
 
 def _identifies(candidate: Candidate) -> bool:

@@ -1,9 +1,9 @@
 """The queue of a selection: which job is next, and what is known of the candidates by then.
 
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
-more folds and with more seeds. Next is what could change the ranking soonest: first fits, the
-quickest first; then what takes least of further fits of those that are among the best, and of
-first fits of a second network of a kind.
+more folds and with more seeds. Next is what could change the ranking soonest: first fits of every
+kind, the quickest first; then what takes least of further fits of those that are among the best,
+and of first fits of second ones of a kind.
 """
 
 import math
@@ -225,17 +225,16 @@ class CandidateQueue:
     # --- what it costs ---
 
     def _weight(self, candidate: Candidate, job: Job, rounds_behind: int) -> tuple[bool, float]:
-        """A key that orders candidates: first fits before the others, then expected seconds.
+        """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
-        These count more where the job rarely changes the ranking. A first fit of a second network
-        of a kind is none of the first.
+        First fits are first, but for second ones of a kind and of what the plan calls `last`. The
+        cost is the expected seconds, which count more the rarer that is.
         """
-        power, is_late = rounds_behind, rounds_behind > 0
+        power = rounds_behind
         if candidate.name not in {*self._seconds, *self._promising}:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
-            is_late = power > 0 and candidate.content.family.has_seeds
-        return is_late, self._expected(job) * self._options.rarely**power
+        return power > 0, self._expected(job) * self._options.rarely**power
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.

@@ -7,7 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import CART, DT, SWING, TRUTH, changed, data_set, driven_again, falls, records
+from swinging import (
+    CART,
+    DT,
+    SWING,
+    TRUTH,
+    changed,
+    data_set,
+    driven_again,
+    falls,
+    records,
+    simulated,
+    voltage,
+)
 
 import tustinnet as tn
 from tustinnet.families.hybrid import HybridModel
@@ -111,6 +123,34 @@ def test_the_lag_of_an_actuator_is_found_and_kept_in_a_file(tmp_path):
     x, u = jnp.array([0.3, -1.0, 0.7]), jnp.array([2.0])
     np.testing.assert_allclose(again.step(x, u), result.model.step(x, u), rtol=1e-12)
     np.testing.assert_allclose(again.initial_state(x[:2], u), [0.3, -1.0, 2.0])
+
+
+def test_ends_of_travel_are_found():
+    """Of a link that a motor drives from one end to the other, where it hardly bounces."""
+    driven = [simulated(f"driven{k}", [0.0, 0.0], 5 * voltage(200, k)) for k in (1, 2, 3)]
+    truth = {"angle.lower_end": -0.35, "angle.upper_end": 0.25}
+    hard = {"angle.stop_stiffness": 60.0, "angle.stop_damping": 2.0}
+    made = driven_again(with_added(SWING, ["end_stops"], driven, {}), truth | hard, driven)
+    result = tn.identify(data_set(made), KNOWN_GAIN, recipe("end_stops"))
+    values = {e.name: (e.value, e.unit) for e in result.estimates}
+    for name, end in truth.items():
+        assert values[name] == (pytest.approx(end, abs=0.03), "rad")
+    assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=0.05)
+
+
+def test_the_dead_zone_of_an_input_is_found_and_kept_in_a_file(tmp_path):
+    truth = {"voltage.dead_zone": 0.4}
+    made = driven_again(with_added(SWING, ["dead_zone"], records(), {}), truth)
+    result = tn.identify(data_set(made), KNOWN_GAIN, recipe("dead_zone"))
+    values = {e.name: (e.value, e.unit) for e in result.estimates}
+    assert values["voltage.dead_zone"] == (pytest.approx(0.4, rel=0.02), "V")
+    assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=0.01)
+    tn.save(result.model, tmp_path / "m.safetensors")
+    again: Any = tn.load_model(tmp_path / "m.safetensors", KNOWN_GAIN)
+    x = jnp.array([0.3, -1.0])
+    for u in (0.2, 2.0):
+        found, wanted = (m.step(x, jnp.array([u])) for m in (again, result.model))
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
 def test_the_lag_of_an_input_that_never_changes_is_refused():

@@ -125,7 +125,7 @@ def _motions(
     These are inertia, the forces of the energies, and the actuators at standstill; of a force at an
     input those at the first coordinate.
     """
-    velocities = [e.velocities() for e in experiments]
+    velocities = [e.velocities("wiener") for e in experiments]
     a = [np.gradient(v, e.dt, axis=0) for v, e in zip(velocities, experiments, strict=True)]
     q, u = ([getattr(e, name) for e in experiments] for name in ("q", "u"))
     q, v, a, u = map(np.concatenate, (q, velocities, a, u))
@@ -151,7 +151,10 @@ def _motions(
             along[i] = factor
         of_force = max(float(size[i]) for i, _ in places)
         position, speed = (float(_size(x @ along)) for x in (q, v))
-        motions.append(Motion(of_force, position, float(np.std(q @ along)), speed, dt, longest))
+        travel, (lower, upper) = float(np.std(q @ along)), np.percentile(q @ along, (1, 99))
+        ends = float(lower), float(upper)
+        drive = float(np.abs(u[:, force.index]).max()) if force.law.is_at_input else 0.0
+        motions.append(Motion(of_force, position, travel, speed, ends, dt, longest, drive))
     return motions
 
 

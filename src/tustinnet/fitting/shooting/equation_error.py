@@ -81,7 +81,7 @@ def collect_motion(
         group_indices: the values of parameters per group that apply in each, see
             `groups.group_indices`; no parameter per group by default.
     """
-    velocities = [e.velocities() for e in experiments]
+    velocities = [e.velocities("wiener") for e in experiments]
     length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
     begins, record, offset = [], [], 0
     for i, e in enumerate(experiments):

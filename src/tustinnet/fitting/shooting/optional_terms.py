@@ -29,8 +29,7 @@ _NEEDED = 0.1  # share of the cost of records left out by which it rises without
 _MOST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
 _STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
 _CLEARLY = 0.5  # times the cost from the initial values: another start is clearly better
-_WORSE = 1.2  # times the predicted cost: the second-order model did not hold so far
-_HALVES = 2  # times that fewer terms are dropped then
+_HALVES = 2  # times that fewer terms are dropped where the second-order model did not hold
 # of the largest parameter: where one that moves so far to make up for others costs as much as a
 # term that is needed; less where the second-order model did not hold so far
 _REACHES = (10.0, 1.0, 0.1)
@@ -190,7 +189,7 @@ def _drop_some(
         if trial.is_stopped:
             return problem, replace(state, is_stopped=True)
         predicted = max(state.last_result.cost, cost.best_cost(fixed))
-        if trial.last_result.cost <= _WORSE * predicted:
+        if trial.last_result.cost <= (1 + _NEEDED) * predicted:
             return fewer, trial
         fixed = dict(list(fixed.items())[: len(fixed) // 2])
     return None
