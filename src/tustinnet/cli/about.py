@@ -24,17 +24,24 @@ All commands: tustinnet --help; of one: tustinnet fit --help; Tab completes: --i
 _VARIABLES = ("JAX_", "XLA_", "TUSTINNET_", "CUDA_VISIBLE")  # beginnings of the names that matter
 
 
-def next_steps(model: Path, data: str) -> str:
-    """Commands to go on with after a fit: test the residuals, export the model.
+def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> str:
+    """Commands to go on with after a fit.
 
     Args:
         model: the model's file.
         data: the records as the user named them.
+        follows: whether the model follows the records better than a trivial predictor; where not,
+            there is nothing to use it for.
+        has_inputs: whether it has inputs, by which it can be controlled.
     """
-    return (
-        f"tustinnet residuals {model} {data} (test its errors), "
-        f"tustinnet export {model} --to c --out model-c (use it elsewhere)"
-    )
+    steps = [f"tustinnet residuals {model} {data} (test its errors)"]
+    if not follows:
+        steps.append(f"tustinnet inspect {data} (look at the records)")
+    else:
+        steps.append(f"tustinnet export {model} --to c --out model-c (use it elsewhere)")
+        if has_inputs:
+            steps.append(f"tustinnet control {model} --at NAME=VALUE --out controller (control it)")
+    return ", ".join(steps)
 
 
 def version() -> str:

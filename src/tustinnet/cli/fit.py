@@ -332,7 +332,13 @@ def _print_run(run: "Run", data: str) -> None:
         terminal.echo(f"* {sentence}")
     for sentence in fit_summary(run):
         terminal.echo(sentence)
-    terminal.echo(f"next: {about.next_steps(run.folder / MODEL, data)}")
+    steps = about.next_steps(
+        run.folder / MODEL,
+        data,
+        follows=run.follows,
+        has_inputs=bool(run.roles.train[0].channels.inputs),
+    )
+    terminal.echo(f"next: {steps}")
 
 
 def _draw_run(run: "Run", data: "DataSet") -> None:

@@ -108,7 +108,13 @@ def select(
         )
     if not fit_options.json:
         print_files(choice, page or "")
-        terminal.echo(f"next: {about.next_steps(folder / MODEL, report.data_words)}")
+        steps = about.next_steps(
+            folder / MODEL,
+            report.data_words,
+            follows=choice.follows,
+            has_inputs=bool(choice.context.data.channels.inputs),
+        )
+        terminal.echo(f"next: {steps}")
     require_report(page)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from tustinnet.channels import Channels
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
+from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import (
     Score,
     evaluate,
@@ -98,6 +99,16 @@ class Run:
     def best(self) -> MemberRun:
         """The member with the lowest mean RMSE."""
         return min(self.members, key=lambda run: run.mean)
+
+    @cached_property
+    def reference(self) -> Reference:
+        """What a trivial predictor is off by on the records that rank the members."""
+        return find_reference(self.roles.ranking, self.best.scores[0].horizon)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the best model follows these records better than a trivial predictor."""
+        return self.best.mean < self.reference.mean
 
     @cached_property
     def training_rmse(self) -> Mapping[str, float]:

@@ -44,7 +44,7 @@ def candidates_table(choice: Choice) -> Table:
         if s is not best:
             sign = "+" if difference.mean >= 0 else ""
             against = sign + cell(difference.mean, difference.standard_error)
-            if difference.records != count:
+            if difference.records < max(count, len(best.rmse())):
                 against += f" (on {difference.records})"
         rows.append(
             [

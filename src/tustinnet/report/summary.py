@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import mean_rmse_by_unit
 from tustinnet.fits.run import Run
 from tustinnet.fitting.recipe import TrainingRecipe
@@ -51,7 +50,7 @@ def _describe_accuracy(run: Run) -> str:
     finite = [s for s in scores if math.isfinite(s.rmse)]
     if not finite:
         return f"all free runs of {counted(len(scores), 'record')} diverge"
-    reference = find_reference(run.roles.ranking, scores[0].horizon)
+    reference = run.reference
     percent = 100 * np.mean([s.nrmse for s in finite], axis=0)
     shares = ", ".join(
         f"{share:.2g} % of {c.name}'s"
@@ -75,5 +74,6 @@ def _describe_accuracy(run: Run) -> str:
         f"record{'s' if len(finite) > 1 else ''} are off by "
         f"{amounts(mean_rmse_by_unit(finite, channels))} (mean RMSE): {shares} "
         f"standard deviation; {reference.label} is off by {amounts(reference.mean_by_unit)}"
-        f"{diverged}{remark}"
+        f"{diverged}{'' if run.follows else f'; it follows them no better than {reference.label}'}"
+        f"{remark}"
     )

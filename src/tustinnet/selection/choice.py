@@ -108,6 +108,12 @@ class Choice:
         return training_support(self.context.data.channels, self._records)
 
     @property
+    def follows(self) -> bool:
+        """Whether the chosen one follows the records better than a trivial predictor."""
+        mean, _ = mean_and_error(self.result(self.best).rmse().values())
+        return mean < self.reference.mean
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The accuracy of the chosen model, and the reasons for it, in plain words."""
         best, unit = self.result(self.best), self.unit
@@ -142,7 +148,7 @@ class Choice:
             remedies += [] if self.budget is None else ["give more time (`budget=`)"]
             remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
             follows = "no candidate follows these records closely"
-            if share >= 1:
+            if not self.follows:
                 follows = f"nothing follows these records {length}better than {reference.label}"
             sentences.append(f"{follows}: {' or '.join(remedies)}")
         sentences.append(self._comparison_with_next(best))
