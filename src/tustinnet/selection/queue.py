@@ -35,8 +35,8 @@ class QueueOptions:
         least: seconds without which nothing is tried: a network is compiled before it learns; and
             the share of a short time that is enough.
         rarely: factor of the time of what rarely changes the ranking: for every round that a
-            candidate has behind it; twice for a first try of a second one of a kind, and of what
-            the plan calls `last`.
+            candidate has behind it, and every kind that is better; twice for a first try of a
+            second one of a kind, and of what the plan calls `last`.
         again: times what a fit took before it was stopped, that have to be left for it to go on: it
             compiles, or begins, anew.
         fewest: kinds of candidates that go on to the next round, where there are as many.
@@ -139,11 +139,17 @@ class CandidateQueue:
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
         steps, rounds = [], self._climb()
+        kinds = self._best_of_kinds(rank([*self.results.values()]))
+        place = {result.name: place for place, result in enumerate(kinds)}
+        for c in reversed(self._candidates):
+            for name in self._needed(c) if c.name in place else ():
+                place[name] = min(place[c.name], place.get(name, place[c.name]))
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
                     if c.name in names:
-                        steps.append((self._weight(c, jobs[0], number), c, jobs))
+                        weight = self._weight(c, jobs[0], number + place.get(c.name, 0))
+                        steps.append((weight, c, jobs))
                     break
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
 
@@ -194,10 +200,14 @@ class CandidateQueue:
             kept = {result.name for result in kinds[:count]}
             for c in reversed(self._candidates):
                 if c.name in kept:
-                    needed = (self._best_of(c.corrects), self._best_of(c.begins_with))
-                    kept |= {result.name for result in needed if result}
+                    kept |= self._needed(c)
             rounds.append([name for name in rounds[-1] if name in kept])
         return rounds
+
+    def _needed(self, candidate: Candidate) -> set[str]:
+        """The best that a candidate corrects and begins with, by name."""
+        needed = (self._best_of(candidate.corrects), self._best_of(candidate.begins_with))
+        return {result.name for result in needed if result}
 
     def _best_of_kinds(self, ranking: Sequence[CandidateResult]) -> list[CandidateResult]:
         """The simplest of each kind of model that is as good as its best, in the order of these."""
@@ -224,13 +234,18 @@ class CandidateQueue:
 
     # --- what it costs ---
 
-    def _weight(self, candidate: Candidate, job: Job, rounds_behind: int) -> tuple[bool, float]:
+    def _weight(self, candidate: Candidate, job: Job, behind: int) -> tuple[bool, float]:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
         First fits are first, but for second ones of a kind and of what the plan calls `last`. The
         cost is the expected seconds, which count more the rarer that is.
+
+        Args:
+            candidate: the candidate.
+            job: its next job.
+            behind: rounds that it has behind it, and kinds that are better.
         """
-        power = rounds_behind
+        power = behind
         if candidate.name not in {*self._seconds, *self._promising}:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
