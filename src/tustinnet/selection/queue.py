@@ -238,7 +238,7 @@ class CandidateQueue:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
         First fits are first, but for second ones of a kind and of what the plan calls `last`. The
-        cost is the expected seconds, which count more the rarer that is.
+        cost is the expected seconds, which count more the rarer that is, and for every fold before.
 
         Args:
             candidate: the candidate.
@@ -249,7 +249,8 @@ class CandidateQueue:
         if candidate.name not in {*self._seconds, *self._promising}:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
-        return power > 0, self._expected(job) * self._options.rarely**power
+        folds = max(len(self.results[candidate.name].fits_by_fold), 1)
+        return power > 0, folds * self._expected(job) * self._options.rarely**power
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
