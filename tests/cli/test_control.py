@@ -46,6 +46,23 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     assert abs(design["equilibrium"]["states"]["angle"] - np.pi) < 0.1
 
 
+def test_what_fails_on_another_plant_is_not_written(model, system, tmp_path, capsys):
+    weak = tmp_path / "weak.py"
+    weak.write_text(system.read_text().replace('p: p["gain"]', 'p: -p["gain"]'))
+    out = tmp_path / "held"
+    told = ("control", model, "--at", "angle=180deg", *LIMITS, "--starts", 2, "--plant", weak)
+    code, text, messages = tustinnet(capsys, *told, "--out", out)
+    assert code == 1
+    assert "plant weak.py" in text
+    assert "the controller: meets the goal in 0 of 2 runs on another plant" in messages
+    assert "--force writes it all the same" in messages
+    assert not out.exists() or not any(out.iterdir())
+    code, text, messages = tustinnet(capsys, *told, "--force", "--json", "--out", out)
+    assert code == 0, messages
+    assert json.loads(text)["problem"]
+    assert (out / "controller.c").is_file()
+
+
 def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, tmp_path, capsys):
     out = tmp_path / "swung"
     code, text, messages = tustinnet(

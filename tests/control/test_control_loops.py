@@ -13,10 +13,11 @@ import tustinnet as tn
 from tustinnet.control.closed_loop import ClosedLoopResult, Goal, closed_loop
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.plants import ModelPlant, qube_twin
-from tustinnet.control.robustness import assess_robustness, draw_starts
+from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
 from tustinnet.control.sampled_plant import PlantOptions
 from tustinnet.control.variants import FRICTION, make_variants, with_friction_factor
 from tustinnet.errors import InputError
+from tustinnet.models.physical_values import with_values
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_VALUES
 
@@ -124,7 +125,6 @@ def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
         (0.0, 3.0, UPRIGHT, "never reached", "alpha came to 3 from"),
         (0.0, 1e-4, UPRIGHT, "lost", "reached at 0.00 s and lost at"),
         (9.0, 3.0, UPRIGHT, "left its limits", "theta left -2.5..2.5 at"),
-        (0.0, 2.2, Goal({"alpha": -np.pi}, {"alpha": 0.5}, 1.45), "reached too late", "of 1.50"),
     ],
 )
 def test_a_goal_that_is_not_met_says_why(voltage, start, goal, end, sentence):
@@ -137,6 +137,21 @@ def test_a_goal_that_is_not_met_says_why(voltage, start, goal, end, sentence):
     assert sentence in outcome.sentence
     assert not outcome.is_success
     assert outcome.time_to_reach is None
+
+
+def test_what_is_reached_late_is_held_for_as_long_as_it_is_to_be():
+    model = example("qube")
+    estimator, plant = ExtendedKalmanFilter(model, NOISE), ModelPlant(model)
+    goal = Goal({"alpha": -np.pi}, {"alpha": 0.1}, hold=2.0)
+    begin = np.array([0.0, 2.5])
+    alone = closed_loop(plant, Constant(0.0), estimator, 3000, begin, 0, goal)
+    assert alone.outcome is not None
+    assert alone.outcome.time_to_reach is not None
+    reached = round(alone.outcome.time_to_reach / model.dt)
+    run = closed_loop(plant, Constant(0.0), estimator, reached + 10, begin, 0, goal)
+    assert run.outcome is not None
+    assert run.outcome.end == "held"
+    assert len(run.inputs) == pytest.approx(reached + 200, abs=2)
 
 
 def test_saturation_is_said():
@@ -251,6 +266,26 @@ def test_a_network_has_no_physics_and_a_committee_has_members():
     assert sizes == [0, 0, 0]
     hybrid = make_variants(example("qube hybrid"), replace(NOISE), count=1)
     assert "moved 10 %" in [kind.name for kind in hybrid]
+
+
+def test_what_holds_its_own_model_alone_is_no_promise():
+    """Beside another candidate whose gravity pulls the other way."""
+    model = grey_box()
+    turned = with_values(model, {"pendulum_centre": -0.06})
+    kinds = make_variants(model, NOISE, count=4, candidates=[turned])
+    estimator, starts = ExtendedKalmanFilter(model, NOISE), draw_starts([0.0, 0.0], [0.2, 0.1], 4)
+
+    def play(controller: Regulator, *names: str) -> Robustness:
+        chosen = [kind for kind in kinds if kind.name in names]
+        return assess_robustness(chosen, controller, estimator, starts, UPRIGHT, 250)
+
+    table = play(Regulator(model), "nominal", "candidates")
+    assert table.problem.startswith("meets the goal in 0 of 4 runs on other candidates of its run")
+    # a delay that the records do not allow speaks against nothing
+    alone = play(Regulator(model), "nominal", "delay 2")
+    assert alone["delay 2"].share < 0.5
+    assert not alone.problem
+    assert "runs on the model through" in play(Regulator(model, limit=0.1), "nominal").problem
 
 
 def test_encoders_of_variants_count_as_the_filter_assumes():

@@ -16,6 +16,7 @@ from small_selection import NETWORK_ONLY, plan_in, swings
 from swinging import SWING, TRUTH
 
 import tustinnet as tn
+from tustinnet.control.plants import load_rivals
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
@@ -23,6 +24,7 @@ from tustinnet.fits import deadline
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
+from tustinnet.models.physical_values import equations_in
 from tustinnet.report.selection import candidates_table
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import final_models, jobs, queue, scoring
@@ -36,7 +38,7 @@ from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.store.header import read_header
 from tustinnet.store.kept_system import HEADER
 from tustinnet.store.model_file import read_system_name
-from tustinnet.store.run_folder import Earlier
+from tustinnet.store.run_folder import Earlier, find_rivals
 from tustinnet.systems.files import find_system
 
 
@@ -93,6 +95,16 @@ def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
     assert bands.start == made.choice.context.scoring.start
     assert any("bands (simulate `band=`) of up to 83 %" in of for of in made.choice.sentences)
     assert header["identification"]["estimates"]  # without its errors it had no alternatives
+
+
+def test_rivals_are_other_candidates_with_equations_of_motion(made, alone):
+    folder, best = made.choice.context.folder, made.choice.best
+    files = find_rivals(folder / "model.safetensors")
+    assert files
+    assert all(file.is_file() and best not in file.parts for file in files)
+    rivals = load_rivals(folder / "model.safetensors", SWING)
+    assert all(equations_in(model) is not None for model in rivals)
+    assert find_rivals(alone[0].context.folder / "candidates" / "nothing.safetensors") == []
 
 
 def test_one_model_a_fold_says_nothing_of_bands(alone):

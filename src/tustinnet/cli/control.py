@@ -13,9 +13,10 @@ from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from tustinnet.data.experiment import Experiment
+    from tustinnet.models.contract import Model
 
 _LONGEST = 1000  # s, of a motion
 LOOP, ROBUSTNESS, SUMMARY, PAGE = "closed_loop.png", "robustness.png", "design.json", "control.html"
@@ -126,6 +127,14 @@ def control(
             help="For a model with values by group: the group, e.g. payload=1kg; may be repeated.",
         ),
     ] = None,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Write a controller that fails on its own model, or on others that the records "
+            "allow as well.",
+        ),
+    ] = False,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -147,6 +156,7 @@ def control(
     from tustinnet.control.plants import load_plant
     from tustinnet.control.trial import try_design
     from tustinnet.models.groups import model_for_groups
+    from tustinnet.models.physical_values import equations_in
     from tustinnet.report.control import (
         closed_loop_figure,
         margins_table,
@@ -217,19 +227,25 @@ def control(
             f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant"
         )
         plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
-        trial = try_design(design, header, plants=plants, count=starts)
-        export = export_controller(
-            simulator,
-            design.gains,
-            design.noise,
-            out,
-            deviations=design.deviations,
-            within=design.task.within,
-            file=model,
-            overwrite=overwrite,
+        is_physical = equations_in(simulator) is not None
+        candidates = [] if is_physical else _load_rivals(model, system, groups)
+        trial = try_design(design, header, plants=plants, count=starts, candidates=candidates)
+        is_refused = bool(trial.robustness.problem) and not force
+        export = (
+            None
+            if is_refused
+            else export_controller(
+                simulator,
+                design.gains,
+                design.noise,
+                out,
+                deviations=design.deviations,
+                within=design.task.within,
+                file=model,
+                overwrite=overwrite,
+            )
         )
         content = summarise(design, trial.robustness, export)
-        write_into(out, SUMMARY, to_json(content))
         if json:
             terminal.print_json(content)
         else:
@@ -240,6 +256,16 @@ def control(
                 robustness_table(trial.robustness, simulator.channels),
             )
             terminal.echo(trial.robustness.sentence)
+        if export is None:
+            remedies = ["record motion about the goal with inputs"]
+            remedies += [] if is_physical else ["fit equations of motion (--recipe mechanism)"]
+            raise InputError(
+                "the controller",
+                f"{trial.robustness.problem}; nothing was written",
+                "one that holds more than its model",
+                f"{', or '.join(remedies)}; --force writes it all the same",
+            )
+        write_into(out, SUMMARY, to_json(content))
         write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
         write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
         write_control_page(
@@ -254,3 +280,12 @@ def control(
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
         )
+
+
+def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, float]") -> "list[Model]":
+    """Other candidates with equations of motion, beside a model that has none."""
+    from tustinnet.control.plants import load_rivals
+    from tustinnet.models.groups import model_for_groups
+
+    rivals = load_rivals(model, system)
+    return [model_for_groups(one, groups, "control") for one in rivals]

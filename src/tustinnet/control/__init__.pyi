@@ -30,6 +30,7 @@ from .mpc import Mpc as Mpc
 from .plan import Plan as Plan
 from .plants import ModelPlant as ModelPlant
 from .plants import load_plant as load_plant
+from .plants import load_rivals as load_rivals
 from .plants import qube_twin as qube_twin
 from .plants import system_plant as system_plant
 from .robustness import Robustness as Robustness

@@ -15,7 +15,7 @@ from tustinnet.control.sampled_plant import Plant
 from tustinnet.errors import InputError
 
 Vector = Float[np.ndarray, " _"]
-End = Literal["held", "reached too late", "lost", "never reached", "left its limits", "diverged"]
+End = Literal["held", "lost", "never reached", "left its limits", "diverged"]
 
 _WINDOW = 0.2  # rad, to both sides of an angle that is to be held
 _REACHED = 0.5  # s in the window, from which it counts as reached: a swing passes it faster
@@ -160,7 +160,7 @@ def closed_loop(
         plant: the plant.
         controller: the controller.
         estimator: the estimator.
-        steps: how many periods.
+        steps: how many periods; more where a goal is reached so late that it could not be held.
         start: positions at the start, where the plant is at rest, (n_q,).
         seed: of all that is random in the plant.
         goal: what is to be reached, None for nothing.
@@ -185,8 +185,9 @@ def closed_loop(
     x = estimator.reset(y)
     states, measurements, estimates = [plant.state], [y], [x]
     inputs: list[Vector] = []
-    outside = ""
-    for k in range(steps):
+    outside, k, near = "", 0, 0
+    held = 0 if goal is None else _held_samples(goal, plant.dt)
+    while k < steps or 0 < near <= held:
         u = controller.inputs(k, x)
         plant.apply(u)
         y = plant.measure()
@@ -203,39 +204,44 @@ def closed_loop(
             outside = goal.outside(channels, plant.state)
             if outside:
                 break
+        if goal is not None and channels is not None:
+            errors = goal.errors(channels, plant.state[None, channels.position])
+            near = near + 1 if goal.is_near(errors).all() else 0
+        k += 1
     arrays = map(np.stack, (states, measurements, estimates, inputs))
     result = ClosedLoopResult(plant.dt, *arrays, outcome=None)
     if goal is None or channels is None:
         return result
-    outcome = _judge(goal, channels, result, steps, outside)
+    outcome = _judge(goal, channels, result, outside)
     return ClosedLoopResult(
         result.dt, result.states, result.measurements, result.estimates, result.inputs, outcome
     )
 
 
-def _judge(
-    goal: Goal, channels: Channels, result: ClosedLoopResult, steps: int, outside: str
-) -> Outcome:
-    """What became of a goal in a run of so many periods, or fewer where it ended early."""
+def _held_samples(goal: Goal, dt: float) -> int:
+    """The samples for which a goal is to be held."""
+    return max(1, round(goal.hold / dt))
+
+
+def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: str) -> Outcome:
+    """What became of a goal in a run."""
     q, dt = result.states[:, channels.position], result.dt
     end = (len(q) - 1) * dt
+    is_finite = math.isfinite(result.states[-1].sum())
     errors = goal.errors(channels, q)
     near = goal.is_near(errors)
-    last = max(1, round(goal.hold / dt))
+    last = _held_samples(goal, dt)
     since = len(near) - int(np.argmin(near[::-1])) if not near.all() else 0
     reached = _first_stay(near, max(1, round(min(_REACHED, goal.hold) / dt)))
     held: float | None = None
     kind: End
-    if len(q) <= steps and not outside:
+    if not is_finite:
         kind, sentence = "diverged", f"diverged at {end:.2f} s"
     elif outside:
         low, high = goal.limits[outside]
         kind, sentence = "left its limits", f"{outside} left {low:g}..{high:g} at {end:.2f} s"
     elif len(near) - since > last:
         kind, sentence, held = "held", f"held from {since * dt:.2f} s on", since * dt
-    elif near[-1] and (reached is None or reached >= since):
-        kind = "reached too late"
-        sentence = f"reached at {since * dt:.2f} s of {end:.2f}, too late to hold {goal.hold:g} s"
     elif reached is not None:
         lost = reached + int(np.argmin(near[reached:]))
         kind = "lost"

@@ -14,8 +14,10 @@ from tustinnet.control.sampled_plant import USUAL, PlantOptions, SampledPlant
 from tustinnet.control.stepped_model import SteppedModel
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import discretise
+from tustinnet.models.physical_values import equations_in
 from tustinnet.store.model_file import ENDINGS as MODEL_ENDINGS
-from tustinnet.store.model_file import load_model
+from tustinnet.store.model_file import load_model, read_system_name
+from tustinnet.store.run_folder import find_rivals
 from tustinnet.systems.files import AnySystem
 from tustinnet.systems.loading import load_system
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
@@ -96,6 +98,27 @@ def qube_twin(
     coordinates = tuple(replace(c, resolution=COUNT) for c in WITH_MEMORY.coordinates)
     twin = replace(WITH_MEMORY, coordinates=coordinates)
     return system_plant(twin, 0.01, {**TWIN_VALUES, **values}, options)
+
+
+def load_rivals(model: str | Path, system: AnySystem | None = None) -> list[Model]:
+    """The other candidates with equations of motion of the selection that chose a model.
+
+    A network may hold nothing else than itself: forces of physics say what inputs do elsewhere.
+
+    Args:
+        model: the file of the chosen model.
+        system: the system of the candidates, where one was given; None for the copies that are
+            kept with them.
+
+    Returns:
+        Those that follow the records better than a trivial predictor; none of a model that is from
+        no selection.
+    """
+    loaded = [
+        load_model(path, system if read_system_name(path) else None)
+        for path in find_rivals(Path(model))
+    ]
+    return [one for one in loaded if equations_in(one) is not None]
 
 
 def load_plant(

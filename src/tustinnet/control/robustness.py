@@ -11,10 +11,14 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal, Outcome, closed_loop
 from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import Estimator
-from tustinnet.control.variants import VariantKind
+from tustinnet.control.variants import NOMINAL, VariantKind
 from tustinnet.errors import InputError
 
 Vector = Float[np.ndarray, " _"]
+
+# shares of runs that meet the goal, with fewer of which nothing is promised: on the model itself,
+# where the table's own starts are all that differs, and on each kind that the records allow
+_NOMINAL, _ALLOWED = 0.9, 0.5
 
 
 @dataclass(frozen=True)
@@ -25,11 +29,13 @@ class RobustnessRow:
         kind: the kind of variant.
         help: in which way its plants differ from the model.
         outcomes: what became of the goal from each start.
+        allowed: whether the records allow its plants as well as the model.
     """
 
     kind: str
     help: str
     outcomes: tuple[Outcome, ...]
+    allowed: bool = False
 
     @property
     def successes(self) -> int:
@@ -108,6 +114,22 @@ class Robustness:
         return min(self.rows, key=lambda row: row.share)
 
     @property
+    def problem(self) -> str:
+        """Why nothing can be promised of the controller; "" where nothing speaks against it.
+
+        That is where it fails on its own model, or on most of the plants that the records allow as
+        well: it may hold nothing else than its model.
+        """
+        for row in self.rows:
+            least = _NOMINAL if row.kind == NOMINAL else _ALLOWED if row.allowed else 0.0
+            if row.share < least:
+                return (
+                    f"meets the goal in {row.successes} of {len(row.outcomes)} runs on {row.help}: "
+                    f"{row.failures}"
+                )
+        return ""
+
+    @property
     def sentence(self) -> str:
         """The verdict in a sentence."""
         worst = self.worst_kind
@@ -156,7 +178,7 @@ def assess_robustness(
         estimator: the estimator.
         starts: positions at rest, (count, n_q), as many as there are plants of a kind.
         goal: what is to be reached and held.
-        steps: periods of a run.
+        steps: periods of a run, see `closed_loop`.
         seed: of encoders and noise; each run has its own, the same one in every kind.
 
     Raises:
@@ -174,5 +196,6 @@ def assess_robustness(
             closed_loop(plant, controller, estimator, steps, start, seed + i, goal).outcome
             for i, (plant, start) in enumerate(zip(kind.plants, starts, strict=True))
         )
-        rows.append(RobustnessRow(kind.name, kind.help, tuple(o for o in runs if o is not None)))
+        outcomes = tuple(o for o in runs if o is not None)
+        rows.append(RobustnessRow(kind.name, kind.help, outcomes, kind.allowed))
     return Robustness(goal, tuple(rows))

@@ -1,6 +1,6 @@
 """Trials of a design: closed loops on plants that differ from its model."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
 from tustinnet.control.sampled_plant import SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
+from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
 _SPREAD = 0.05  # of the places where runs begin: rad of an angle, share of the range of a length
@@ -38,6 +39,7 @@ def try_design(
     header: Mapping[str, Any] | None = None,
     *,
     plants: Mapping[str, SampledPlant] | None = None,
+    candidates: Sequence[Model] = (),
     variants: bool = True,
     count: int = 20,
     seed: int = 0,
@@ -48,18 +50,21 @@ def try_design(
         design: the controller.
         header: the header of the model's file, with the errors of its parameters.
         plants: other plants by name.
+        candidates: other models of the same records, see `make_variants`.
         variants: whether variants of the model are played.
         count: runs on the plants of each kind.
         seed: of all draws.
     """
     kinds = list(
-        make_variants(design.model, design.noise, header, count=count, seed=seed)
+        make_variants(
+            design.model, design.noise, header, count=count, seed=seed, candidates=candidates
+        )
         if variants
         else ()
     )
     others = {f"plant {name}": plant for name, plant in (plants or {}).items()}
     kinds += [
-        VariantKind(name, "another plant than the model", (plant,) * count)
+        VariantKind(name, "another plant than the model", (plant,) * count, allowed=True)
         for name, plant in others.items()
     ]
     training_range = None if header is None else Range.from_header(dict(header), design.model)

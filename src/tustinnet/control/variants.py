@@ -25,6 +25,7 @@ _MOST_FRICTION = 2.0  # times that of the model
 _HEAVIER = 0.2  # share by which masses and inertias grow at most
 _MOVED = (0.1, 0.2)  # shares by which parameters are moved at most
 _DELAYS = (1, 2)  # samples
+NOMINAL = "nominal"
 _MASS = "kg"  # how units of masses and inertias begin
 
 
@@ -36,11 +37,13 @@ class VariantKind:
         name: its name.
         help: in which way, for tables.
         plants: the plants, drawn at random, one for each start.
+        allowed: whether the records allow these plants as well as the model.
     """
 
     name: str
     help: str
     plants: tuple[SampledPlant, ...]
+    allowed: bool = False
 
 
 def make_variants(
@@ -51,6 +54,7 @@ def make_variants(
     count: int = 20,
     seed: int = 0,
     options: PlantOptions = USUAL,
+    candidates: Sequence[Model] = (),
 ) -> tuple[VariantKind, ...]:
     """Plants that differ from a model in what it does not know, kind by kind.
 
@@ -58,6 +62,7 @@ def make_variants(
     * `parameters`: its parameters drawn from the errors of their identification.
     * `moved 10 %`, `moved 20 %`: all parameters changed at random by up to so much.
     * `members`: the members of a committee, in turn.
+    * `candidates`: other models of the same records, in turn.
     * `friction`: all dissipation up to twice as large.
     * `heavier`: masses and inertias up to 20 % larger.
     * `delay 1`, `delay 2`: inputs act so many samples later.
@@ -75,6 +80,7 @@ def make_variants(
         seed: of all draws.
         options: of encoders and inputs of all plants. Where neither these nor the model have counts
             of the encoders, the filter's noise is taken for their rounding.
+        candidates: other models of the same records, as with equations of motion beside a network.
     """
     generator = np.random.default_rng(seed)
     if options.counts is None:
@@ -92,16 +98,17 @@ def make_variants(
     def same(changed: PlantOptions) -> tuple[SampledPlant, ...]:
         return plants(lambda i: ModelPlant(stepped, options=changed))
 
-    kinds = [VariantKind("nominal", "the model through its encoders", same(options))]
+    def in_turn(models: Sequence[Model]) -> tuple[SampledPlant, ...]:
+        several = [SteppedModel(one) for one in models]
+        return plants(lambda i: ModelPlant(several[i % len(several)], options=options))
+
+    kinds = [VariantKind(NOMINAL, "the model through its encoders", same(options))]
     if len(members) > 1:
-        several = [SteppedModel(member) for member in members]
-        kinds.append(
-            VariantKind(
-                "members",
-                "the members of the committee, in turn",
-                plants(lambda i: ModelPlant(several[i % len(several)], options=options)),
-            )
-        )
+        about = "the members of the committee, in turn"
+        kinds.append(VariantKind("members", about, in_turn(members), allowed=True))
+    if candidates:
+        about = "other candidates of its run, which have equations of motion"
+        kinds.append(VariantKind("candidates", about, in_turn(candidates), allowed=True))
     physical = next((m for m in (model, *members) if equations_in(m) is not None), None)
     if physical is not None:
         kinds += _physical_kinds(physical, header or {}, count, generator, options)
@@ -141,7 +148,8 @@ def _physical_kinds(
     if EULER_LAGRANGE.owns(model):
         drawn = draw_values(model, dict(header), count, int(generator.integers(2**31)))  # pyright: ignore[reportArgumentType]
         if drawn:
-            kinds.append(kind("parameters", "parameters drawn from their errors", drawn))
+            about = "parameters drawn from their errors"
+            kinds.append(replace(kind("parameters", about, drawn), allowed=True))
     for share in _MOVED:
         moved = [moved_values(stepped.nominal, share, generator) for _ in range(count)]
         percent = f"{100 * share:.0f} %"

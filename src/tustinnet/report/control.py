@@ -244,9 +244,15 @@ def _beyond(design: ControlDesign) -> str:
 
 
 def summarise(
-    design: ControlDesign, robustness: Robustness, export: ControllerExport
+    design: ControlDesign, robustness: Robustness, export: ControllerExport | None
 ) -> dict[str, Any]:
-    """A controller and its tests as plain values."""
+    """A controller and its tests as plain values.
+
+    Args:
+        design: the controller.
+        robustness: its tests.
+        export: what was written of it, None where nothing was.
+    """
     point, plan = design.point, design.plan
     inputs = [i.name for i in design.model.channels.inputs]
     return {
@@ -277,20 +283,11 @@ def summarise(
             "measured": np.asarray(design.noise.measured).tolist(),
             "tests": [] if design.consistency is None else list(design.consistency.sentences),
         },
-        "robustness": [
-            {
-                "kind": row.kind,
-                "help": row.help,
-                "runs": len(row.outcomes),
-                "successes": row.successes,
-                "worst": dict(row.worst),
-                "energy": row.energy,
-                "time_to_reach": row.time_to_reach,
-                "failures": row.failures,
-            }
-            for row in robustness.rows
-        ],
+        "robustness": [row.as_plain() for row in robustness.rows],
         "verdict": robustness.sentence,
-        "check": {"steps": export.checked.steps, "difference": export.checked.difference},
-        "files": list(export.files),
+        "problem": robustness.problem,
+        "check": None
+        if export is None
+        else {"steps": export.checked.steps, "difference": export.checked.difference},
+        "files": [] if export is None else list(export.files),
     }

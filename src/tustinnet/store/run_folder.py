@@ -68,6 +68,27 @@ def prepare_run_folder(
     require_outputs(files, overwrite=earlier == "discard")
 
 
+def find_rivals(model: Path) -> list[Path]:
+    """The model files of the other candidates of the selection that chose a model.
+
+    Of those only that follow the records better than a trivial predictor. None of other models.
+    """
+    folder = model.parent
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        reference = summary["reference"]["mean"]
+        return [
+            folder / file
+            for candidate in summary["candidates"]
+            if candidate["name"] != summary["best"] and candidate.get("starts")
+            if next(iter(candidate["starts"].values()))["mean"] < reference
+            for file in candidate["models"]
+            if (folder / file).is_file()
+        ]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return []  # no selection, or an account that is damaged
+
+
 def _find_seed_folders(folder: Path) -> list[Path]:
     """The folders of the members of a training in the folder of a run."""
     return sorted(place for place in folder.glob("seed-*") if (place / LOG).exists())
