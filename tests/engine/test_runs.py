@@ -84,8 +84,10 @@ def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
         np.testing.assert_array_equal(result[row], x0)
 
 
-@pytest.mark.parametrize("residual", [PLAIN, PERIODIC])
-@pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE, SAMPLED])
+@pytest.mark.parametrize(
+    ("equations", "residual"),
+    [(CONTINUOUS, PLAIN), (CONTINUOUS, PERIODIC), (DISCRETE, PLAIN), (SAMPLED, PERIODIC)],
+)
 @SMALL
 @given(seed=seeds_of_runs, lengths=lengths_of_runs, parameters=st.booleans())
 def test_both_engines_find_the_same_products(equations, residual, seed, lengths, parameters):
