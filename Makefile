@@ -34,10 +34,11 @@ docs: .venv/installed-docs
 	$(BIN)/python docs/make.py
 
 # linter, types and layers run beside the tests, and say something only where they fail; a worker
-# takes tests that follow one another (worksteal), which share fits and compiled programs
+# takes tests that follow one another (worksteal), which share fits and compiled programs; bytecode
+# is kept wherever this runs: of the hundreds of modules that workers and processes of tests import
 test: .venv/installed-dev
 	@$(MAKE) --no-print-directory check > .venv/check.log 2>&1 & check=$$!; \
-	$(BIN)/pytest -q -n auto --dist worksteal; tests=$$?; \
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n auto --dist worksteal; tests=$$?; \
 	wait $$check || { cat .venv/check.log; exit 1; }; exit $$tests
 
 test-browser: .venv/installed-dev

@@ -1,45 +1,61 @@
-"""Type checks of functions within functions, made once instead of at every call of the outer one.
+"""Checks of types and shapes, made at little cost and remembered.
 
-The import hook of jaxtyping decorates every function where it is defined. One that is defined
-within another is defined, and its checks are compiled, whenever the outer one is called: a tenth of
-the time of all tests. Here the checks are kept by the function's code and annotations.
+The import hook of jaxtyping has arguments checked before a call and once more, beside the result,
+after it, by functions which it makes of text, and binds them to names at every call: nearly half of
+the time of all tests. Here beartype checks arguments and result around the call. Where types,
+shapes and dtypes are all that is checked, those that were right once are right again. Functions
+within functions are defined whenever the outer one is called: their checks are kept by the
+function's code and annotations.
 """
 
+import dataclasses
 import functools
 import inspect
-import threading
 from collections.abc import Callable
-from types import FunctionType
-from typing import Any, get_args
+from types import FunctionType, UnionType
+from typing import Any, NamedTuple, Union, get_args, get_origin
 
 import jaxtyping
+from jaxtyping import _decorator, _storage
 
 _decorate: Any = jaxtyping.jaxtyped
-_kept: dict[tuple[object, ...], Callable[..., Any]] = {}
 
 
-class _Running(threading.local):
-    """Functions whose checks are running in a thread, the innermost last."""
+class _Checks(NamedTuple):
+    """The checks of a function.
 
-    def __init__(self) -> None:
-        self.functions: list[Callable[..., Any]] = []
+    Attributes:
+        function: the function with its checks.
+        has_shapes: whether there are shapes among them: sizes have to be kept by name.
+        seen: what was right, see `_look`; None where more is checked.
+    """
+
+    function: Any
+    has_shapes: bool
+    seen: set[object] | None
 
 
-_running = _Running()
+_kept: dict[tuple[object, ...], _Checks] = {}
+_is_array: dict[type, bool] = {}
 
 
-def _make_checks(fn: FunctionType, typechecker: Any) -> Callable[..., Any]:
-    """Checks of a function's arguments and result, around whichever function is running."""
+def _look(value: Any) -> object:
+    """What a check of types and shapes sees of a value."""
+    kind = type(value)
+    if kind not in _is_array:
+        _is_array[kind] = hasattr(value, "shape") and hasattr(value, "dtype")
+    return (kind, value.shape, value.dtype) if _is_array[kind] else kind
 
-    def innermost(*args: Any, **kwargs: Any) -> Any:
-        return _running.functions[-1](*args, **kwargs)
 
-    # in the function's own module, where names in quoted annotations are looked up
-    stand_in = FunctionType(innermost.__code__, fn.__globals__ | {"_running": _running})
-    stand_in.__name__, stand_in.__qualname__ = fn.__name__, fn.__qualname__
-    stand_in.__module__, stand_in.__annotations__ = fn.__module__, fn.__annotations__
-    vars(stand_in)["__signature__"] = inspect.signature(fn)
-    return _decorate(stand_in, typechecker=typechecker)
+def _sees_all(annotation: Any) -> bool:
+    """Whether a check of an annotation depends on nothing that `_look` does not see."""
+    if get_origin(annotation) in (Union, UnionType):
+        return all(map(_sees_all, get_args(annotation)))
+    if annotation in (Any, None) or get_origin(annotation) is Callable:
+        return True
+    if not isinstance(annotation, type) or get_args(annotation):
+        return False
+    return "jaxtyping" not in repr(annotation) or issubclass(annotation, jaxtyping.AbstractArray)
 
 
 def _key(annotation: Any) -> object:
@@ -48,25 +64,90 @@ def _key(annotation: Any) -> object:
     return annotation if is_class and not get_args(annotation) else repr(annotation)
 
 
+def _make_checks(fn: FunctionType, typechecker: Any) -> _Checks:
+    """The checks of a function."""
+    copy = FunctionType(fn.__code__, fn.__globals__, fn.__name__, fn.__defaults__, fn.__closure__)
+    copy.__kwdefaults__, copy.__module__ = fn.__kwdefaults__, fn.__module__
+    copy.__qualname__ = fn.__qualname__
+    # names that are not known yet, or to type checkers alone, stand for anything
+    annotations = copy.__annotations__ = {
+        name: _decorator._destring_annotation(annotation, fn.__globals__)
+        for name, annotation in fn.__annotations__.items()
+    }
+    has_shapes = any("jaxtyping" in repr(a) for a in annotations.values())
+    seen = set[object]() if all(map(_sees_all, annotations.values())) else None
+    return _Checks(typechecker(copy), has_shapes, seen)
+
+
+def _checks_around(checks: _Checks, fn: Callable[..., Any]) -> Callable[..., Any]:
+    """Another function with the same checks: what beartype calls is a default of its own."""
+    kept: Any = checks.function
+    assert "__beartype_func" in kept.__kwdefaults__
+    own = FunctionType(kept.__code__, kept.__globals__, kept.__name__, kept.__defaults__)
+    own.__kwdefaults__ = kept.__kwdefaults__ | {"__beartype_func": fn}
+    return own
+
+
+def _check(fn: FunctionType, checks: _Checks) -> Callable[..., Any]:
+    """A function with checks."""
+    around = _checks_around(checks, fn)
+    if not checks.has_shapes:
+        return around
+    seen = checks.seen
+
+    def keep_sizes(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        _storage.push_shape_memo({})
+        try:
+            return function(*args, **kwargs)
+        finally:
+            _storage.pop_shape_memo()
+
+    if seen is None:
+        return functools.partial(keep_sizes, around)
+
+    def remembered(*args: Any, **kwargs: Any) -> Any:
+        looks = (*map(_look, args), *kwargs, *map(_look, kwargs.values()))
+        if looks not in seen:
+            out = keep_sizes(around, *args, **kwargs)
+            seen.add(looks)
+            seen.add((looks, _look(out)))
+            return out
+        out = fn(*args, **kwargs)
+        both = (looks, _look(out))
+        if both not in seen:
+            keep_sizes(_checks_around(checks, lambda *_, **__: out), *args, **kwargs)
+            seen.add(both)
+        return out
+
+    return remembered
+
+
 def jaxtyped(fn: Any = None, *, typechecker: Any) -> Any:
-    """Decorates as `jaxtyping.jaxtyped` does; checks of inner functions are made once."""
+    """Decorates as `jaxtyping.jaxtyped` does."""
     if fn is None:
         return functools.partial(jaxtyped, typechecker=typechecker)
-    if not isinstance(fn, FunctionType) or "<locals>" not in fn.__qualname__:
+    if inspect.isclass(fn) and dataclasses.is_dataclass(fn):
+        if not hasattr(fn.__init__, "is_checked"):
+            fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
+        return fn
+    if not isinstance(fn, FunctionType) or inspect.isgeneratorfunction(fn):
         return _decorate(fn, typechecker=typechecker)
-    key = (fn.__code__, typechecker, *map(_key, fn.__annotations__.values()))
-    checks = _kept.get(key)
-    if checks is None:
-        checks = _kept[key] = _make_checks(fn, typechecker)
+    if "<locals>" in fn.__qualname__:
+        key = (fn.__code__, typechecker, *map(_key, fn.__annotations__.values()))
+        if key not in _kept:
+            _kept[key] = _make_checks(fn, typechecker)
+        checks = _kept[key]
+    else:
+        checks = _make_checks(fn, typechecker)
+    if checks.function.__code__ is fn.__code__:
+        return fn  # nothing to check
+    with_checks = _check(fn, checks)
 
     @functools.wraps(fn)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        _running.functions.append(fn)
-        try:
-            return checks(*args, **kwargs)
-        finally:
-            _running.functions.pop()
+        return (fn if jaxtyping.config.jaxtyping_disable else with_checks)(*args, **kwargs)
 
+    vars(checked)["is_checked"] = True
     return checked
 
 

@@ -48,11 +48,12 @@ REFUSED = {
     "no record to fit to": (Machine(records=1, has_validation=True, samples=60), "60 samples"),
 }
 
-_SHORT = (("epochs = 60", "epochs = 2"), ("count = 100", "count = 20"))
+_SHORT = (("epochs = 15", "epochs = 2"), ("count = 100", "count = 20"))
 
 
 def _shortened(recipe: str) -> str:
     for before, after in _SHORT:
+        assert before in recipe
         recipe = recipe.replace(before, after)
     return recipe
 

@@ -46,7 +46,7 @@ candidates = [
   { name = "network", recipe = "small.toml" },
 ]
 committees = [{ name = "both", of = ["grey", "network"] }]
-rounds = [{ folds = 3, keep = 1.0 }]
+rounds = [{ folds = 2, keep = 1.0 }]
 """
 
 
@@ -64,7 +64,7 @@ def test_the_command_chooses_and_judges_on_them(tmp_path, capsys):
     assert "* chosen: " in printed
     found = json.loads((out / "summary.json").read_text())["candidates"]
     assert {c["name"] for c in found} == {"grey", "network", "both"}
-    assert all(len(c["folds"]) == 3 for c in found), err
+    assert all(len(c["folds"]) == 2 for c in found), err
     model = out / "model.safetensors"
     for more in (
         ("evaluate", model, logs, "--ahead", "3"),

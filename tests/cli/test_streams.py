@@ -26,8 +26,11 @@ def arguments(request, identified, folder):
     return (*request.param, *(more.get(request.param[0], ()) if len(request.param) == 1 else ()))
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("arguments", VERBS, indirect=True)
+@pytest.mark.parametrize(
+    ("arguments", "unbuffered"),
+    [*((verb, "") for verb in VERBS), (VERBS[0], "1"), (VERBS[3], "1")],
+    indirect=["arguments"],
+)
 @pytest.mark.parametrize("tail", [">&-", ">/dev/full"])
 def test_output_that_cannot_be_written_is_one_line(arguments, tail, unbuffered):
     ended = run(arguments, tail, PYTHONUNBUFFERED=unbuffered)

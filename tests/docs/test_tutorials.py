@@ -16,13 +16,20 @@ make = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(make)
 
 
-# trainings of a tutorial as it stands, and so short that all cells still run: nothing here looks
-# at how good a model becomes, and `make docs` runs the tutorials in full
+# parts of a tutorial as it stands, and so short that all cells still run: nothing here looks at
+# how good a model becomes, and `make docs` runs the tutorials in full
 SHORTER = {
     "from-logs": {
+        "--seeds 3 ": "--seeds 2 ",
         "stages.0.epochs=60": "stages.0.epochs=5",
         "windows.count=800": "windows.count=100",
     },
+    "into-the-controller": {
+        '"fall2", "fall3", "noise1", "noise3", "noise5", ': '"noise1", ',
+        "--data logs --out": "--data logs --starts 2 --out",
+        "[0.1, 0.05], 5)": "[0.1, 0.05], 2)",
+    },
+    "own-physics": {", (1.2, 0), (0, 4), (-0.8, 3), (0, 4)])": ", (1.2, 0)])"},
     "publication": {
         "stages.0.epochs=20": "stages.0.epochs=2",
         '"stages.0.epochs=30", "stages.1.epochs=12"': '"stages.0.epochs=2", "stages.1.epochs=2"',

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -95,6 +96,7 @@ def test_integral_filter_and_delay_are_those_of_a_sampled_controller():
     plant = tn.discretise(
         SWING.model({name: jnp.asarray(x) for name, x in TRUTH.items()}), record.dt, 4
     )
+    move, move_plant = eqx.filter_jit(model.step), eqx.filter_jit(plant.step)
     share = 1.0 - np.exp(-record.dt / 0.02)
     x, integral, speed, coming = jnp.array([3.4, 0.3]), 0.7, 0.1, [1.0, -2.0]
     own, at_limit = jnp.array([3.4, 0.3, integral, speed, coming[1], coming[0]]), 0
@@ -105,8 +107,8 @@ def test_integral_filter_and_delay_are_those_of_a_sampled_controller():
         at_limit += abs(u) >= LIMIT
         integral += record.dt * 60.0 * error if abs(u) < LIMIT or error * u < 0 else 0.0
         coming.append(float(np.clip(u, -LIMIT, LIMIT)))
-        x = plant.step(x, jnp.array([coming.pop(0)]))
-        own = model.step(own, jnp.array(w))
+        x = move_plant(x, jnp.array([coming.pop(0)]))
+        own = move(own, jnp.array(w))
         expected = [*x, integral, speed, coming[1], coming[0]]
         np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-12)
     assert 0 < at_limit < 11

@@ -131,10 +131,10 @@ def test_plain_numbers_will_do():
 
 def slid(rate, speed: float, travel: float) -> float:
     """The internal state of a friction after a travel at steady speed, from 0."""
-    z, steps = 0.0, 20_000
-    for _ in range(steps):
-        z += float(rate(np.float64(speed), np.float64(z))) * abs(travel / speed) / steps
-    return z
+    steps = 20_000
+    period, v = abs(travel / speed) / steps, number(speed)
+    move = jax.jit(lambda z: jax.lax.fori_loop(0, steps, lambda _, z: z + period * rate(v, z), z))
+    return float(move(number(0.0)))
 
 
 FRICTIONS = {

@@ -62,8 +62,11 @@ folds = 3
 ALONE = """
 name = "alone"
 folds = 3
-candidates = [{ name = "inverse-dynamics", recipe = "inverse-dynamics" }]
 rounds = [{ folds = 3 }]
+[[candidates]]
+name = "inverse-dynamics"
+recipe = "inverse-dynamics"
+set = ["search.candidates=[]"]
 """
 
 

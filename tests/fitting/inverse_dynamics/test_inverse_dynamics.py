@@ -19,6 +19,7 @@ from tustinnet.models.forces import LAWS
 from tustinnet.signals.low_pass import low_pass
 
 SCARA = Path(__file__).parents[3] / "examples" / "robots" / "scara.urdf"
+ALONE = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])  # of the system's own forces
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +100,7 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     robot = tn.load_robot(SCARA, friction=("stribeck", "load"))
     true = true_values(robot, seed=2)
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
-    rich = tn.identify(data, robot, "inverse-dynamics")
-    plain = tn.identify(data, tn.load_system(SCARA), "inverse-dynamics")
+    rich, plain = (tn.identify(data, s, ALONE) for s in (robot, tn.load_system(SCARA)))
     # friction that is missing casts no doubt on columns
     assert not [s for s in plain.findings if "probably" in s or "explain the motion" in s]
     intervals = {e.name: e.interval for e in rich.estimates}
@@ -140,7 +140,7 @@ def test_no_record_is_kept_from_the_fit_to_choose_something():
 
 
 def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, truth):
-    data = record_in_loop(system, truth, count=4, seconds=20.0)
+    data = record_in_loop(system, truth, count=2, seconds=20.0)
     slow = [
         tn.from_arrays(
             e.q[::10],
@@ -153,7 +153,7 @@ def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, t
         )
         for e in data
     ]
-    result = tn.identify(tn.DataSet("slow", tuple(slow)), system, "inverse-dynamics")
+    result = tn.identify(tn.DataSet("slow", tuple(slow)), system, ALONE)
     assert result.horizon == pytest.approx(6 * 0.05)
 
 
@@ -203,7 +203,7 @@ def test_what_a_link_carries_is_weighed(system, truth):
         for e in record_in_loop(system, values, count=count, seconds=4.0)
     ]
     robot = tn.load_robot(SCARA, per={"spindle": "payload"})
-    result = tn.identify(tn.DataSet("scara", tuple(records)), robot, "inverse-dynamics")
+    result = tn.identify(tn.DataSet("scara", tuple(records)), robot, ALONE)
     (sentence,) = [s for s in result.findings if "carries" in s]
     numbers = re.search(
         r"'spindle' carries (\S+) ± (\S+) kg \(95 %\) more in records of ball than in those "
@@ -299,8 +299,7 @@ def test_constants_of_motors_follow_from_a_known_payload():
     )
     mass = system.nominal()[f"{link}.mass"]
     masses = {f"{link}.mass[none]": mass, f"{link}.mass[ball]": mass + 1.5}
-    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
-    result = tn.identify(tn.DataSet("arm", tuple(records)), system, recipe, fixed=masses)
+    result = tn.identify(tn.DataSet("arm", tuple(records)), system, ALONE, fixed=masses)
     (e,) = (e for e in result.estimates if e.name == f"{joint}.motor_constant")
     assert e.interval is not None
     assert e.interval[0] < constant < e.interval[1]
