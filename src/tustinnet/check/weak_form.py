@@ -28,23 +28,19 @@ class Windows:
 
     def average(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
         """Averages of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[0])
+        return self._apply(signals, self.weights()[0])
 
     def average_derivative(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
         """Averages of the first derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[1])
+        return self._apply(signals, self.weights()[1])
 
     def average_second_derivative(
         self, signals: Float[np.ndarray, "n c"]
     ) -> Float[np.ndarray, "m c"]:
         """Averages of the second derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[2])
+        return self._apply(signals, self.weights()[2])
 
-    def centres(self, samples: int) -> Float[np.ndarray, " m"]:
-        """Samples in the middle of the windows in a record of some samples, (m,)."""
-        return np.arange(0, max(samples - 2 * self.half, 0), self.stride) + float(self.half)
-
-    def _weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weights of the samples for the average and those of both derivatives."""
         s = np.linspace(-1.0, 1.0, 2 * self.half + 1)
         bump = 1 - s**2
