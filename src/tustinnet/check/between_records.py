@@ -235,12 +235,12 @@ def _judge(
     verdicts: list[_Verdict] = []
     for suspicion in suspicions:
         cost = partial(residual, suspicion)
-        size = float(min(suspicion.sizes, key=cost))
-        if suspicion.has_number and cost(size) < LEVELS.promising * before:
-            size = _refine(cost, suspicion.sizes, size)
-        changed, after = undone(suspicion, size), cost(size)
+        after, size = min((cost(float(size)), float(size)) for size in suspicion.sizes)
+        if suspicion.has_number and after < LEVELS.promising * before:
+            after, size = min((after, size), _refine(cost, suspicion.sizes, size))
         if after > LEVELS.drop * before or abs(size) < suspicion.least:
             continue
+        changed = undone(suspicion, size)
         # energetic motion leaves more, whatever is right about its record
         allowed = min(
             max(LEVELS.usual * _usual_cost(model, r), LEVELS.clear * before),
@@ -262,8 +262,8 @@ def _judge(
     )
 
 
-def _refine(cost: Callable[[float], float], sizes: np.ndarray, size: float) -> float:
-    """The size of smallest cost near the best one that was tried, by golden sections."""
+def _refine(cost: Callable[[float], float], sizes: np.ndarray, size: float) -> tuple[float, float]:
+    """The smallest cost near the best size that was tried, and its size, by golden sections."""
     grid = np.sort(np.append(sizes, 0.0))
     at = int(np.searchsorted(grid, size))
     low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
@@ -271,7 +271,7 @@ def _refine(cost: Callable[[float], float], sizes: np.ndarray, size: float) -> f
     for _ in range(8):
         left, right = high - share * (high - low), low + share * (high - low)
         low, high = (low, right) if cost(left) < cost(right) else (left, high)
-    return min(size, (low + high) / 2, key=cost)
+    return cost((low + high) / 2), (low + high) / 2
 
 
 def _describe(view: RecordView, verdict: _Verdict) -> Finding:

@@ -433,9 +433,10 @@ def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
 
 def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
     """Lag of `y` behind `x` in samples, and correlation and gain at it."""
+    x, y = x - x.mean(), y - y.mean()
     lags = range(-3, min(LEVELS.most_lags, len(x) // 4) + 1)
     pairs = [(x[max(0, -k) : len(x) - max(k, 0)], y[max(k, 0) : len(y) + min(k, 0)]) for k in lags]
-    r = np.array([np.corrcoef(a, b)[0, 1] if np.std(a) and np.std(b) else 0.0 for a, b in pairs])
+    r = np.array([a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300) for a, b in pairs])
     best = int(np.argmax(np.abs(r)))
     a, b = pairs[best]
     shift = 0.0
@@ -445,7 +446,7 @@ def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[f
     return (
         lags[best] + float(np.clip(shift, -0.5, 0.5)),
         float(r[best]),
-        float(np.sign(r[best]) * np.std(b) / np.std(a)),
+        float(np.sign(r[best]) * np.sqrt((b @ b) / (a @ a))),
     )
 
 

@@ -82,10 +82,6 @@ class RecordView:
         """The block of a coordinate in the card."""
         return find_block(self.card.coordinates, name) if self.card else None
 
-    def input_card(self, name: str) -> InputCard | None:
-        """The block of an input in the card."""
-        return find_block(self.card.inputs, name) if self.card else None
-
     def finding(
         self,
         check: str,

@@ -7,6 +7,7 @@ systems, Trans. ASME 79, 1957).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -42,18 +43,24 @@ class Windows:
 
     def weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weights of the samples for the average and those of both derivatives."""
-        s = np.linspace(-1.0, 1.0, 2 * self.half + 1)
-        bump = 1 - s**2
-        time = s * self.half * self.dt
-        zeroth = bump**4 / np.sum(bump**4)
-        first = s * bump**3
-        second = -(bump**3) + 6 * s**2 * bump**2
-        second -= second.mean()
-        # exact for straight lines and parabolas, which sampled windows are not by themselves
-        return zeroth, first / (first @ time), second / (second @ time**2 / 2)
+        return _weights(self.half, self.dt)
 
     def _apply(self, signals: np.ndarray, weights: np.ndarray) -> np.ndarray:
         if len(signals) < len(weights):
             return np.zeros((0, signals.shape[1]))
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
         return windows[:: self.stride] @ weights
+
+
+@lru_cache(maxsize=64)
+def _weights(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights of the samples of a window for the average and those of both derivatives."""
+    s = np.linspace(-1.0, 1.0, 2 * half + 1)
+    bump = 1 - s**2
+    time = s * half * dt
+    zeroth = bump**4 / np.sum(bump**4)
+    first = s * bump**3
+    second = -(bump**3) + 6 * s**2 * bump**2
+    second -= second.mean()
+    # exact for straight lines and parabolas, which sampled windows are not by themselves
+    return zeroth, first / (first @ time), second / (second @ time**2 / 2)
