@@ -375,7 +375,7 @@ def velocities(view: RecordView) -> Iterator[Finding]:
                 j,
                 f"has outliers at sample {_list_rows(rows + lead)}, unlike",
                 f"by up to {np.abs(v[rows, j] - usual).max():.3g}",
-                "column: correct these rows in the file",
+                "measured = false",
                 "warning",
             )
             v[rows, j] = usual
@@ -397,20 +397,20 @@ def _compare_velocity(
     # noise of one of both alone may change the gain by as much as the correlation
     deviation = abs(gain - 1) - (1 - correlation)
     size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
+    key = "measured = false"
     if best != j and others[best] > max(LEVELS.high_correlation, abs(correlation) + 0.1):
         relation = f"is that of {e.coordinates[best].name}, not"
         size = f"r = {correlation:.2f}, with that {others[best]:.3f}"
-        key, severity = "column: that of the other coordinate", "severe"
+        severity = "severe"
     elif correlation < -LEVELS.high_correlation:
         relation, severity = "has the opposite sign of", "severe"
-        key = "column, with its sign turned in the file"
     elif correlation < LEVELS.low_correlation:
-        relation, key, severity = "disagrees with", "column: is it the right one?", "warning"
+        relation, severity = "disagrees with", "warning"
     elif correlation > LEVELS.high_correlation and deviation > LEVELS.gain_of_velocity:
         relation, key = "has another scale than", _velocity_unit(view, j, gain)
         severity = "severe" if deviation > LEVELS.other_gain else "warning"
     else:
-        relation, key, severity = "", "", "note"
+        relation, severity = "", "note"
     if relation:
         yield _velocity_finding(view, j, relation, size, key, severity)
     if correlation > LEVELS.high_correlation and lag > LEVELS.lag_of_velocity:
@@ -422,6 +422,8 @@ def _compare_velocity(
 
 def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
     """The unit of a velocity column that is some times the slope, as an entry of the card."""
+    if abs(gain - 1) < LEVELS.same_velocity_unit:
+        return "measured = false"
     c = view.experiment.coordinates[j]
     card = view.coordinate_card(c.name)
     declared = card.velocity_factor() if card and card.velocity else 1.0
