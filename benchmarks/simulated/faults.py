@@ -828,14 +828,14 @@ FAULTS: tuple[Fault, ...] = (
         "another payload",
         "unbalanced-disc",
         _other_machine("sines4", _multiply(gravity=1.5, gain=0.7)),
-        ("payload", "gain"),
+        ("other machine", "gain"),
         ("sines4",),
     ),
     Fault(
         "another friction",
         "reaction-wheel",
         _other_machine("levels3", _multiply(pivot=12.0, bearing=4.0)),
-        ("friction", "payload"),
+        ("other machine",),
         ("levels3",),
     ),
     Fault(

@@ -182,21 +182,6 @@ def test_a_slower_machine_is_no_other_period_for_sure(late: float) -> None:
     assert {f.severity for f in found} == {"warning"}
 
 
-def hunting(neutral: float) -> tn.Experiment:
-    """A beam at rest for a while, about which a controller moves its output a little."""
-    rng = np.random.default_rng(0)
-    q = np.concatenate([np.zeros(300), swing(500) - 1])
-    u = neutral + np.concatenate([1.5 * rng.uniform(-1, 1, 300), 25 * np.cos(np.arange(500) / 9)])
-    return arm(np.round(q / COUNT) * COUNT, u=u, inputs={"u": "1"})
-
-
-@pytest.mark.parametrize("neutral", [0.0, 50.0])
-def test_the_neutral_value_of_an_input_need_not_be_zero(neutral: float) -> None:
-    (band,) = [f for f in check_record(hunting(neutral)) if f.check == "dead band"]
-    low, high = (float(part) for part in band.size.split(" 1,")[0][5:].split(" to "))
-    assert neutral - 1.6 < low < high < neutral + 1.6
-
-
 # --- velocity columns ---
 
 

@@ -252,7 +252,8 @@ def test_strict_refuses_records_in_which_something_looks_wrong(
     assert tustinnet(capsys, *fit, "--out", tmp_path / "sound", "--strict")[0] == 0
     spoil(folder)
     told = (
-        "record 'fall2': angle jumps at sample 100, 101: bad rows? (2 jumps of up to 1.7515 rad, "
+        "record 'fall2': angle jumps at sample 100, 101: bad rows, lost counts, runs in a row? "
+        "(2 jumps of up to 1.7515 rad, "
     )
     told += "1142 counts)"
     validate = ("cross-validate", folder, "--recipe", tiny_recipe, "--folds", 3)

@@ -204,7 +204,7 @@ def test_padded_velocities_are_suspicious() -> None:
 def test_a_jump_is_suspicious_with_its_sample() -> None:
     q, _ = swing()
     q[300] += 1.0
-    assert "angle jumps at sample 300, 301: bad rows? (2 jumps of up to 1.000" in suspicious(
+    assert "angle jumps at sample 300, 301: bad rows, lost counts, runs in a row?" in suspicious(
         record(quantised(q))
     )
 
@@ -213,7 +213,7 @@ def test_a_jump_in_a_short_record_is_suspicious() -> None:
     q, _ = swing(60)
     q[33:] += 1000.0
     assert (
-        "angle jumps at sample 33: bad rows, or lost counts? (1 jump of up to 0.973"
+        "angle jumps at sample 33: bad rows, lost counts, runs in a row? (1 jump of up to 0.973"
         in suspicious(record(q))
     )
 

@@ -11,18 +11,11 @@ from jaxtyping import Float, Int
 
 from tustinnet.check.card_lines import file_line, without_record
 from tustinnet.check.finding import Finding, Severity
+from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.spoiled import card_entry
 from tustinnet.signals.stretches import stretch_keys
-
-_RUN = 16  # samples of a stretch that is looked up
-_CHANGES = 8  # of them, at least, in which something moves
-_FEWEST, _SHARE = 50, 0.1  # samples in motion, and share of a record, that are no chance
-_DIGITS = 1e-6  # of the range: positions that differ by less are equal
-_ALIKE = 0.003  # of the deviation; two runs of one experiment differ by more
-_OVERLAP = 0.5  # of the shorter record
-_LONGEST = 1 << 17  # samples of a record that are correlated with those of others
-_MOST_PAIRS = 3000  # that are correlated
 
 
 def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -42,14 +35,14 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
             if shared <= 0:
                 continue
             begin = max(start, first)
-            keep = f"rows = [{stop}, {last}]" if stop < last else f"rows = [{first}, {start}]"
+            kept = (stop - first, len(b)) if stop < last else (0, start - first)
             is_inside = stop >= last and first >= start
             yield Finding(
                 "overlap",
                 _severity(a, b),
                 "two records share rows of a file",
                 f'{shared} rows of "{file}" from row {begin} on',
-                without_record(b) if is_inside else file_line(b, keep),
+                without_record(b) if is_inside else file_line(b, card_entry(b, *kept)),
                 (a.name, b.name),
                 time=float((begin - start) * a.dt),
             )
@@ -68,7 +61,7 @@ def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
         shorter = min(len(a), len(b))
         stretch = np.concatenate([a.q, a.u], axis=1)[start : start + length]
         changes = int(np.count_nonzero(np.any(np.diff(stretch, axis=0) != 0, axis=1)))
-        if changes < max(_FEWEST, _SHARE * shorter):
+        if changes < max(LEVELS.fewest_shared, LEVELS.least_shared * shorter):
             continue
         found.add((i, j))
         shift = (other_start - start) * a.dt
@@ -109,7 +102,7 @@ def _equal_stretches(
     place: dict[int, tuple[int, int]] = {}
     best: dict[tuple[int, int], tuple[int, int, int]] = {}
     for i, (e, x) in enumerate(zip(records, everything, strict=True)):
-        steps = np.rint(np.diff(x, axis=0) / (extent * _DIGITS)).astype(np.int64)
+        steps = np.rint(np.diff(x, axis=0) / (extent * LEVELS.digits)).astype(np.int64)
         keys = _moving_stretches(steps[:, e.channels.position])
         position = 0
         for k, key in keys:
@@ -132,7 +125,9 @@ def _moving_stretches(steps: Int[np.ndarray, "n c"]) -> list[tuple[int, int]]:
 
     Starts are chosen by the content itself, so that a copy which begins elsewhere has them too.
     """
-    starts, keys = stretch_keys(steps, np.any(np.abs(steps) > 1, axis=1), _RUN, _CHANGES)
+    starts, keys = stretch_keys(
+        steps, np.any(np.abs(steps) > 1, axis=1), LEVELS.run, LEVELS.changes
+    )
     chosen = keys % np.uint64(max(1, len(steps) // 20_000)) == 0  # of a long record some
     return list(zip(starts[chosen].tolist(), keys[chosen].tolist(), strict=True))
 
@@ -148,7 +143,7 @@ def _extend(
 
     Positions may differ by a constant.
     """
-    tolerance = 4 * extent * _DIGITS
+    tolerance = 4 * extent * LEVELS.digits
     back, ahead = min(i, j), min(len(a) - i, len(b) - j)
     difference = a[i - back : i + ahead] - b[j - back : j + ahead]
     equal = np.all(np.abs(difference - difference[back]) <= tolerance, axis=1)
@@ -170,12 +165,12 @@ def _alike(
         if (i, j) not in known
         and not (records[i].sha256 and records[i].sha256 == records[j].sha256)
     ]
-    if not pairs or len(pairs) > _MOST_PAIRS:
+    if not pairs or len(pairs) > LEVELS.most_pairs:
         return
-    swing = np.array([e.q[:_LONGEST].std(axis=0) for e in records])
+    swing = np.array([e.q[: LEVELS.longest].std(axis=0) for e in records])
     widest = int(np.argmax(np.median(swing, axis=0) / np.maximum(swing.max(axis=0), 1e-300)))
-    size = 1 << int(np.ceil(np.log2(2 * max(min(len(e), _LONGEST) for e in records))))
-    signals = [_whitened(e.q[:_LONGEST, widest]) for e in records]
+    size = 1 << int(np.ceil(np.log2(2 * max(min(len(e), LEVELS.longest) for e in records))))
+    signals = [_whitened(e.q[: LEVELS.longest, widest]) for e in records]
     spectra = [np.fft.rfft(s, size) for s in signals]
     norms = [np.sqrt(s @ s) for s in signals]
     for i, j in pairs:
@@ -187,7 +182,7 @@ def _alike(
             continue
         lag = peak if peak < size // 2 else peak - size
         difference, share = _difference(records[i], records[j], lag)
-        if difference < _ALIKE and share > _OVERLAP:
+        if difference < LEVELS.alike and share > LEVELS.overlap:
             yield i, j, difference, share, -lag
 
 
@@ -203,7 +198,7 @@ def _difference(a: Experiment, b: Experiment, lag: int) -> tuple[float, float]:
     first = a.q[max(lag, 0) :], a.u[max(lag, 0) :]
     second = b.q[max(-lag, 0) :], b.u[max(-lag, 0) :]
     n = min(len(first[0]), len(second[0]))
-    if n < _FEWEST:
+    if n < LEVELS.fewest_shared:
         return np.inf, 0.0
     x, y = (np.concatenate([q[:n], u[:n]], axis=1) for q, u in (first, second))
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)

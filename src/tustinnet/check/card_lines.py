@@ -1,6 +1,9 @@
 """Lines of a data card that mend a finding, as texts with the table that they belong to."""
 
+from collections.abc import Sequence
+
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.spoiled import FEWEST, card_entry
 
 
 def top_line(entry: str) -> str:
@@ -30,24 +33,17 @@ def times_too_large(factor: float) -> str:
 
 
 def file_line(e: Experiment, entry: str) -> str:
-    """An entry of a record's file in its split, with a key."""
-    return f'under [splits] {_split(e)}: {{ file = "{_file(e)}", {entry} }}'
+    """An entry of a record's file in its split."""
+    return f"under [splits] {e.split or 'train'}: {entry or 'no entry: correct the file'}"
 
 
-def file_parts(e: Experiment, stop: int, start: int) -> str:
-    """Entries of a record's file up to a row, and from another row on."""
-    rows = f"rows = [{e.first_row}, {stop}]"
-    return f"{file_line(e, rows)}, and the rows from {start} on as another entry"
+def file_parts(e: Experiment, left_out: Sequence[tuple[int, int]]) -> str:
+    """Entries of a record's parts between stretches of samples, of which a cut is an empty one."""
+    edges = [0, *(k for stretch in left_out for k in stretch), len(e)]
+    parts = zip(edges[::2], edges[1::2], strict=True)
+    return file_line(e, ", ".join(card_entry(e, a, b) for a, b in parts if b - a >= FEWEST))
 
 
 def without_record(e: Experiment) -> str:
     """The advice to leave a record out of its split."""
-    return f'under [splits] {_split(e)}: leave out "{_file(e)}"'
-
-
-def _split(e: Experiment) -> str:
-    return e.split or "train"
-
-
-def _file(e: Experiment) -> str:
-    return e.source or e.name
+    return f'under [splits] {e.split or "train"}: leave out "{e.source or e.name}"'

@@ -7,7 +7,6 @@ import numpy as np
 from tustinnet.check import between_splits, excitation, in_record
 from tustinnet.check.assumed import assumed_keys
 from tustinnet.check.between_records import compare_records
-from tustinnet.check.excitation import null_space
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
 from tustinnet.check.scale_of_angles import scale_of_angles
 from tustinnet.check.view import RecordView
@@ -75,4 +74,3 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
     if scales or any(f.check == "still input" for f in excited):
         return
     yield from compare_records(sound)
-    yield from null_space(sound)

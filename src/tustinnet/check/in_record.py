@@ -18,6 +18,7 @@ from tustinnet.check.card_lines import (
     top_line,
 )
 from tustinnet.check.finding import SEVERITIES, Finding, Severity
+from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
 from tustinnet.data.units import velocity_factor
@@ -25,31 +26,7 @@ from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
 from tustinnet.wording import counted
 
-_OTHER_PERIOD = 0.003  # relative; velocities and accelerations are wrong by it, and by twice it
-_FAR_PERIOD = 0.02
-_OTHER_COUNT = 0.01  # relative; an encoder count this far from the declared one is another
-_FEWEST_COUNTS = 10  # levels of a position that tell the count of its encoder
-_LONG_GAP = 4.5  # periods; of a shorter one little motion is lost
-_FEW_SAMPLES, _FEWER_SAMPLES = 8.0, 5.0  # in a period of the strongest oscillation
-_RINGING = 1.5  # periods, after which an oscillation that is none has decayed
 _BITS = range(8, 33)  # of counters
-_MAIN, _MOST_JUMPS = 0.5, 0.7  # of the largest jump; of these, so many have one size
-_SAME_WRAP = 0.05  # relative; a bad row there and back has two jumps of a size, no more
-_SAME_JUMP = 0.01  # relative
-_OFTEN = 3  # jumps of a size that are no chance
-_FROZEN = 5  # equal samples
-_SETTLED, _INTERPOLATED = 0.05, 4  # counts, and samples, of a constant that was interpolated
-_STEP = 5.0  # times the changes that an input rarely exceeds
-_COUNTS = 5.0  # a change of so many is none of quantisation
-_RUNS = 2  # times that a coordinate reaches a limit of its sensor
-_CLIPPED = 4  # equal samples at a limit
-_LAG_SAMPLES, _LAG_TIME = 0.8, 0.01  # of a velocity, in samples and in periods of the motion
-_GAIN = 0.05  # relative, of a velocity
-_OTHER_GAIN, _SAME_UNIT = 0.2, 0.1
-_LOW_CORRELATION, _HIGH_CORRELATION = 0.5, 0.9
-_BEYOND = 0.01  # of the range of limits
-_MOST_LAGS = 12  # samples
-_LONGEST_CLOCK = 5e-5  # s; a mechanism that needs a shorter period is rare
 
 _VELOCITIES = {"rad": ("rad/s", "deg/s", "rpm", "rev/s"), "m": ("m/s", "cm/s", "mm/s")}
 
@@ -66,11 +43,11 @@ def period(view: RecordView) -> Iterator[Finding]:
     usual = intervals[np.abs(intervals / np.median(intervals) - 1) < 0.5]
     mean, error = float(usual.mean()), float(usual.std() / np.sqrt(len(usual)))
     deviation = mean / e.dt - 1
-    if abs(deviation) < _OTHER_PERIOD or abs(mean - e.dt) < 4 * error:
+    if abs(deviation) < LEVELS.other_period or abs(mean - e.dt) < 4 * error:
         return
     yield view.finding(
         "period",
-        "severe" if abs(deviation) > _FAR_PERIOD else "warning",
+        "severe" if abs(deviation) > LEVELS.far_period else "warning",
         "the log has another sampling period than the card",
         f"{1e3 * mean:.5g} ms against dt = {1e3 * e.dt:.5g} ms: {deviation:+.1%}",
         top_line(f"dt = {mean:.6g}"),
@@ -87,7 +64,7 @@ def time_unit(view: RecordView) -> Iterator[Finding]:
     is_whole = bool(np.all(np.abs(np.diff(e.t) / card.time.factor() % 1) < 1e-6))
     if card.time.unit == "s" and is_whole and step >= 1:
         unit = "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
-    elif card.time.unit != "s" and not is_whole and step < 1 and median < _LONGEST_CLOCK:
+    elif card.time.unit != "s" and not is_whole and step < 1 and median < LEVELS.longest_clock:
         unit = "s"
     else:
         return
@@ -104,11 +81,14 @@ def gaps(view: RecordView) -> Iterator[Finding]:
     """Gaps of the log, which are intervals of several periods."""
     e, recording = view.experiment, view.recording
     lengths = [(stop - start) / recording.median_dt for start, stop in recording.gaps]
-    if not lengths or max(lengths) < _LONG_GAP:
+    if not lengths or max(lengths) < LEVELS.long_gap:
         return
-    worst = int(np.argmax(lengths))
+    worst, half = int(np.argmax(lengths)), recording.median_dt / 2
     start, stop = recording.gaps[worst]
-    row = int(np.searchsorted(e.t, start + recording.median_dt / 2)) + e.first_row
+    cuts = [
+        (int(np.searchsorted(e.t, a + half)), int(np.searchsorted(e.t, b - half)))
+        for a, b in recording.gaps
+    ]
     count = f"{len(lengths)} gaps, the longest" if len(lengths) > 1 else "a gap"
     treatment = "filled by interpolation" if e.recording is not None else "left as it is"
     yield view.finding(
@@ -116,7 +96,7 @@ def gaps(view: RecordView) -> Iterator[Finding]:
         "warning",
         "samples are missing",
         f"{count} of {1e3 * (stop - start):.4g} ms, {lengths[worst] - 1:.0f} samples, {treatment}",
-        file_parts(e, row, row),
+        file_parts(e, cuts),
         time=start - float(e.t[0]),
     )
 
@@ -128,11 +108,13 @@ def sampling(view: RecordView) -> Iterator[Finding]:
         if len(e) < 64 or not view.moving[j] or view.wild_share(j):
             continue
         scales = timescales([e.q[:, j]])
-        is_noise = scales.swing < 3 * view.counts[j] or scales.decay < _RINGING * scales.period
-        if scales.period < _FEW_SAMPLES and not is_noise:
+        is_noise = (
+            scales.swing < 3 * view.counts[j] or scales.decay < LEVELS.ringing * scales.period
+        )
+        if scales.period < LEVELS.few_samples and not is_noise:
             yield view.finding(
                 "sampling",
-                "warning" if scales.period < _FEWER_SAMPLES else "note",
+                "warning" if scales.period < LEVELS.fewer_samples else "note",
                 f"{c.name} is sampled slowly for its motion",
                 f"{scales.period:.1f} samples in a period of {1e3 * scales.period * e.dt:.3g} ms, "
                 f"10 or more are usual",
@@ -191,20 +173,18 @@ def jumps(view: RecordView) -> Iterator[Finding]:
         if view.wild_share(j) or not view.moving[j]:
             continue
         rows = outliers.find_jumps(e.t, e.q[:, j], c.resolution or view.recording.counts[j] or 0.0)
-        rows = rows[~_follows_standstill(view, j, rows) & ~_follows_step(view, rows)]
+        rows = rows[~_ends_standstill(view, j, rows) & ~_follows_step(view, rows)]
         if not len(rows):
             continue
         sizes = _jump_sizes(e.q[:, j], rows)
         worst = float(np.abs(sizes).max())
         check, severity, meaning = "jump", "warning", _meaning_of_jumps(view, j, sizes)
         if meaning is None:
-            is_spike = len(rows) > 1 and abs(sizes.sum()) < 0.2 * np.abs(sizes).sum()
-            cause = "bad rows?" if is_spike else "bad rows, or lost counts?"
-            remedy = _without(view, rows)
+            cause = "bad rows, lost counts, runs in a row?"
+            remedy = file_parts(e, [(int(k), int(k)) for k in rows])
         else:
             cause, remedy = meaning
-            check = "swap" if cause.endswith("swapped?") else "counter"
-            severity = "severe" if len(rows) >= _OFTEN else "warning"
+            check, severity = "counter", "severe" if len(rows) >= LEVELS.often else "warning"
         in_counts = f", {worst / view.counts[j]:.0f} counts" if view.counts[j] else ""
         yield view.finding(
             check,
@@ -224,23 +204,20 @@ def _meaning_of_jumps(
     c, count = view.experiment.coordinates[j], view.counts[j]
     block = view.coordinate_card(c.name)
     size = np.abs(sizes)
-    size = size[size > _MAIN * size.max()]  # a bad row beside a jump is no jump of its own
+    size = size[
+        size > LEVELS.main_jumps * size.max()
+    ]  # a bad row beside a jump is no jump of its own
     typical = float(np.median(size))
-    if np.mean(np.abs(size - typical) < 0.2 * typical) < _MOST_JUMPS:
+    if np.mean(np.abs(size - typical) < 0.2 * typical) < LEVELS.most_jumps:
         return None
     turn = 2 * np.pi
     if c.kind == "angular":
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
             return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
-        other = _turn_of_other(view, j, typical)
-        if other is not None:
-            return f"the turn of {other}, swapped?", coordinate_line(
-                c.name, f"column: that of {other}?"
-            )
         degrees = abs(360 - turn * round(360 / turn))
-        if abs(typical / degrees - 1) < _SAME_WRAP:
+        if abs(typical / degrees - 1) < LEVELS.same_wrap:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
-        if abs(typical / np.deg2rad(turn) - 1) < _SAME_WRAP:
+        if abs(typical / np.deg2rad(turn) - 1) < LEVELS.same_wrap:
             return "an angle in radians that wraps", coordinate_line(c.name, 'unit = "rad"')
     if not count:
         return None
@@ -248,25 +225,11 @@ def _meaning_of_jumps(
         jump = 2**bits * count
         if c.kind == "angular" and (block is None or block.unwrap):
             jump = abs(jump - turn * round(jump / turn))
-        if jump > 3 * _COUNTS * count and abs(typical - jump) < max(3 * count, _SAME_JUMP * jump):
+        if jump > 3 * LEVELS.counts * count and abs(typical - jump) < max(
+            3 * count, LEVELS.same_jump * jump
+        ):
             remedy = "no line of the card: add the overflows to the column in the file"
             return f"a counter of {bits} bits that overflows", remedy
-    return None
-
-
-def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
-    """The coordinate whose encoder makes jumps of this size where it is read as another one."""
-    blocks = view.card.coordinates if view.card is not None else []
-    own = blocks[j].counts_per_revolution if blocks else None
-    if not own:
-        return None
-    for other in blocks:
-        if not other.counts_per_revolution or other.name == blocks[j].name:
-            continue
-        turns = other.counts_per_revolution / own
-        expected = 2 * np.pi * abs(turns - round(turns))
-        if abs(jump - expected) < 0.1 * expected:
-            return other.name
     return None
 
 
@@ -277,68 +240,47 @@ def _jump_sizes(q: Float[np.ndarray, " n"], rows: Int[np.ndarray, " r"]) -> np.n
     return np.array([change[k - 1] - np.median(change[n]) for k, n in zip(rows, near, strict=True)])
 
 
-def _without(view: RecordView, rows: Int[np.ndarray, " r"]) -> str:
-    """The advice to leave out bad rows, and no others."""
-    if np.ptp(rows) > len(rows):
-        return "no line of the card: correct these rows in the file"
-    first = view.experiment.first_row
-    return file_parts(view.experiment, first + int(rows[0]), first + int(rows[-1]) + 1)
+def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Runs of equal values that a coordinate enters and leaves at speed.
 
+    On a grid, the interpolation of a constant settles within some samples of its ends.
 
-def _equal_runs(view: RecordView, j: int) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " r"]]:
-    """First and last samples of the runs of equal values of a coordinate.
-
-    On a grid, the interpolation of a constant settles within some samples of its beginning.
+    Returns:
+        Those after which the position catches up, as behind a sensor that froze, and those at
+        either end of its range; first samples, and the ones after the last.
     """
-    e = view.experiment
-    allowed = 0.0 if e.recording is None else _SETTLED * max(view.counts[j], view.noise[j])
-    ends = np.flatnonzero(np.abs(np.diff(e.q[:, j])) > allowed)
-    return np.r_[0, ends + 1], np.r_[ends, len(e) - 1]
-
-
-def _margin(view: RecordView) -> int:
-    """Samples around a run of equal values that interpolation has changed."""
-    return 0 if view.experiment.recording is None else _INTERPOLATED
-
-
-def _speed_before(view: RecordView, j: int, first: np.ndarray) -> np.ndarray:
-    """Change a sample over the three samples before the first one of each run."""
-    q, first = view.experiment.q[:, j], first - _margin(view)
-    return (q[np.maximum(first - 1, 0)] - q[np.maximum(first - 4, 0)]) / 3
-
-
-def _speed_after(view: RecordView, j: int, last: np.ndarray) -> np.ndarray:
-    """Change a sample over the three samples after the last one of each run."""
-    q, last = view.experiment.q[:, j], last + _margin(view)
-    n = len(q) - 1
-    return (q[np.minimum(last + 4, n)] - q[np.minimum(last + 1, n)]) / 3
-
-
-def _standstills(view: RecordView, j: int) -> list[tuple[int, int]]:
-    """Runs of equal values in the middle of motion, after which the position catches up."""
-    q, margin = view.experiment.q[:, j], _margin(view)
-    first, last = _equal_runs(view, j)
-    length = last - first + 1 + margin
-    inside = (length >= _FROZEN + 3 * margin) & (first >= 4) & (last < len(q) - 5 - margin)
+    e, q, noise = view.experiment, view.experiment.q[:, j], max(view.counts[j], view.noise[j])
+    if not view.moving[j] or len(e) < LEVELS.fewest_samples:
+        return [], []
+    margin = 0 if e.recording is None else LEVELS.interpolated
+    ends = np.flatnonzero(np.abs(np.diff(q)) > bool(margin) * LEVELS.settled * noise)
+    first, last = np.r_[0, ends + 1], np.r_[ends, len(e) - 1]
+    length = last - first + 1
+    inside = (length >= LEVELS.clipped) & (first >= 4 + margin) & (last < len(q) - 5 - margin)
     first, last, length = first[inside], last[inside], length[inside]
-    before, after = _speed_before(view, j, first), _speed_after(view, j, last)
-    missed = q[last + 1 + margin] - q[last] if len(last) else np.zeros(0)
-    expected = (before + after) / 2 * length
-    noise = _COUNTS * max(view.counts[j], view.noise[j])
-    faster = np.maximum(np.abs(before), np.abs(after))
-    caught = (
-        (np.abs(missed) > noise)
-        & (np.abs(missed) > 3 * faster)
+    before = (q[first - margin - 1] - q[first - margin - 4]) / 3
+    after = (q[last + margin + 4] - q[last + margin + 1]) / 3
+    slower, faster = np.sort(np.abs([before, after]), axis=0)
+    noise *= LEVELS.counts
+    missed, expected = q[last + margin + 1] - q[last], (before + after) / 2 * (length + margin)
+    catches_up = (
+        (length >= LEVELS.frozen + 2 * margin)
+        & (np.abs(missed) > np.maximum(noise, 3 * faster))
         & (np.abs(expected) > noise)
         & (np.abs(missed - expected) < 0.6 * np.abs(missed) + noise)
     )
-    return [(int(a), int(b)) for a, b in zip(first[caught], last[caught], strict=True)]
+    # a turning point that lasts so long is left at a speed of half of this
+    is_sharp = slower > np.maximum(noise, 2 * np.median(np.abs(np.diff(q, 2))) * length)
+    extreme = (q[first] <= q.min() + noise) | (q[first] >= q.max() - noise)
+    runs = np.stack([first, last + 1], axis=1)
+    frozen, clipped = runs[catches_up], runs[is_sharp & extreme & ~catches_up]
+    return [(a, b) for a, b in frozen.tolist()], [(a, b) for a, b in clipped.tolist()]
 
 
-def _follows_standstill(view: RecordView, j: int, rows: np.ndarray) -> np.ndarray:
-    """Mask of jumps that end a standstill of the sensor, which `frozen_sensor` reports."""
-    ends = [b + k for _, b in _standstills(view, j) for k in range(1, 2 + _margin(view))]
-    return np.isin(rows, ends)
+def _ends_standstill(view: RecordView, j: int, rows: Int[np.ndarray, " r"]) -> np.ndarray:
+    """Mask of jumps that end a standstill of the sensor, which `standstills` reports."""
+    frozen, _ = _standstills(view, j)
+    return np.isin(rows, [b + k for _, b in frozen for k in range(LEVELS.interpolated + 1)])
 
 
 def _follows_step(view: RecordView, rows: Int[np.ndarray, " r"]) -> np.ndarray:
@@ -346,78 +288,42 @@ def _follows_step(view: RecordView, rows: Int[np.ndarray, " r"]) -> np.ndarray:
     change = np.abs(np.diff(view.experiment.u, axis=0, prepend=view.experiment.u[:1]))
     if not change.size or not len(rows):
         return np.zeros(len(rows), bool)
-    is_step = np.any(change > _STEP * np.maximum(np.quantile(change, 0.9, axis=0), 1e-300), axis=1)
+    is_step = np.any(
+        change > LEVELS.step * np.maximum(np.quantile(change, 0.9, axis=0), 1e-300), axis=1
+    )
     return np.any(is_step[np.maximum(rows[:, None] - [1, 2, 3], 0)], axis=1)
 
 
-def frozen_sensor(view: RecordView) -> Iterator[Finding]:
-    """Sensors that repeat a value in the middle of motion."""
+def standstills(view: RecordView) -> Iterator[Finding]:
+    """Sensors that repeat a value in the middle of motion, or at an end of their range."""
     e = view.experiment
     for j, c in enumerate(e.coordinates):
-        if not view.moving[j] or len(e) < 20:
-            continue
-        runs = _standstills(view, j)
-        if not runs:
-            continue
-        longest = max(runs, key=lambda run: run[1] - run[0])
-        total = sum(b - a + 1 for a, b in runs)
-        times = f"{len(runs)} times, " if len(runs) > 1 else ""
-        yield view.finding(
-            "frozen sensor",
-            "warning",
-            f"{c.name} repeats a value while it moves",
-            f"{times}{counted(total, 'sample')}, "
-            f"{1e3 * (longest[1] - longest[0]) * e.dt:.4g} ms at a stretch",
-            _without(view, np.arange(longest[0], longest[1] + 1)),
-            c.name,
-            view.seconds(longest[0]),
-        )
-
-
-def clipped_sensor(view: RecordView) -> Iterator[Finding]:
-    """Sensors at the limit of their range: flat tops that are entered and left at speed."""
-    e = view.experiment
-    for j, c in enumerate(e.coordinates):
-        q = e.q[:, j]
-        if not view.moving[j] or len(e) < 20:
-            continue
-        first, last = _equal_runs(view, j)
-        rows = (last - first + 1 >= _CLIPPED) & (first >= 2) & (last < len(q) - 2)
-        first, last = first[rows], last[rows]
-        noise = max(view.counts[j], view.noise[j])
-        change = np.abs(np.diff(q))
-        for extreme in (q.min(), q.max()):
-            at = np.abs(q[first] - extreme) <= noise * (e.recording is not None)
-            a, b = first[at], last[at]
-            # the last change before a limit is only a part of one
-            into, out = (
-                np.maximum(change[a - 1], change[a - 2]),
-                np.maximum(change[b], change[b + 1]),
+        frozen, clipped = _standstills(view, j)
+        found = []
+        if frozen:
+            what = f"{c.name} repeats a value while it moves"
+            found.append(("frozen sensor", what, file_parts(e, frozen), frozen))
+        if len(clipped) > 1:
+            what = f"{c.name} stays at an end of its range, reached and left at speed"
+            remedy = "no line of the card: the end of the sensor, or a stop of the mechanism?"
+            found.append(("clipped sensor", what, remedy, clipped))
+        for check, what, remedy, runs in found:
+            samples = [stop - first for first, stop in runs]
+            size = (
+                f"{counted(len(runs), 'time')}, {counted(sum(samples), 'sample')}, "
+                f"{1e3 * max(samples) * e.dt:.4g} ms at a stretch"
             )
-            # a turning point that lasts so long is left at a speed of half of this
-            smooth = 2 * np.median(np.abs(np.diff(q, 2))) * (b - a + 1)
-            sharp = np.minimum(into, out) > np.maximum(_COUNTS * noise, smooth)
-            if sharp.sum() < _RUNS:
-                continue
-            samples = int(np.sum((b - a + 1)[sharp]))
-            yield view.finding(
-                "clipped sensor",
-                "warning",
-                f"{c.name} stays at {extreme:.5g} {c.unit}, reached and left at speed",
-                f"{sharp.sum()} times, {counted(samples, 'sample')}",
-                "no line of the card: is it the end of the sensor, or a stop of the mechanism?",
-                c.name,
-                view.seconds(int(a[sharp][0])),
-            )
+            start = view.seconds(runs[0][0])
+            yield view.finding(check, "warning", what, size, remedy, c.name, start)
 
 
 def encoder(view: RecordView) -> Iterator[Finding]:
     """Encoder count of the positions against the declared one."""
     e = view.experiment
     for c, q, count in zip(e.coordinates, e.q.T, view.recording.counts, strict=True):
-        if not (c.resolution and count) or abs(count / c.resolution - 1) <= _OTHER_COUNT:
+        if not (c.resolution and count) or abs(count / c.resolution - 1) <= LEVELS.other_count:
             continue
-        if len(np.unique(q)) < _FEWEST_COUNTS:  # a few levels have a common step by chance
+        if len(np.unique(q)) < LEVELS.fewest_counts:  # a few levels have a common step by chance
             continue
         block, key = view.coordinate_card(c.name), f"resolution = {count:.5g}"
         if block is not None and block.counts_per_revolution is not None:
@@ -469,7 +375,7 @@ def velocities(view: RecordView) -> Iterator[Finding]:
                 j,
                 f"has outliers at sample {_list_rows(rows + lead)}, unlike",
                 f"by up to {np.abs(v[rows, j] - usual).max():.3g}",
-                "column: correct these rows in the file",
+                "measured = false",
                 "warning",
             )
             v[rows, j] = usual
@@ -491,45 +397,48 @@ def _compare_velocity(
     # noise of one of both alone may change the gain by as much as the correlation
     deviation = abs(gain - 1) - (1 - correlation)
     size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
-    if best != j and others[best] > max(_HIGH_CORRELATION, abs(correlation) + 0.1):
+    key = "measured = false"
+    if best != j and others[best] > max(LEVELS.high_correlation, abs(correlation) + 0.1):
         relation = f"is that of {e.coordinates[best].name}, not"
         size = f"r = {correlation:.2f}, with that {others[best]:.3f}"
-        key, severity = "column: that of the other coordinate", "severe"
-    elif correlation < -_HIGH_CORRELATION:
+        severity = "severe"
+    elif correlation < -LEVELS.high_correlation:
         relation, severity = "has the opposite sign of", "severe"
-        key = "column, with its sign turned in the file"
-    elif correlation < _LOW_CORRELATION:
-        relation, key, severity = "disagrees with", "column: is it the right one?", "warning"
-    elif correlation > _HIGH_CORRELATION and deviation > _GAIN:
+    elif correlation < LEVELS.low_correlation:
+        relation, severity = "disagrees with", "warning"
+    elif correlation > LEVELS.high_correlation and deviation > LEVELS.gain_of_velocity:
         relation, key = "has another scale than", _velocity_unit(view, j, gain)
-        severity = "severe" if deviation > _OTHER_GAIN else "warning"
+        severity = "severe" if deviation > LEVELS.other_gain else "warning"
     else:
-        relation, key, severity = "", "", "note"
+        relation, severity = "", "note"
     if relation:
         yield _velocity_finding(view, j, relation, size, key, severity)
-    if correlation > _HIGH_CORRELATION and lag > _LAG_SAMPLES:
+    if correlation > LEVELS.high_correlation and lag > LEVELS.lag_of_velocity:
         period = timescales([e.q[:, j]]).period
-        if lag > _LAG_TIME * min(period, 400.0):
+        if lag > LEVELS.lag_share * min(period, 400.0):
             size = f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples"
             yield _velocity_finding(view, j, "lags behind", size, "measured = false", "warning")
 
 
 def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
     """The unit of a velocity column that is some times the slope, as an entry of the card."""
+    if abs(gain - 1) < LEVELS.same_velocity_unit:
+        return "measured = false"
     c = view.experiment.coordinates[j]
     card = view.coordinate_card(c.name)
     declared = card.velocity_factor() if card and card.velocity else 1.0
     for name in _VELOCITIES.get(c.unit, ()):
-        if abs(velocity_factor(name, c.unit) * gain / declared - 1) < _SAME_UNIT:
+        if abs(velocity_factor(name, c.unit) * gain / declared - 1) < LEVELS.same_velocity_unit:
             return f'unit = "{name}"'
     return f"unit: {times_too_large(gain)}"
 
 
 def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[float, float, float]:
     """Lag of `y` behind `x` in samples, and correlation and gain at it."""
-    lags = range(-3, min(_MOST_LAGS, len(x) // 4) + 1)
+    x, y = x - x.mean(), y - y.mean()
+    lags = range(-3, min(LEVELS.most_lags, len(x) // 4) + 1)
     pairs = [(x[max(0, -k) : len(x) - max(k, 0)], y[max(k, 0) : len(y) + min(k, 0)]) for k in lags]
-    r = np.array([np.corrcoef(a, b)[0, 1] if np.std(a) and np.std(b) else 0.0 for a, b in pairs])
+    r = np.array([a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300) for a, b in pairs])
     best = int(np.argmax(np.abs(r)))
     a, b = pairs[best]
     shift = 0.0
@@ -539,7 +448,7 @@ def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[f
     return (
         lags[best] + float(np.clip(shift, -0.5, 0.5)),
         float(r[best]),
-        float(np.sign(r[best]) * np.std(b) / np.std(a)),
+        float(np.sign(r[best]) * np.sqrt((b @ b) / (a @ a))),
     )
 
 
@@ -575,7 +484,7 @@ def input_spikes(view: RecordView) -> Iterator[Finding]:
                 "warning",
                 f"{i.name} has spikes at sample {_list_rows(rows)}",
                 f"by {size:.3g} {i.unit}, others stay within {_usual_size(u, rows):.3g}: bad rows?",
-                _without(view, rows),
+                file_parts(e, [(int(k), int(k) + 1) for k in rows]),
                 i.name,
                 view.seconds(int(rows[0])),
             )
@@ -592,7 +501,7 @@ def limits(view: RecordView) -> Iterator[Finding]:
         if i.limits is None:
             continue
         low, high = i.limits
-        margin = _BEYOND * (high - low)
+        margin = LEVELS.beyond_limits * (high - low)
         beyond = (u < low - margin) | (u > high + margin)
         if beyond.any():
             reach = max(low - u.min(), u.max() - high)
@@ -609,34 +518,6 @@ def limits(view: RecordView) -> Iterator[Finding]:
             )
 
 
-def dead_band(view: RecordView) -> Iterator[Finding]:
-    """Inputs that change while nothing moves: a dead band of the actuator, or dry friction."""
-    e = view.experiment
-    if not e.forced or len(e) < 50:
-        return
-    speed = np.abs(view.velocity)
-    still = np.all(np.diff(e.q, axis=0) == 0, axis=1)
-    width = max(5, round(0.1 / e.dt))
-    runs = np.convolve(still, np.ones(width), "valid") == width
-    rests = np.flatnonzero(runs) + width - 1  # nothing moved for a while up to here
-    if len(rests) < 0.02 * len(e) or not speed.max():
-        return
-    for i, u, resting in zip(e.inputs, e.u.T, e.u[rests].T, strict=True):
-        low, high = np.quantile(resting, [0.05, 0.95])
-        neutral = np.median(resting)  # which is no force, whatever the number
-        reach = np.abs(u - neutral).max()
-        if 0.02 * reach < (high - low) / 2 < 0.7 * reach:
-            yield view.finding(
-                "dead band",
-                "note",
-                f"nothing moves while {i.name} changes a little",
-                f"from {low:.3g} to {high:.3g} {i.unit}, for {len(rests) * e.dt:.2g} s",
-                "no line of the card: a model may need dry friction or a dead zone",
-                i.name,
-                view.seconds(int(rests[0])),
-            )
-
-
 def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
     return ", ".join(str(int(r)) for r in rows[:5]) + (" ..." if len(rows) > 5 else "")
 
@@ -649,12 +530,10 @@ CHECKS: tuple[Callable[[RecordView], Iterator[Finding]], ...] = (
     dead_sensor,
     wild_angle,
     jumps,
-    frozen_sensor,
-    clipped_sensor,
+    standstills,
     encoder,
     padded_velocities,
     velocities,
     input_spikes,
     limits,
-    dead_band,
 )

@@ -14,6 +14,7 @@ import numpy as np
 
 from tustinnet.check.card_lines import coordinate_line
 from tustinnet.check.finding import Finding
+from tustinnet.check.levels import LEVELS
 from tustinnet.check.motion_model import make_regressors, unexplained_share
 from tustinnet.check.view import RecordView
 from tustinnet.data.units import ANGLE
@@ -21,8 +22,6 @@ from tustinnet.data.units import ANGLE
 _RECORDS = 5  # of them, from everywhere in the list
 _UNITS = {unit: ANGLE[unit] for unit in ("deg", "rad")}
 _COUNTS = (2.0, 0.5, 4.0, 0.25)  # of the declared ones: edges that are counted or not
-_DROP = 0.4  # of what the model leaves, which the true scale leaves
-_LEAST = 0.05  # of the accelerations, which the true scale explains beside all others
 
 
 @dataclass(frozen=True)
@@ -95,8 +94,8 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
     free = make_regressors(some)
     if free is None:
         return None
-    n_q, first = free.channels.n_q, some[0].experiment
-    regressors = replace(free, held=np.ones(n_q, bool)).with_names(first.q[:2], first.u[:2])
+    n_q = free.channels.n_q
+    regressors = replace(free, held=np.ones(n_q, bool))
 
     def share(scales: Sequence[ScaleOfAngle]) -> float:
         factors = np.ones(n_q)
@@ -105,16 +104,16 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
         return unexplained_share(scaled, some, factors)
 
     unheld = unexplained_share(free, some, np.ones(n_q))
-    if unheld < _LEAST:
+    if unheld < LEVELS.least_by_scale:
         return None
     alone = [s for j in range(n_q) for s in _other_scales(some, j)]
     groups = [tuple(s for s in alone if s.value == unit) for unit in _UNITS]
     chosen, after = _best([(s,) for s in alone], share)
     together, after_together = _best([g for g in groups if len(g) > 1], share)
-    if after_together < _DROP * after:
+    if after_together < LEVELS.drop_by_scale * after:
         chosen, after = together, after_together
     for before, is_clear in ((share(()), True), (unheld, False)):
-        if after < min(_DROP * before, before - _LEAST):
+        if after < min(LEVELS.drop_by_scale * before, before - LEVELS.least_by_scale):
             return Evidence(chosen, before, after, is_clear)
     return None
 

@@ -9,14 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.check.finding import Finding, Severity
+from tustinnet.check.levels import LEVELS
 from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import transients
 from tustinnet.signals.outliers import white_noise
-
-_STENCIL = 5  # samples, fewer have no velocities
-_QUARTER, _OFTEN = np.pi / 2, 0.05  # rad, and a share of the periods that is not small
 
 Block = TypeVar("Block", CoordinateCard, InputCard)
 
@@ -43,7 +41,7 @@ class RecordView:
     def velocity(self) -> Float[np.ndarray, "n n_q"]:
         """Velocities from the positions by the five-point stencil, (n, n_q)."""
         e = self.experiment
-        return e.velocities("stencil") if len(e) >= _STENCIL else np.zeros_like(e.q)
+        return e.velocities("stencil") if len(e) >= LEVELS.stencil else np.zeros_like(e.q)
 
     @cached_property
     def moving(self) -> Bool[np.ndarray, " n_q"]:
@@ -72,8 +70,8 @@ class RecordView:
             The share, 0 where it is small: an angle that is sampled well moves so rarely.
         """
         e = self.experiment
-        share = float(np.mean(np.abs(np.diff(e.q[:, j])) * factor > _QUARTER))
-        return share if e.coordinates[j].kind == "angular" and share > _OFTEN else 0.0
+        share = float(np.mean(np.abs(np.diff(e.q[:, j])) * factor > np.pi / 2))
+        return share if e.coordinates[j].kind == "angular" and share > LEVELS.wild else 0.0
 
     def seconds(self, sample: int) -> float:
         """Time of a sample from the first one on [s]."""
@@ -83,10 +81,6 @@ class RecordView:
     def coordinate_card(self, name: str) -> CoordinateCard | None:
         """The block of a coordinate in the card."""
         return find_block(self.card.coordinates, name) if self.card else None
-
-    def input_card(self, name: str) -> InputCard | None:
-        """The block of an input in the card."""
-        return find_block(self.card.inputs, name) if self.card else None
 
     def finding(
         self,

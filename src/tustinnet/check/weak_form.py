@@ -7,6 +7,7 @@ systems, Trans. ASME 79, 1957).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -28,36 +29,38 @@ class Windows:
 
     def average(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
         """Averages of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[0])
+        return self._apply(signals, self.weights()[0])
 
     def average_derivative(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
         """Averages of the first derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[1])
+        return self._apply(signals, self.weights()[1])
 
     def average_second_derivative(
         self, signals: Float[np.ndarray, "n c"]
     ) -> Float[np.ndarray, "m c"]:
         """Averages of the second derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self._weights()[2])
+        return self._apply(signals, self.weights()[2])
 
-    def centres(self, samples: int) -> Float[np.ndarray, " m"]:
-        """Samples in the middle of the windows in a record of some samples, (m,)."""
-        return np.arange(0, max(samples - 2 * self.half, 0), self.stride) + float(self.half)
-
-    def _weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weights of the samples for the average and those of both derivatives."""
-        s = np.linspace(-1.0, 1.0, 2 * self.half + 1)
-        bump = 1 - s**2
-        time = s * self.half * self.dt
-        zeroth = bump**4 / np.sum(bump**4)
-        first = s * bump**3
-        second = -(bump**3) + 6 * s**2 * bump**2
-        second -= second.mean()
-        # exact for straight lines and parabolas, which sampled windows are not by themselves
-        return zeroth, first / (first @ time), second / (second @ time**2 / 2)
+        return _weights(self.half, self.dt)
 
     def _apply(self, signals: np.ndarray, weights: np.ndarray) -> np.ndarray:
         if len(signals) < len(weights):
             return np.zeros((0, signals.shape[1]))
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
         return windows[:: self.stride] @ weights
+
+
+@lru_cache(maxsize=64)
+def _weights(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights of the samples of a window for the average and those of both derivatives."""
+    s = np.linspace(-1.0, 1.0, 2 * half + 1)
+    bump = 1 - s**2
+    time = s * half * dt
+    zeroth = bump**4 / np.sum(bump**4)
+    first = s * bump**3
+    second = -(bump**3) + 6 * s**2 * bump**2
+    second -= second.mean()
+    # exact for straight lines and parabolas, which sampled windows are not by themselves
+    return zeroth, first / (first @ time), second / (second @ time**2 / 2)
