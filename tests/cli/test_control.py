@@ -42,6 +42,11 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     } <= names
     design = json.loads((out / "design.json").read_text())
     assert design["motion"] is None
+    # the small pendulum by its torque is one coordinate by one input
+    assert "as a PID in parallel form: kp = " in text
+    gains = json.loads((out / "controller.json").read_text())["feedback"]["gain"][0]
+    pid = {"proportional": gains[0], "integral": 0.0, "derivative": gains[1]}
+    assert design["pid"] == pytest.approx(pid)
     # the model's own balance of torques there
     assert abs(design["equilibrium"]["states"]["angle"] - np.pi) < 0.1
 

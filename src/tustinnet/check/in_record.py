@@ -214,6 +214,9 @@ def _meaning_of_jumps(
     if c.kind == "angular":
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
             return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
+        if (other := _turn_of_other(view, j, typical)) is not None:
+            remedy = coordinate_line(c.name, f"column: that of {other}?")
+            return f"the turn of {other}, swapped?", remedy
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < LEVELS.same_wrap:
             return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
@@ -230,6 +233,19 @@ def _meaning_of_jumps(
         ):
             remedy = "no line of the card: add the overflows to the column in the file"
             return f"a counter of {bits} bits that overflows", remedy
+    return None
+
+
+def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
+    """The coordinate whose encoder makes jumps of this size where it is read as another one."""
+    blocks = view.card.coordinates if view.card is not None else []
+    own = blocks[j].counts_per_revolution if blocks else None
+    for other in blocks if own else ():
+        if other.counts_per_revolution and other.name != blocks[j].name:
+            turns = other.counts_per_revolution / own
+            expected = 2 * np.pi * abs(turns - round(turns))
+            if abs(jump - expected) < 0.1 * expected:
+                return other.name
     return None
 
 

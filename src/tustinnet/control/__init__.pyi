@@ -19,6 +19,7 @@ from .export.write import export_controller as export_controller
 from .fmu_plant import FmuPlant as FmuPlant
 from .ilqr import ilqr as ilqr
 from .lqr import Feedback as Feedback
+from .lqr import Pid as Pid
 from .lqr import Recovery as Recovery
 from .lqr import Tracking as Tracking
 from .lqr import lqr as lqr

@@ -31,6 +31,20 @@ _FALLEN = 0.25  # share of a plan's way from which its end is lost: balances com
 _SETTLED = 0.1  # share of a plan's range about its start from which its feedback follows it
 
 
+class Pid(NamedTuple):
+    """Gains of a PID controller in parallel form, `u0 + kp e + ki integral(e) - kd dq/dt`.
+
+    Attributes:
+        proportional: kp, by the error `e = q0 - q` [unit of the input/rad or /m].
+        integral: ki, by its integral [unit of the input/(rad s) or /(m s)].
+        derivative: kd, by the velocity [s times that of kp].
+    """
+
+    proportional: float
+    integral: float
+    derivative: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Feedback:
     """Linear feedback about an operating point, `u = u0 - gain z`, within the input limits.
@@ -74,6 +88,17 @@ class Feedback:
         """Number of samples of previous commands that `z` has."""
         n_u, n_z = self.gain.shape
         return (n_z - len(self.x0) - len(self.integral)) // n_u
+
+    @property
+    def pid(self) -> Pid | None:
+        """The same feedback as a PID controller, None where it is more than that.
+
+        It is one of one coordinate by one input, without internal states and late inputs.
+        """
+        if len(self.u0) > 1 or len(self.speeds) > 1 or len(self.x0) > 2 or self.previous:
+            return None
+        gains = [float(x) for x in self.gain[0]]
+        return Pid(gains[0], gains[2] if self.integral else 0.0, gains[1])
 
     def command(self, unlimited: Float[np.ndarray, " n_u"]) -> Float[np.ndarray, " n_u"]:
         """Inputs within the limits; the safe ones where an input is not finite, (n_u,)."""

@@ -193,6 +193,13 @@ def sentences(design: ControlDesign) -> list[str]:
         f"equilibrium: {place}, with {inputs}",
         f"it is {point.stability}; {point.controllable}; {point.observable}",
     ]
+    if (pid := design.feedback.pid) is not None:
+        position, voltage = channels.coordinates[0].unit, channels.inputs[0].unit or "1"
+        lines.append(
+            f"as a PID in parallel form: kp = {pid.proportional:.4g} {voltage}/{position}, "
+            f"ki = {pid.integral:.4g} {voltage}/({position} s), "
+            f"kd = {pid.derivative:.4g} {voltage} s/{position}"
+        )
     if (plan := design.plan) is not None:
         largest = np.abs(plan.u).max(axis=0)
         used = ", ".join(
@@ -269,6 +276,7 @@ def summarise(
             "sensitivity_peak": design.margins.sensitivity_peak,
             "peak_frequency": design.margins.peak_frequency,
         },
+        "pid": None if design.feedback.pid is None else design.feedback.pid._asdict(),
         "motion": None
         if plan is None
         else {
