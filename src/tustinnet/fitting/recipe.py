@@ -314,32 +314,45 @@ class Recipe(Declaration):
         return self.model_dump(mode="json", exclude_unset=True)
 
 
-class TrainingRecipe(Recipe):
-    """The recipe of a model with weights, which are trained.
+class FreeRunRecipe(Recipe):
+    """The recipe of a model without equations of motion, which free runs judge while it is fitted.
 
     Attributes:
-        velocity: where the training velocities come from (`Experiment.velocities`).
-        start: where the validation free runs start; when left out, the model's warm-up if it
-            needs one, else `file` where velocities are stored, else `derived-6`.
-        horizon: how long a validation free run lasts at most [s]: longer records are cut end to
-            end into segments with a start each; none for whole records.
-        stages: at least one.
+        velocity: where the velocities come from (`Experiment.velocities`).
+        start: where these free runs start; when left out, the model's warm-up if it needs one, else
+            `file` where velocities are stored, else `derived-6`.
+        horizon: how long such a free run lasts at most [s]: longer records are cut end to end into
+            segments with a start each; none for whole records.
     """
 
     velocity: VelocitySource = "auto"
     start: str | None = None
     horizon: Horizon | None = None
+
+    @field_validator("start")
+    @classmethod
+    def _check_start(cls, start: str | None) -> str | None:
+        return start and start_named(start, "").name
+
+    @property
+    def longest_run(self) -> float | None:
+        """Length of the longest of these free runs [s], None for whole records."""
+        return self.horizon
+
+
+class TrainingRecipe(FreeRunRecipe):
+    """The recipe of a model with weights, which are trained.
+
+    Attributes:
+        stages: at least one.
+    """
+
     stages: list[SerializeAsAny[StageRecipe]] = Field(min_length=1, max_length=_STAGES)
 
     @property
     def family(self) -> TrainedFamily:
         """The family of its models."""
         return FAMILIES[self.model.kind]
-
-    @field_validator("start")
-    @classmethod
-    def _check_start(cls, start: str | None) -> str | None:
-        return start and start_named(start, "").name
 
     @model_validator(mode="after")
     def _check_stages(self) -> "TrainingRecipe":
@@ -359,11 +372,6 @@ class TrainingRecipe(Recipe):
         return any(stage.needs_validation for stage in self.stages)
 
     @property
-    def longest_run(self) -> float | None:
-        """Length of the longest validation free run [s], None for whole records."""
-        return self.horizon
-
-    @property
     def usual_seconds(self) -> float:
         """Programs are compiled, then hundreds of thousands of steps are taken."""
         return 40.0
@@ -374,38 +382,18 @@ class TrainingRecipe(Recipe):
         return self.model_copy(update={"stages": stages})
 
 
-class SolvedRecipe(Recipe):
-    """The recipe of a model that least squares find.
-
-    Attributes:
-        velocity: where the velocities come from (`Experiment.velocities`).
-        start: where free runs start; when left out, the default start of the records.
-        horizon: how long a free run lasts at most [s]; none for whole records.
-    """
-
-    velocity: VelocitySource = "auto"
-    start: str | None = None
-    horizon: Horizon | None = None
+class SolvedRecipe(FreeRunRecipe):
+    """The recipe of a model that least squares find."""
 
     @property
     def family(self) -> SolvedFamily:
         """The family of its models."""
         return FAMILIES[self.model.kind]
 
-    @field_validator("start")
-    @classmethod
-    def _check_start(cls, start: str | None) -> str | None:
-        return start and start_named(start, "").name
-
     @property
     def needs_validation(self) -> bool:
         """Whether validation records choose between the stages of the search."""
         return True
-
-    @property
-    def longest_run(self) -> float | None:
-        """Length of the longest free run that is compared [s], None for whole records."""
-        return self.horizon
 
     @property
     def usual_seconds(self) -> float:
