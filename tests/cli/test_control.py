@@ -51,6 +51,21 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
     assert abs(design["equilibrium"]["states"]["angle"] - np.pi) < 0.1
 
 
+def test_a_motion_from_a_file_is_followed(model, tmp_path, capsys):
+    (file := tmp_path / "ref.csv").write_text("time,angle\n0,0\n1,20\n2,25\n")
+    told = ("control", model, "--follow", file, *LIMITS, "--starts", 1, "--out", tmp_path / "held")
+    code, text, messages = tustinnet(capsys, *told)
+    assert code == 0, messages
+    plan = next(line for line in text.splitlines() if line.strip().startswith("plan: angle "))
+    assert float(plan.split()[2]) < 0.01
+    code, _, messages = tustinnet(capsys, *told, "--at", "angle=0")
+    assert code == 1
+    assert "--at: not applicable beside --follow" in messages
+    code, _, messages = tustinnet(capsys, "control", model, "--out", tmp_path / "other")
+    assert code == 1
+    assert "neither --at nor --follow" in messages
+
+
 def test_what_fails_on_another_plant_is_not_written(model, system, tmp_path, capsys):
     weak = tmp_path / "weak.py"
     weak.write_text(system.read_text().replace('p: p["gain"]', 'p: -p["gain"]'))

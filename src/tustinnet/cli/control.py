@@ -24,15 +24,23 @@ LOOP, ROBUSTNESS, SUMMARY, PAGE = "closed_loop.png", "robustness.png", "design.j
 
 def control(
     model: options.Model,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the controller.")],
     at: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME=VALUE,..",
             help="Positions to hold, e.g. alpha=0, alpha=90deg; a number alone is in the unit of "
             "the data card's column. With --to, positions where the motion begins.",
         ),
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the controller.")],
+    ] = None,
+    follow: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Follow a motion from rest to rest, then hold its end: a column `time` [s], and "
+            "one for each coordinate that follows, in the unit of the data card's column.",
+        ),
+    ] = None,
     swing_up: Annotated[
         bool,
         typer.Option(
@@ -154,11 +162,13 @@ def control(
     from tustinnet.control.design import ControlTask, design_controller, find_rest
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import load_plant
+    from tustinnet.control.reference import read_reference
     from tustinnet.control.trial import try_design
     from tustinnet.models.groups import model_for_groups
     from tustinnet.models.physical_values import equations_in
     from tustinnet.report.control import (
         closed_loop_figure,
+        errors_along,
         margins_table,
         point_table,
         robustness_figure,
@@ -173,11 +183,7 @@ def control(
     from tustinnet.store.files import lock_folder, to_json, write_into
     from tustinnet.store.header import read_header
 
-    if to is not None:
-        refuse_options({"--swing-up": swing_up}, "beside --to", "one of them")
-    elif not swing_up:
-        needed = {"--seconds": seconds, "--within": within}
-        refuse_options(needed, "without a motion", "--swing-up or --to")
+    _refuse_others(follow, at, to, seconds, within, swing_up=swing_up)
     if data is None:
         needed = {"--card": card, "--follow-links": follow_links}
         refuse_options(needed, "without records", "--data")
@@ -193,8 +199,12 @@ def control(
     known = None if trust_beyond else training_range
     positions = values.read_point("--at", at, known)
     input_limits = values.read_limits("--limits", limits)
-    start = None
-    if swing_up:
+    start, reference = None, None
+    if follow is not None:
+        factors = {name: column.factor for name, (_, column) in values.values.units.items()}
+        reference = read_reference(follow, simulator.channels, factors)
+        start, positions = ({name: float(q[k]) for name, q in reference.items()} for k in (0, -1))
+    elif swing_up:
         start = find_rest(simulator, positions, input_limits)
     elif to is not None:
         start, positions = positions, positions | values.read_point("--to", to, known)
@@ -212,6 +222,7 @@ def control(
         values.read_limits("--within", within),
         trust_beyond,
         values.read_point("--safe", safe),
+        reference,
     )
     with lock_folder(out):
         begin = time.perf_counter()
@@ -255,7 +266,7 @@ def control(
                 margins_table(design),
                 robustness_table(trial.robustness, simulator.channels),
             )
-            terminal.echo(trial.robustness.sentence)
+            terminal.echo("\n".join((*errors_along(design, trial), trial.robustness.sentence)))
         if export is None:
             remedies = ["record motion about the goal with inputs"]
             remedies += [] if is_physical else ["fit equations of motion (--recipe mechanism)"]
@@ -280,6 +291,28 @@ def control(
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
         )
+
+
+def _refuse_others(
+    follow: Path | None,
+    at: str | None,
+    to: str | None,
+    seconds: float | None,
+    within: "Sequence[str] | None",
+    *,
+    swing_up: bool,
+) -> None:
+    """Raises for options that do nothing for the motion that is asked for, and without any."""
+    if follow is not None:
+        others = {"--at": at, "--to": to, "--swing-up": swing_up, "--seconds": seconds}
+        refuse_options(others, "beside --follow", "the file alone, which has them")
+    elif at is None:
+        raise InputError("control", "neither --at nor --follow", "one of them")
+    elif to is not None:
+        refuse_options({"--swing-up": swing_up}, "beside --to", "one of them")
+    elif not swing_up:
+        needed = {"--seconds": seconds, "--within": within}
+        refuse_options(needed, "without a motion", "--swing-up, --to or --follow")
 
 
 def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, float]") -> "list[Model]":

@@ -17,6 +17,7 @@ from .export.gains import read_controller as read_controller
 from .export.write import ControllerExport as ControllerExport
 from .export.write import export_controller as export_controller
 from .fmu_plant import FmuPlant as FmuPlant
+from .ilqr import follow as follow
 from .ilqr import ilqr as ilqr
 from .lqr import Feedback as Feedback
 from .lqr import Pid as Pid
@@ -34,6 +35,7 @@ from .plants import load_plant as load_plant
 from .plants import load_rivals as load_rivals
 from .plants import qube_twin as qube_twin
 from .plants import system_plant as system_plant
+from .reference import read_reference as read_reference
 from .robustness import Robustness as Robustness
 from .robustness import RobustnessRow as RobustnessRow
 from .robustness import assess_robustness as assess_robustness

@@ -13,7 +13,7 @@ from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
-from tustinnet.control.ilqr import ilqr
+from tustinnet.control.ilqr import follow, ilqr
 from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.plan import Plan
@@ -32,6 +32,7 @@ _SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
 _LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
 _INPUT = 0.25  # acceptable deviation of an input, as a share of its limits' range
 _PLANNED = 0.8  # share of the inputs' limits that a plan uses: the rest is for its feedback
+_FOLLOWED = 0.01  # share of the range of a reference, an acceptable deviation from it
 _WINDOW = 0.2  # rad, in which angles count as held
 _WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
 _WINDOW_LENGTH = 0.05  # m, where that range is not known
@@ -55,6 +56,8 @@ class ControlTask:
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
         safe: inputs by name while the estimator has lost the state, see `lqr`.
+        reference: positions to follow to `at`, by the name of their coordinate, at each sample from
+            the start on (see `read_reference`); None for a motion that is free between its ends.
     """
 
     at: Mapping[str, float]
@@ -67,6 +70,7 @@ class ControlTask:
     within: Limits | None = None
     trust_beyond: bool = False
     safe: Mapping[str, float] | None = None
+    reference: Mapping[str, Vector] | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,15 @@ class ControlDesign:
     def plan(self) -> Plan | None:
         """The planned motion, None without one."""
         return self.gains.plan if isinstance(self.gains, Tracking) else None
+
+    def errors_along(self, x: Float[np.ndarray, "samples n_x"]) -> dict[str, float]:
+        """Largest errors of states from the reference, by coordinate [rad or m]; none without."""
+        names = [c.name for c in self.model.channels.coordinates]
+        positions = x[:, self.model.channels.position]
+        return {
+            name: float(np.abs(positions[: len(q), names.index(name)] - q[: len(x)]).max())
+            for name, q in (self.task.reference or {}).items()
+        }
 
     @property
     def recovery(self) -> Recovery | None:
@@ -197,7 +210,8 @@ def design_controller(
     if task.start is not None:
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits, speeds=speeds)
-        plan = _plan_motion(model, task, start, point, bounds, range)
+        make_plan = _plan_motion if task.reference is None else _plan_following
+        plan = make_plan(model, task, start, point, bounds, range)
         beyond = (
             None
             if range is None
@@ -283,35 +297,12 @@ def _plan_motion(
     Raises:
         InputError: no plan arrives; it says what the best one reached.
     """
-    channels = model.channels
+    channels, own = model.channels, _usual_deviations(model, task, bounds)
+    planned, within = _planning_limits(model, task, point, bounds, range)
     way = np.abs(point.x - start.x)[channels.position]
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
     durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
-    own = _usual_deviations(model, task, bounds)
-    middle, half = (bounds.lower + bounds.upper) / 2, _PLANNED * (bounds.upper - bounds.lower) / 2
-    lower, upper, within = middle - half, middle + half, dict(task.within or {})
-    if range is not None and not task.trust_beyond:
-        # nobody knows the model beyond what was recorded; what holds the goal is always allowed
-        lower = np.maximum(lower, np.minimum(range.inputs[:, 0], point.u))
-        upper = np.minimum(upper, np.maximum(range.inputs[:, 1], point.u))
-        for i, low, high in zip(channels.inputs, lower, upper, strict=True):
-            if low == high:
-                raise InputError(
-                    "the motion",
-                    f"{i.name} never changes in the training records: there is "
-                    "nothing to plan with",
-                    f"records with {i.name}",
-                    "record some, or add `trust_beyond=`",
-                )
-        speeds = range.states[channels.velocity]
-        for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
-            if slowest < 0 < fastest:
-                within.setdefault(f"der_{c.name}", (float(slowest), float(fastest)))
-    planned = {
-        i.name: (float(low), float(high))
-        for i, low, high in zip(channels.inputs, lower, upper, strict=True)
-    }
     best = None
     for seconds in durations:
         plan = ilqr(
@@ -345,6 +336,89 @@ def _plan_motion(
         goal,
         "give it more time (`seconds=`), wider limits, or other weights (`weight=`)",
     )
+
+
+def _planning_limits(
+    model: Model,
+    task: ControlTask,
+    point: OperatingPoint,
+    bounds: InputLimits,
+    range: Range | None,
+) -> tuple[Limits, Limits]:
+    """Limits of inputs and of states of a planned motion, by name.
+
+    Raises:
+        InputError: an input that never changes in the records.
+    """
+    channels = model.channels
+    middle, half = (bounds.lower + bounds.upper) / 2, _PLANNED * (bounds.upper - bounds.lower) / 2
+    lower, upper, within = middle - half, middle + half, dict(task.within or {})
+    if range is not None and not task.trust_beyond:
+        # nobody knows the model beyond what was recorded; what holds the goal is always allowed
+        lower = np.maximum(lower, np.minimum(range.inputs[:, 0], point.u))
+        upper = np.minimum(upper, np.maximum(range.inputs[:, 1], point.u))
+        for i, low, high in zip(channels.inputs, lower, upper, strict=True):
+            if low == high:
+                raise InputError(
+                    "the motion",
+                    f"{i.name} never changes in the training records: there is "
+                    "nothing to plan with",
+                    f"records with {i.name}",
+                    "record some, or add `trust_beyond=`",
+                )
+        speeds = range.states[channels.velocity]
+        for c, (slowest, fastest) in zip(channels.coordinates, speeds, strict=True):
+            if slowest < 0 < fastest:
+                within.setdefault(f"der_{c.name}", (float(slowest), float(fastest)))
+    planned = {
+        i.name: (float(low), float(high))
+        for i, low, high in zip(channels.inputs, lower, upper, strict=True)
+    }
+    return planned, within
+
+
+def _plan_following(
+    model: Model,
+    task: ControlTask,
+    start: OperatingPoint,
+    point: OperatingPoint,
+    bounds: InputLimits,
+    range: Range | None,
+) -> Plan:
+    """The motion nearest to the reference of a task.
+
+    Raises:
+        InputError: a search that did not converge.
+    """
+    planned, within = _planning_limits(model, task, point, bounds, range)
+    channels, reference = model.channels, dict(task.reference or {})
+    names = [c.name for c in channels.coordinates]
+    x = np.tile(point.x, (len(next(iter(reference.values()))), 1))
+    x[:, channels.position] = start.x[channels.position]
+    own = _usual_deviations(model, task, bounds)
+    for name, q in reference.items():
+        j = names.index(name)
+        x[:, channels.position][:, j] = q
+        x[:, channels.velocity][:, j] = np.gradient(q, model.dt)
+        own.setdefault(name, _FOLLOWED * float(np.ptp(q)) or _WINDOW)
+    plan = follow(
+        model,
+        x,
+        goal_inputs=point.u,
+        deviations=own,
+        range=range,
+        within=within,
+        limits=planned,
+        delay=task.delay,
+    )
+    if not plan.converged:
+        raise InputError(
+            "the reference",
+            f"the plan that follows it did not converge in {plan.iterations} iterations",
+            "a motion that the inputs can do",
+            "a slower one, or wider limits (`limits=`)",
+        )
+    return plan
 
 
 def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:

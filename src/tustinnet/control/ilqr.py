@@ -330,6 +330,73 @@ def ilqr(
     return min(plans, key=lambda plan: (not plan.reached, not plan.converged, plan.cost))
 
 
+def follow(
+    model: Model,
+    reference: ArrayLike,
+    *,
+    goal_inputs: ArrayLike | None = None,
+    deviations: Deviations | None = None,
+    range: Range | None = None,
+    within: Limits | None = None,
+    limits: Limits | None = None,
+    delay: int = 0,
+    iterations: int = 300,
+) -> Plan:
+    """The motion nearest to a reference that a model can do under the limits of its inputs.
+
+    It minimises the sum of squared errors from the reference and of inputs, each divided by its
+    acceptable deviation, as `ilqr` does for a goal.
+
+    Args:
+        model: a model that steps from sample to sample.
+        reference: a state for each sample, (N + 1, n_x); the last is an equilibrium.
+        goal_inputs: the inputs that hold the last one, (n_u,); 0 by default.
+        deviations: acceptable deviations of states and inputs by name, as in `lqr`.
+        range: the range of the training records.
+        within: limits of states by name, as in `ilqr`.
+        limits: limits of inputs by name, instead of those that the model declares.
+        delay: samples from when an input is computed to when it acts.
+        iterations: the most.
+
+    Raises:
+        InputError: another shape, an input without limits, names that the model does not have, an
+            end that no feedback can hold, a model that diverges along the reference.
+    """
+    system, bounds = controlled(model, delay), input_limits(model, limits)
+    x = np.asarray(reference, np.float64)
+    if x.ndim != 2 or x.shape[1] != system.n_x or len(x) < 2 or not np.isfinite(x).all():
+        raise InputError("follow", f"a reference of shape {x.shape}", f"(samples, {system.n_x})")
+    u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
+    u_end = bounds.clip(require_vector(u_end, system.n_u, "follow, goal_inputs"))
+    cost = make_cost(
+        system, bounds, x[-1], u_end, deviations=deviations, range=range, within=within
+    )
+    solver, before = Solver(system, bounds, replace(cost, x=x)), bounds.clip(np.zeros(system.n_u))
+    first, u = system.augment(x[0], before), np.tile(u_end, (len(x) - 1, 1))
+    along = Plan(x, u, np.inf, False, False, 0, system.dt, x[-1], before, delay)
+    motion = min(
+        (solver.begin(first, u), _follow(solver, first, along)), key=lambda motion: motion.cost
+    )
+    if not np.isfinite(motion.cost):
+        raise InputError(
+            "follow",
+            f"{system.where} diverges along the reference",
+            "one that it can follow",
+            "a slower one",
+        )
+    motion, is_converged, count = solver.minimise(motion, iterations)
+    gain = _holding_gain(system, bounds, x[-1], u_end, deviations, range)
+    return replace(
+        along,
+        x=motion.z[:, : system.n_x],
+        u=motion.u,
+        cost=motion.cost,
+        converged=is_converged,
+        reached=_is_held(gain, motion.z[-1], solver.cost, bounds),
+        iterations=count,
+    )
+
+
 def _holding_gain(
     system: ControlledModel,
     limits: InputLimits,

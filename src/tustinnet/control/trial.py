@@ -25,7 +25,8 @@ class Trial:
 
     Attributes:
         robustness: what became of the goal on plants of every kind.
-        runs: a whole run on a plant of each kind, by its name; where runs fail the first of these.
+        runs: a whole run on a plant of each kind, by its name; where runs fail the first of these,
+            else along a reference one that begins where that does.
         main_runs: the runs on the model and on other plants among them.
     """
 
@@ -78,12 +79,13 @@ def try_design(
     for kind, row in zip(kinds, robustness.rows, strict=True):
         failed = [i for i, outcome in enumerate(row.outcomes) if not outcome.is_success]
         i = failed[0] if failed else 0
+        follows = design.task.reference is not None and not failed
         runs[kind.name] = closed_loop(
             kind.plants[i],
             controller,
             estimator,
             design.steps,
-            places[i],
+            design.first_positions if follows else places[i],
             seed + i,
             design.goal,
             design.model.channels,

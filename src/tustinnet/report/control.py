@@ -13,6 +13,7 @@ from tustinnet.control.closed_loop import ClosedLoopResult
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.export.write import ControllerExport
 from tustinnet.control.robustness import Robustness
+from tustinnet.control.trial import Trial
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.tables import Table
 
@@ -215,6 +216,19 @@ def sentences(design: ControlDesign) -> list[str]:
         lines.append("estimator: no records were given (`data=`): its noise is a rough guess")
     else:
         lines += [f"estimator: {line}" for line in design.consistency.sentences]
+    return lines
+
+
+def errors_along(design: ControlDesign, trial: Trial) -> list[str]:
+    """Sentences on how near a reference is followed: by the plan, and on plants of every kind."""
+    if design.task.reference is None or design.plan is None:
+        return []
+    units = {c.name: c.unit for c in design.model.channels.coordinates}
+    runs = {"plan": design.plan.x} | {kind: run.states for kind, run in trial.runs.items()}
+    lines = ["largest errors along the reference, in a run on a plant of each kind:"]
+    for kind, x in runs.items():
+        errors = design.errors_along(x).items()
+        lines.append(f"  {kind}: " + ", ".join(f"{n} {e:.3g} {units[n]}" for n, e in errors))
     return lines
 
 
