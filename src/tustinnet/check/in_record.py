@@ -240,8 +240,8 @@ def _turn_of_other(view: RecordView, j: int, jump: float) -> str | None:
     """The coordinate whose encoder makes jumps of this size where it is read as another one."""
     blocks = view.card.coordinates if view.card is not None else []
     own = blocks[j].counts_per_revolution if blocks else None
-    for other in blocks if own else ():
-        if other.counts_per_revolution and other.name != blocks[j].name:
+    for other in blocks:
+        if own and other.counts_per_revolution and other.name != blocks[j].name:
             turns = other.counts_per_revolution / own
             expected = 2 * np.pi * abs(turns - round(turns))
             if abs(jump - expected) < 0.1 * expected:

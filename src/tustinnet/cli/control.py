@@ -315,7 +315,7 @@ def _refuse_others(
         refuse_options(needed, "without a motion", "--swing-up, --to or --follow")
 
 
-def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, float]") -> "list[Model]":
+def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, str]") -> "list[Model]":
     """Other candidates with equations of motion, beside a model that has none."""
     from tustinnet.control.plants import load_rivals
     from tustinnet.models.groups import model_for_groups

@@ -152,9 +152,9 @@ def _motions(
         of_force = max(float(size[i]) for i, _ in places)
         position, speed = (float(_size(x @ along)) for x in (q, v))
         travel, (lower, upper) = float(np.std(q @ along)), np.percentile(q @ along, (1, 99))
-        ends = float(lower), float(upper)
+        outer = float(lower), float(upper)
         drive = float(np.abs(u[:, force.index]).max()) if force.law.is_at_input else 0.0
-        motions.append(Motion(of_force, position, travel, speed, ends, dt, longest, drive))
+        motions.append(Motion(of_force, position, travel, speed, outer, dt, longest, drive))
     return motions
 
 
