@@ -269,7 +269,7 @@ def control(
             terminal.echo("\n".join((*errors_along(design, trial), trial.robustness.sentence)))
         if export is None:
             remedies = ["record motion about the goal with inputs"]
-            remedies += [] if is_physical else ["fit equations of motion (--recipe mechanism)"]
+            remedies += [] if is_physical else ["fit equations of motion (the recipe mechanism)"]
             raise InputError(
                 "the controller",
                 f"{trial.robustness.problem}; nothing was written",

@@ -61,6 +61,7 @@ def serve() -> None:
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print there, which is no reply
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
+    sys.dont_write_bytecode = True  # nor into the folder of a file, of code beside it
     guard = Guard(replies, Path(os.environ["TMPDIR"]))
     sys.addaudithook(guard.audit)
     for line in sys.stdin.buffer:
