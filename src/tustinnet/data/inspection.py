@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment, moving_coordinates
 from tustinnet.signals import transients
+from tustinnet.signals.derivatives import differentiate
 from tustinnet.signals.equilibria import HeldEquilibrium, find_held_equilibrium
 from tustinnet.signals.timescales import Timescales, correlation_time, timescales
 
@@ -43,6 +44,14 @@ def correlation_times(experiments: Sequence[Experiment]) -> dict[str, float]:
         for j, c in enumerate(experiments[0].coordinates)
         if moving[j]
     }
+
+
+def smooth_velocities(experiment: Experiment) -> Float[np.ndarray, "n n_q"]:
+    """Velocities of a record without its noise, whatever its sensors are declared to be.
+
+    Sizes of motion follow from them: differences of a noisy sensor are larger than any motion.
+    """
+    return differentiate(experiment.q, experiment.dt, "wiener")
 
 
 def rotating_coordinates(experiments: Sequence[Experiment]) -> set[str]:

@@ -73,12 +73,15 @@ def _filter(
     frequency, density = welch(centred, dt, min(n, _SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
-    # of short segments: a single long one scatters as much as it is large, so that its weakest
-    # tenth is ten times too weak, and much of the noise is above a multiple of it
-    segment = min(max(n // _SEGMENTS, _FEWEST), n, _SEGMENT)
-    coarse_frequency, coarse = welch(centred, dt, segment)
-    floor = max(float(np.quantile(coarse[:-1], 0.1)), count**2 / 12 * 2 * dt)
-    motion = np.interp(frequency[:-1], coarse_frequency, coarse)
+    if count:
+        floor, motion = count**2 / 12 * 2 * dt, density
+    else:
+        # of short segments: a single long one scatters as much as it is large, so that its weakest
+        # tenth is ten times too weak, and much of the noise is above a multiple of it
+        segment = min(max(n // _SEGMENTS, _FEWEST), n, _SEGMENT)
+        coarse_frequency, coarse = welch(centred, dt, segment)
+        floor = float(np.quantile(coarse[:-1], 0.1))
+        motion = np.interp(frequency[:-1], coarse_frequency, coarse)
     is_motion = motion > _ABOVE * floor
     power = np.where(is_motion, np.maximum(density - floor, 0.0), 0.0) * frequency[1]
     noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance

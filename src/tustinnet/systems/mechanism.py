@@ -14,7 +14,11 @@ import numpy as np
 
 from tustinnet.channels import Coordinate, Input
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import rotating_coordinates, still_coordinates
+from tustinnet.data.inspection import (
+    rotating_coordinates,
+    smooth_velocities,
+    still_coordinates,
+)
 from tustinnet.errors import InputError
 from tustinnet.models.blocks import root_mean_square
 from tustinnet.models.contract import Coordinates, InputVector
@@ -85,7 +89,7 @@ class Mechanism(SystemTemplate):
                 "a coordinate that moves",
                 "leave it out of the data card",
             )
-        v = [e.velocities("wiener") for e in records]
+        v = [smooth_velocities(e) for e in records]
         a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
         size, input_size = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
         speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
@@ -280,7 +284,7 @@ def _pair_terms(
         largest: largest acceleration of a single term, for each coordinate.
     """
     q = np.concatenate([e.q for e in records])
-    v = np.concatenate([e.velocities("wiener") for e in records])
+    v = np.concatenate([smooth_velocities(e) for e in records])
     terms: list[Term] = []
     for i, a in enumerate(coordinates):
         for k, b in enumerate(coordinates):

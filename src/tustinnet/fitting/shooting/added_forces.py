@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import rotating_coordinates
+from tustinnet.data.inspection import rotating_coordinates, smooth_velocities
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
@@ -125,7 +125,7 @@ def _motions(
     These are inertia, the forces of the energies, and the actuators at standstill; of a force at an
     input those at the first coordinate.
     """
-    velocities = [e.velocities("wiener") for e in experiments]
+    velocities = [smooth_velocities(e) for e in experiments]
     a = [np.gradient(v, e.dt, axis=0) for v, e in zip(velocities, experiments, strict=True)]
     q, u = ([getattr(e, name) for e in experiments] for name in ("q", "u"))
     q, v, a, u = map(np.concatenate, (q, velocities, a, u))

@@ -18,6 +18,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import smooth_velocities
 from tustinnet.engine.engines import evaluate
 from tustinnet.fitting.report import SignAlternatives
 from tustinnet.fitting.shooting.equations import system_equations
@@ -81,7 +82,7 @@ def collect_motion(
         group_indices: the values of parameters per group that apply in each, see
             `groups.group_indices`; no parameter per group by default.
     """
-    velocities = [e.velocities("wiener") for e in experiments]
+    velocities = [smooth_velocities(e) for e in experiments]
     length = min(_quarter_swing(velocities), *(len(e) for e in experiments))
     begins, record, offset = [], [], 0
     for i, e in enumerate(experiments):
