@@ -336,7 +336,7 @@ def _print_run(run: "Run", data: str) -> None:
         run.folder / MODEL,
         data,
         follows=run.follows,
-        has_inputs=bool(run.roles.train[0].channels.inputs),
+        has_inputs=bool(run.channels.inputs),
     )
     terminal.echo(f"next: {steps}")
 

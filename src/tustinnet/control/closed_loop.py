@@ -1,7 +1,7 @@
 """Closed loops in simulation: a plant, an estimator, a controller, and whether the goal is met."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -185,9 +185,8 @@ def closed_loop(
     x = estimator.reset(y)
     states, measurements, estimates = [plant.state], [y], [x]
     inputs: list[Vector] = []
-    outside, k, near = "", 0, 0
-    held = 0 if goal is None else _held_samples(goal, plant.dt)
-    while k < steps or 0 < near <= held:
+    outside, k = "", 0
+    while k < steps or _is_held_too_short(goal, channels, states, plant.dt):
         u = controller.inputs(k, x)
         plant.apply(u)
         y = plant.measure()
@@ -204,9 +203,6 @@ def closed_loop(
             outside = goal.outside(channels, plant.state)
             if outside:
                 break
-        if goal is not None and channels is not None:
-            errors = goal.errors(channels, plant.state[None, channels.position])
-            near = near + 1 if goal.is_near(errors).all() else 0
         k += 1
     arrays = map(np.stack, (states, measurements, estimates, inputs))
     result = ClosedLoopResult(plant.dt, *arrays, outcome=None)
@@ -221,6 +217,18 @@ def closed_loop(
 def _held_samples(goal: Goal, dt: float) -> int:
     """The samples for which a goal is to be held."""
     return max(1, round(goal.hold / dt))
+
+
+def _is_held_too_short(
+    goal: Goal | None, channels: Channels | None, states: Sequence[Vector], dt: float
+) -> bool:
+    """Whether a run ends near its goal, and was not there for as long as it is to be."""
+    if goal is None or channels is None:
+        return False
+    needed = _held_samples(goal, dt) + 1
+    q = np.stack(states[1:][-needed:])[:, channels.position]
+    near = goal.is_near(goal.errors(channels, q))
+    return bool(near[-1]) and not (len(near) == needed and near.all())
 
 
 def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: str) -> Outcome:

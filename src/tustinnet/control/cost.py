@@ -49,11 +49,16 @@ class Cost:
     upper: Float[np.ndarray, " n_x"]
     penalty: Float[np.ndarray, " n_x"]
 
+    @property
+    def goal(self) -> Float[np.ndarray, " n_x"]:
+        """The state at the end, (n_x,)."""
+        return self.x if self.x.ndim == 1 else self.x[-1]
+
     def end_error(self, z: Float[np.ndarray, "*runs n_z"]) -> Float[np.ndarray, "*runs n_z"]:
         """Last states as differences from the goal, previous inputs from its inputs."""
         n_x, n_u = self.states.size, self.inputs.size
-        x, u = (a if a.ndim == 1 else a[-1] for a in (self.x, self.u))
-        return z - np.concatenate([x, np.tile(u, (z.shape[-1] - n_x) // n_u)])
+        u = self.u if self.u.ndim == 1 else self.u[-1]
+        return z - np.concatenate([self.goal, np.tile(u, (z.shape[-1] - n_x) // n_u)])
 
     def _beyond(self, x: Float[np.ndarray, "*rows n_x"]) -> Float[np.ndarray, "*rows n_x"]:
         """What is beyond the limits, with its sign."""

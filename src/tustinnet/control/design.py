@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -297,8 +298,7 @@ def _plan_motion(
     Raises:
         InputError: no plan arrives; it says what the best one reached.
     """
-    channels, own = model.channels, _usual_deviations(model, task, bounds)
-    planned, within = _planning_limits(model, task, point, bounds, range)
+    channels, options = model.channels, _planning_options(model, task, point, bounds, range)
     way = np.abs(point.x - start.x)[channels.position]
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
@@ -310,12 +310,7 @@ def _plan_motion(
             start.x,
             point.x,
             max(1, round(seconds / model.dt)),
-            goal_inputs=point.u,
-            deviations=own,
-            range=range,
-            within=within,
-            limits=planned,
-            delay=task.delay,
+            **options,
         )
         if plan.reached:
             return plan
@@ -338,14 +333,14 @@ def _plan_motion(
     )
 
 
-def _planning_limits(
+def _planning_options(
     model: Model,
     task: ControlTask,
     point: OperatingPoint,
     bounds: InputLimits,
     range: Range | None,
-) -> tuple[Limits, Limits]:
-    """Limits of inputs and of states of a planned motion, by name.
+) -> dict[str, Any]:
+    """The arguments that `ilqr` and `follow` share, by name.
 
     Raises:
         InputError: an input that never changes in the records.
@@ -374,7 +369,14 @@ def _planning_limits(
         i.name: (float(low), float(high))
         for i, low, high in zip(channels.inputs, lower, upper, strict=True)
     }
-    return planned, within
+    return {
+        "goal_inputs": point.u,
+        "deviations": _usual_deviations(model, task, bounds),
+        "range": range,
+        "within": within,
+        "limits": planned,
+        "delay": task.delay,
+    }
 
 
 def _plan_following(
@@ -390,27 +392,18 @@ def _plan_following(
     Raises:
         InputError: a search that did not converge.
     """
-    planned, within = _planning_limits(model, task, point, bounds, range)
+    options = _planning_options(model, task, point, bounds, range)
     channels, reference = model.channels, dict(task.reference or {})
     names = [c.name for c in channels.coordinates]
     x = np.tile(point.x, (len(next(iter(reference.values()))), 1))
     x[:, channels.position] = start.x[channels.position]
-    own = _usual_deviations(model, task, bounds)
     for name, q in reference.items():
         j = names.index(name)
         x[:, channels.position][:, j] = q
         x[:, channels.velocity][:, j] = np.gradient(q, model.dt)
-        own.setdefault(name, _FOLLOWED * float(np.ptp(q)) or _WINDOW)
-    plan = follow(
-        model,
-        x,
-        goal_inputs=point.u,
-        deviations=own,
-        range=range,
-        within=within,
-        limits=planned,
-        delay=task.delay,
-    )
+        near = _FOLLOWED * float(np.ptp(q)) or _WINDOW
+        options["deviations"].setdefault(name, near)
+    plan = follow(model, x, **options)
     if not plan.converged:
         raise InputError(
             "the reference",

@@ -312,19 +312,7 @@ def ilqr(
         if not is_converged and count < iterations:
             motion, is_converged, more = solver.minimise(motion, iterations - count)
             count += more
-        plan = Plan(
-            x=motion.z[:, : system.n_x],
-            u=motion.u,
-            cost=motion.cost,
-            converged=is_converged,
-            reached=_is_held(holding, motion.z[-1], solver.cost, bounds),
-            iterations=count,
-            dt=system.dt,
-            goal=solver.cost.x,
-            before=before,
-            delay=delay,
-        )
-        plans.append(plan)
+        plans.append(_make_plan(solver, motion, is_converged, count, holding, before))
         if len(plans) >= _FINISHED and any(p.reached and p.converged for p in plans):
             break
     return min(plans, key=lambda plan: (not plan.reached, not plan.converged, plan.cost))
@@ -385,15 +373,30 @@ def follow(
             "a slower one",
         )
     motion, is_converged, count = solver.minimise(motion, iterations)
-    gain = _holding_gain(system, bounds, x[-1], u_end, deviations, range)
-    return replace(
-        along,
-        x=motion.z[:, : system.n_x],
+    holding = _holding_gain(system, bounds, x[-1], u_end, deviations, range)
+    return _make_plan(solver, motion, is_converged, count, holding, before)
+
+
+def _make_plan(
+    solver: Solver,
+    motion: Motion,
+    is_converged: bool,
+    iterations: int,
+    holding: Float[np.ndarray, "n_u n_z"],
+    before: Float[np.ndarray, " n_u"],
+) -> Plan:
+    """The plan of a motion that a solver came to; `holding` is the gain that holds its goal."""
+    return Plan(
+        x=motion.z[:, : solver.system.n_x],
         u=motion.u,
         cost=motion.cost,
         converged=is_converged,
-        reached=_is_held(gain, motion.z[-1], solver.cost, bounds),
-        iterations=count,
+        reached=_is_held(holding, motion.z[-1], solver.cost, solver.limits),
+        iterations=iterations,
+        dt=solver.system.dt,
+        goal=solver.cost.goal,
+        before=before,
+        delay=solver.system.delay,
     )
 
 

@@ -195,11 +195,11 @@ def sentences(design: ControlDesign) -> list[str]:
         f"it is {point.stability}; {point.controllable}; {point.observable}",
     ]
     if (pid := design.feedback.pid) is not None:
-        position, voltage = channels.coordinates[0].unit, channels.inputs[0].unit or "1"
+        per, unit = channels.coordinates[0].unit, channels.inputs[0].unit or "1"
         lines.append(
-            f"as a PID in parallel form: kp = {pid.proportional:.4g} {voltage}/{position}, "
-            f"ki = {pid.integral:.4g} {voltage}/({position} s), "
-            f"kd = {pid.derivative:.4g} {voltage} s/{position}"
+            f"as a PID in parallel form: kp = {pid.proportional:.4g} {unit}/{per}, "
+            f"ki = {pid.integral:.4g} {unit}/({per} s), "
+            f"kd = {pid.derivative:.4g} {unit} s/{per}"
         )
     if (plan := design.plan) is not None:
         largest = np.abs(plan.u).max(axis=0)

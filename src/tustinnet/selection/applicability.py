@@ -43,9 +43,11 @@ def applicable_candidates(
         )
     scales = coordinate_timescales(list(context.data)).values()
     speed = "fast" if any(scale.is_fast for scale in scales) else "slow"
+    around = rotating_coordinates(records_without_test(context.data))
+    all_turn = around == {c.name for c in context.data.channels.coordinates}
     omitted: dict[str, str] = {}  # the reason by candidate
     for c in plan.candidates:
-        if reason := _reason_against(c, context, speed):
+        if reason := _reason_against(c, context, speed, all_turn=all_turn):
             omitted[c.name] = reason
         elif c.corrects and omitted.keys() >= set(c.corrects):
             omitted[c.name] = omitted[c.corrects[0]]
@@ -60,20 +62,23 @@ def applicable_candidates(
     return candidates, sentences
 
 
-def _reason_against(candidate: Candidate, context: RunContext, speed: str) -> str:
+def _reason_against(
+    candidate: Candidate, context: RunContext, speed: str, *, all_turn: bool
+) -> str:
     """Why a candidate cannot take part, empty if it can.
 
     Args:
         candidate: the candidate.
         context: the records and the system.
         speed: whether the records are `fast` or `slow`.
+        all_turn: whether every coordinate turns around in them.
     """
     channels, reason = context.data.channels, ""
     if candidate.when in ("fast", "slow") and candidate.when != speed:
         reason = f"only for {candidate.when} records"
     elif adds_lag(candidate) and not channels.inputs:
         reason = "only for records with inputs"
-    elif _needs_limited_travel(candidate) and _all_turn_around(context):
+    elif all_turn and _needs_limited_travel(candidate):
         reason = "only for coordinates with an end, and all turn around"
     elif channels.controller is not None and _ignores_controller(candidate):
         reason = "without the controller of the data card"
@@ -98,11 +103,6 @@ def _laws(candidate: Candidate) -> list[str]:
 
 def _needs_limited_travel(candidate: Candidate) -> bool:
     return any(LAWS[name].needs_limited_travel for name in _laws(candidate) if name in LAWS)
-
-
-def _all_turn_around(context: RunContext) -> bool:
-    names = {c.name for c in context.data.channels.coordinates}
-    return rotating_coordinates(records_without_test(context.data)) == names
 
 
 def _identifies(candidate: Candidate) -> bool:

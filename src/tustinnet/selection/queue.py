@@ -138,17 +138,12 @@ class CandidateQueue:
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
-        steps, rounds = [], self._climb()
-        kinds = self._best_of_kinds(rank([*self.results.values()]))
-        place = {result.name: place for place, result in enumerate(kinds)}
-        for c in reversed(self._candidates):
-            for name in self._needed(c) if c.name in place else ():
-                place[name] = min(place[c.name], place.get(name, place[c.name]))
+        steps, rounds, places = [], self._climb(), self._places()
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
                     if c.name in names:
-                        weight = self._weight(c, jobs[0], number + place.get(c.name, 0))
+                        weight = self._weight(c, jobs[0], number + places.get(c.name, 0))
                         steps.append((weight, c, jobs))
                     break
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
@@ -203,6 +198,19 @@ class CandidateQueue:
                     kept |= self._needed(c)
             rounds.append([name for name in rounds[-1] if name in kept])
         return rounds
+
+    def _places(self) -> dict[str, int]:
+        """How many kinds are better than each candidate, by name.
+
+        What a candidate corrects or begins with is as good as it.
+        """
+        kinds = self._best_of_kinds(rank([*self.results.values()]))
+        places = {result.name: place for place, result in enumerate(kinds)}
+        for c in reversed(self._candidates):
+            if c.name in places:
+                for name in self._needed(c):
+                    places[name] = min(places[c.name], places.get(name, len(kinds)))
+        return places
 
     def _needed(self, candidate: Candidate) -> set[str]:
         """The best that a candidate corrects and begins with, by name."""

@@ -108,7 +108,7 @@ class Mechanism(SystemTemplate):
                 for k, wave in _gravity_waves(coordinates)
             ),
         ]
-        terms += _pair_terms(coordinates, records, largest)
+        terms += _pair_terms(coordinates, records, v, largest)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
             viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
@@ -274,17 +274,20 @@ def _spring_terms(c: Coordinate, largest: float, size: float, is_special: bool) 
 
 
 def _pair_terms(
-    coordinates: Sequence[Coordinate], records: Sequence[Experiment], largest: Sequence[float]
+    coordinates: Sequence[Coordinate],
+    records: Sequence[Experiment],
+    velocities: Sequence[np.ndarray],
+    largest: Sequence[float],
 ) -> list[Term]:
     """Shafts between two coordinates of a kind, and slides on axes that turn.
 
     Args:
         coordinates: coordinates of the records.
         records: the records.
+        velocities: their velocities, of each record.
         largest: largest acceleration of a single term, for each coordinate.
     """
-    q = np.concatenate([e.q for e in records])
-    v = np.concatenate([smooth_velocities(e) for e in records])
+    q, v = np.concatenate([e.q for e in records]), np.concatenate(velocities)
     terms: list[Term] = []
     for i, a in enumerate(coordinates):
         for k, b in enumerate(coordinates):
