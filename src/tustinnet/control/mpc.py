@@ -16,7 +16,7 @@ from tustinnet.control.dynamics import (
     safe_inputs,
 )
 from tustinnet.control.ilqr import Motion, Solver, make_cost, next_damping, shift, turns_to
-from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices
+from tustinnet.control.lqr import gains_along, hold
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights
 from tustinnet.errors import InputError
@@ -87,11 +87,10 @@ class Mpc:
             system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
         )
         weights, value = Weights(self._cost.states, self._cost.inputs), self._cost.end
-        speeds = weights.usual_speeds(model.channels)
-        hold = feedback_gain(loop_matrices(system, x_end, u_end, speeds), value, weights)
+        held = hold(system, x_end, u_end, weights).gain
         # what is followed, and the feedback about it: along the plan, then at the goal
         goal = np.tile(system.augment(x_end, u_end), (steps + 1, 1))
-        rest, gains, ends = np.tile(u_end, (steps, 1)), np.tile(hold, (steps, 1, 1)), value[None]
+        rest, gains, ends = np.tile(u_end, (steps, 1)), np.tile(held, (steps, 1, 1)), value[None]
         self._before = bounds.clip(np.zeros(system.n_u))
         if plan is not None:
             along, values = gains_along(system, plan, value, weights)
