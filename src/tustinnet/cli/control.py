@@ -111,6 +111,12 @@ def control(
             help="Inputs while the sensors of positions cannot be used. Default: 0.",
         ),
     ] = None,
+    observer: Annotated[
+        bool,
+        typer.Option(
+            "--observer", help="Estimate lasting disturbances, and take them from the inputs."
+        ),
+    ] = False,
     trust_beyond: Annotated[
         bool,
         typer.Option(
@@ -223,6 +229,7 @@ def control(
         trust_beyond,
         values.read_point("--safe", safe),
         reference,
+        observer,
     )
     with lock_folder(out):
         begin = time.perf_counter()
@@ -246,7 +253,7 @@ def control(
             None
             if is_refused
             else export_controller(
-                simulator,
+                design.estimated,
                 design.gains,
                 design.noise,
                 out,

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
@@ -59,6 +60,7 @@ class ControlTask:
         safe: inputs by name while the estimator has lost the state, see `lqr`.
         reference: positions to follow to `at`, by the name of their coordinate, at each sample from
             the start on (see `read_reference`); None for a motion that is free between its ends.
+        observer: whether lasting disturbances are estimated and taken from the inputs.
     """
 
     at: Mapping[str, float]
@@ -72,6 +74,7 @@ class ControlTask:
     trust_beyond: bool = False
     safe: Mapping[str, float] | None = None
     reference: Mapping[str, Vector] | None = None
+    observer: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,7 @@ class ControlDesign:
 
     Attributes:
         model: the model.
+        estimated: the model whose states are estimated: with disturbances where these are.
         task: what it is to do.
         point: the equilibrium that is held.
         start: the equilibrium from which the motion begins, None without a motion.
@@ -92,6 +96,7 @@ class ControlDesign:
     """
 
     model: Model
+    estimated: Model
     task: ControlTask
     point: OperatingPoint
     start: OperatingPoint | None
@@ -242,11 +247,15 @@ def design_controller(
                 settle = proportional_feedback(start)
         gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
         gains = replace(gains, final=feedback)
+    estimated = model
+    if task.observer:
+        estimated = observe_disturbances(model, bounds)
+        gains = cancel_disturbances(gains)
     on_message("estimator")
-    noise = find_noise(model, records) if records else usual_noise(model, range)
-    consistency = check_filter(model, records, noise) if records else None
+    noise = find_noise(estimated, records) if records else usual_noise(estimated, range)
+    consistency = check_filter(estimated, records, noise) if records else None
     return ControlDesign(
-        model, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
+        model, estimated, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
     )
 
 

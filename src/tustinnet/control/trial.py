@@ -71,7 +71,7 @@ def try_design(
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
     controller = design.make_controller()
-    estimator = ExtendedKalmanFilter(design.model, design.noise)
+    estimator = ExtendedKalmanFilter(design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )
