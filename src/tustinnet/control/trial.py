@@ -11,7 +11,7 @@ from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
-from tustinnet.control.sampled_plant import SampledPlant
+from tustinnet.control.sampled_plant import PlantOptions, SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
@@ -47,6 +47,9 @@ def try_design(
 ) -> Trial:
     """Plays a controller on variants of its model, and on other plants.
 
+    The delay of the task is in the variants, and known to the estimator; other plants have their
+    own.
+
     Args:
         design: the controller.
         header: the header of the model's file, with the errors of its parameters.
@@ -58,7 +61,13 @@ def try_design(
     """
     kinds = list(
         make_variants(
-            design.model, design.noise, header, count=count, seed=seed, candidates=candidates
+            design.model,
+            design.noise,
+            header,
+            count=count,
+            seed=seed,
+            options=PlantOptions(delay=design.task.delay),
+            candidates=candidates,
         )
         if variants
         else ()
@@ -71,7 +80,7 @@ def try_design(
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
     controller = design.make_controller()
-    estimator = ExtendedKalmanFilter(design.estimated, design.noise)
+    estimator = ExtendedKalmanFilter(design.estimated, design.noise, delay=design.task.delay)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )
