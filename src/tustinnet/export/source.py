@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
-from tustinnet.engine.equations import Equations, Formula
+from tustinnet.engine.equations import Equations, Formula, read_linearised
 from tustinnet.errors import InputError
 from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
@@ -160,7 +160,14 @@ class Source:
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
-        return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
+        step_along, layout, channels = self.model.step_along, self.input_layout, self.channels
+        if step_along is None or layout.shape != (channels.n_u,):
+            return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
+        along, matrix, n_x = step_along, np.asarray(layout.matrix), self.n_x
+        dx, du = np.eye(n_x, n_x + self.n_w), np.pad(matrix, ((0, 0), (n_x, 0)))
+        return read_linearised(
+            lambda x, w: along(x, jnp.asarray(matrix) @ w, dx, du), self.step.inputs
+        )
 
     @cached_property
     def rest(self) -> Program:
