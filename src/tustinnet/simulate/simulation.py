@@ -29,6 +29,7 @@ def step_equations(
         model: the model.
         shape: shape of the input that a step takes.
         step: the step, where it is not the model's own: from state and input to the next state.
+            Its derivatives are those of its program.
     """
     function = model.step if step is None else step
     n_x, n_u, step_along = model.state_size, int(np.prod(shape)), model.step_along
