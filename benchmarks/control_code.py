@@ -2,7 +2,8 @@
 
 python benchmarks/control_code.py
 
-The feedback holds the rotary pendulum upright; the plan has 300 periods with feedback along it.
+The feedback holds the rotary pendulum upright; the plan has 300 periods with feedback along it. An
+arm of six joints follows a motion of 250 periods by computed torque, and by a plan with feedback.
 Times are medians over 61 rounds of 300 periods, in which device and encoders take no part. Sizes on
 a Cortex-M7 are told where arm-none-eabi-gcc is.
 """
@@ -23,12 +24,14 @@ from export import CORTEX
 
 import tustinnet as tn
 import tustinnet.control as tc
+from tustinnet.control.computed_torque import smooth_motion
 from tustinnet.report.tables import Table
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2 import SYSTEM, WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import COUNT
 
 PERIOD, STEPS = 0.01, 300
+ARM_PERIOD, ARM_STEPS = 0.008, 250
 FLAGS = ("-O2", "-O2 -DMODEL_FLOAT", "-O3 -march=native")
 SOURCES = ["controller.c", "estimator.c", "model.c"]
 DEVIATIONS = {"theta": 1.0, "alpha": 0.5, "der_theta": 10.0, "der_alpha": 10.0, "voltage": 5.0}
@@ -107,6 +110,47 @@ def pendulum(system: tn.LagrangianSystem, substeps: int) -> tn.Model:
     )
 
 
+def arm() -> tn.Model:
+    """An arm of six joints of the size of a person's, with friction and encoders."""
+    parts = ['<robot name="arm"><link name="base"/>']
+    lengths = (0.2, 0.5, 0.4, 0.1, 0.1, 0.1)
+    masses = (8.0, 12.0, 6.0, 2.0, 2.0, 0.5)
+    for i, (length, mass, axis) in enumerate(zip(lengths, masses, "zyyyzy", strict=True)):
+        direction = " ".join(str(int(name == axis)) for name in "xyz")
+        wide, thin = mass * length**2 / 8, mass * length**2 / 20
+        parent = f"link{i - 1}" if i else "base"
+        parts.append(
+            f'<link name="link{i}"><inertial><origin xyz="0.01 0.02 {length / 2}"/>'
+            f'<mass value="{mass}"/><inertia ixx="{wide}" iyy="{wide}" izz="{thin}" ixy="0" '
+            f'ixz="0" iyz="0"/></inertial></link><joint name="joint{i}" type="revolute">'
+            f'<origin xyz="0 0.05 {lengths[i - 1] if i else 0.1}"/><parent link="{parent}"/>'
+            f'<child link="link{i}"/><axis xyz="{direction}"/><dynamics damping="3" friction="2"/>'
+            '<limit lower="-3" upper="3" effort="150" velocity="4"/></joint>'
+        )
+    with tempfile.TemporaryDirectory() as place:
+        (file := Path(place) / "arm.urdf").write_text("".join([*parts, "</robot>"]))
+        system = tn.load_robot(file)
+    values = {name: jnp.asarray(value) for name, value in system.nominal().items()}
+    values |= {f"joint{i}.armature": jnp.asarray(0.5) for i in range(6)}
+    values |= {f"joint{i}.coulomb_speed": jnp.asarray(0.1) for i in range(6)}
+    model = tn.discretise(system.model(values), ARM_PERIOD)
+    coordinates = tuple(replace(c, resolution=5e-5) for c in model.channels.coordinates)
+    inputs = tuple(replace(i, limits=(-150.0, 150.0)) for i in model.channels.inputs)
+    return replace(model, channels=replace(model.channels, coordinates=coordinates, inputs=inputs))
+
+
+def arm_controllers(model: tn.Model) -> dict[str, tc.Tracking]:
+    """Computed torque along a motion of 250 periods, and feedback along the same plan."""
+    names = [c.name for c in model.channels.coordinates]
+    ends = np.array([0.0, -1.0, 1.2, -0.8, 0.3, 0.0]), np.array([0.5, -0.5, 1.7, -0.3, 0.8, 0.5])
+    motion = smooth_motion(*ends, ARM_STEPS, ARM_PERIOD)
+    point = tc.find_equilibrium(model, dict(zip(names, ends[1].tolist(), strict=True)))
+    feedback = tc.lqr(model, point.x, point.u)
+    by_torque = tc.computed_torque(model, motion, feedback)
+    by_feedback = tc.Tracking(by_torque.plan, np.tile(feedback.gain, (ARM_STEPS, 1, 1)), feedback)
+    return {"computed torque": by_torque, "plan": by_feedback}
+
+
 def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
     """The feedback, and a plan of 300 periods from beside the goal with feedback along it."""
     x0, u0 = np.zeros(model.state_size), np.zeros(1)
@@ -143,6 +187,13 @@ def times(folder: Path, *flags: str) -> list[str]:
     (folder / "timer.c").write_text(TIMER)
     run(["gcc", "-std=c99", *flags, *SOURCES, "timer.c", "-lm", "-o", "timer"], folder)
     return run(["./timer"], folder).split()
+
+
+def text(folder: Path) -> str:
+    """Bytes of code and constants of model, estimator and controller, here by -O2."""
+    run(["gcc", "-std=c99", "-O2", "-c", *SOURCES], folder)
+    lines = run(["size", *(s.replace(".c", ".o") for s in SOURCES)], folder).splitlines()[1:]
+    return str(sum(int(line.split()[0]) for line in lines))
 
 
 def sizes(folder: Path) -> list[str]:
@@ -188,18 +239,27 @@ def sizes(folder: Path) -> list[str]:
 def main() -> None:
     """Both tables."""
     speed, space = [], []
-    models = {"grey box": pendulum(SYSTEM, 1), "grey box with memory": pendulum(WITH_MEMORY, 2)}
+    models = {
+        "grey box": pendulum(SYSTEM, 1),
+        "grey box with memory": pendulum(WITH_MEMORY, 2),
+        "arm of six joints": arm(),
+    }
     for title, model in models.items():
-        n_x = model.state_size
-        noise = FilterNoise(np.full(n_x, 0.01), np.full(n_x, 1e-3), np.full(2, COUNT / 3.5))
-        for name, controller in controllers(model).items():
+        n_x, n_q = model.state_size, model.channels.n_q
+        noise = FilterNoise(np.full(n_x, 0.01), np.full(n_x, 1e-3), np.full(n_q, COUNT / 3.5))
+        made = arm_controllers(model) if n_q == 6 else controllers(model)
+        for name, controller in made.items():
             with tempfile.TemporaryDirectory() as place:
                 folder = Path(place)
                 tc.export_controller(model, controller, noise, folder)
-                speed += [[title, name, flags, *times(folder, *flags.split())] for flags in FLAGS]
+                size = text(folder)
+                speed += [
+                    [title, name, flags, *times(folder, *flags.split()), size] for flags in FLAGS
+                ]
                 if shutil.which("arm-none-eabi-gcc"):
                     space.append([title, name, *sizes(folder)])
-    headings = ["model", "controller", "flags", "controller us", "filter us", "both us"]
+    columns = ["controller us", "filter us", "both us", "-O2 [bytes]"]
+    headings = ["model", "controller", "flags", *columns]
     print(Table(headings, speed, title="A period in C, medians [us]").markdown())
     title = "Cortex-M7, float, -O2 [bytes]; stack without libm's"
     headings = ["model", "controller", "flash", "constants", "stack", "structures"]

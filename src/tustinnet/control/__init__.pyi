@@ -2,6 +2,7 @@ from .closed_loop import ClosedLoopResult as ClosedLoopResult
 from .closed_loop import Goal as Goal
 from .closed_loop import Outcome as Outcome
 from .closed_loop import closed_loop as closed_loop
+from .computed_torque import computed_torque as computed_torque
 from .controller import Controller as Controller
 from .controllers import LinearFeedback as LinearFeedback
 from .controllers import TrackingFeedback as TrackingFeedback
@@ -21,6 +22,7 @@ from .export.write import export_controller as export_controller
 from .fmu_plant import FmuPlant as FmuPlant
 from .ilqr import follow as follow
 from .ilqr import ilqr as ilqr
+from .lqr import AccelerationGains as AccelerationGains
 from .lqr import Feedback as Feedback
 from .lqr import Pid as Pid
 from .lqr import Recovery as Recovery

@@ -22,10 +22,14 @@ class LinearFeedback:
         self.feedback = feedback
         self.reset()
 
-    def reset(self, previous: Float[np.ndarray, " previous"] | None = None) -> None:
-        """Sets integrals to 0, and previous commands, the latest first; by default to `u0`."""
+    def reset(
+        self,
+        previous: Float[np.ndarray, " previous"] | None = None,
+        integral: Float[np.ndarray, " integrals"] | None = None,
+    ) -> None:
+        """Sets integrals, by default to 0, and previous commands, the latest first, to `u0`."""
         feedback = self.feedback
-        self._integral = np.zeros(len(feedback.integral))
+        self._integral = np.zeros(len(feedback.integral)) if integral is None else integral
         rest = np.tile(feedback.u0, feedback.previous)
         self._previous = rest if previous is None else np.array(previous, np.float64)
         self._rest = rest
@@ -72,6 +76,7 @@ class TrackingFeedback:
     def reset(self) -> None:
         """Forgets the commands and integrals of an earlier run, and begins with the plan."""
         self._previous = np.tile(self.tracking.plan.before, self.tracking.final.previous)
+        self._integral = np.zeros(len(self.tracking.integral))
         self.phase, self._begin = "plan", 0
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
@@ -84,8 +89,12 @@ class TrackingFeedback:
             command = self._settle.inputs(k, x)
         else:
             error = wrap(x - plan.x[step], final.periodic)
-            z = np.concatenate([error, self._previous - self._reference[step]])
-            command = final.command(plan.u[step] - self.tracking.gains[step] @ z)
+            z = np.concatenate([error, self._integral, self._previous - self._reference[step]])
+            unlimited = plan.u[step] - self.tracking.gains[step] @ z
+            command = final.command(unlimited)
+            if np.array_equal(command, unlimited):
+                own = error[list(self.tracking.integral)]
+                self._integral = self._integral + final.dt * own
             self._begin += not np.isfinite(x).all()  # the plan waits
         self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
         return command
@@ -95,7 +104,7 @@ class TrackingFeedback:
         plan, final, recovery = self.tracking.plan, self.tracking.final, self.tracking.recovery
         if self.phase == "plan" and k - self._begin >= len(plan.u):
             self.phase = "hold"
-            self._hold.reset(self._previous)
+            self._hold.reset(self._previous, self._integral if self.tracking.integral else None)
         if recovery is None:
             return
         # after a while without a state the device is somewhere else

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.closed_loop import Goal
+from tustinnet.control.computed_torque import computed_torque, smooth_motion
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
@@ -117,6 +118,11 @@ class ControlDesign:
         """The planned motion, None without one."""
         return self.gains.plan if isinstance(self.gains, Tracking) else None
 
+    @property
+    def has_computed_torque(self) -> bool:
+        """Whether inverse dynamics follow the motion."""
+        return isinstance(self.gains, Tracking) and self.gains.by_acceleration is not None
+
     def errors_along(self, x: Float[np.ndarray, "samples n_x"]) -> dict[str, float]:
         """Largest errors of states from the reference, by coordinate [rad or m]; none without."""
         names = [c.name for c in self.model.channels.coordinates]
@@ -216,8 +222,10 @@ def design_controller(
     if task.start is not None:
         on_message("motion")
         start = find_equilibrium(model, task.start, task.limits, speeds=speeds)
+        options = _planning_options(model, task, point, bounds, range)
+        torque = _try_computed_torque(model, task, start, point, feedback, options)
         make_plan = _plan_motion if task.reference is None else _plan_following
-        plan = make_plan(model, task, start, point, bounds, range)
+        plan = torque.plan if torque else make_plan(model, task, start, point, options)
         beyond = (
             None
             if range is None
@@ -238,15 +246,18 @@ def design_controller(
                 model, at.x, at.u, deviations=own, range=range, delay=task.delay, limits=task.limits
             )
 
-        # along the plan errors are not integrated; from its end on they are
-        final = proportional_feedback(point) if task.integral else feedback
-        settle = None
-        if point.is_unstable and not start.is_unstable:
-            # only from a start where it comes to rest by itself a motion can begin again
-            with suppress(InputError):  # a mode there that the inputs do not move
-                settle = proportional_feedback(start)
-        gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
-        gains = replace(gains, final=feedback)
+        if torque is not None:
+            gains, loop_margins = torque, margins(model, torque.final)
+        else:
+            # along the plan errors are not integrated; from its end on they are
+            final = proportional_feedback(point) if task.integral else feedback
+            settle = None
+            if point.is_unstable and not start.is_unstable:
+                # only from a start where it comes to rest by itself a motion can begin again
+                with suppress(InputError):  # a mode there that the inputs do not move
+                    settle = proportional_feedback(start)
+            gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
+            gains = replace(gains, final=feedback)
     estimated = model
     if task.observer:
         estimated = observe_disturbances(model, bounds)
@@ -299,21 +310,15 @@ def _plan_motion(
     task: ControlTask,
     start: OperatingPoint,
     point: OperatingPoint,
-    bounds: InputLimits,
-    range: Range | None,
+    options: Mapping[str, Any],
 ) -> Plan:
     """A motion from a start to the equilibrium that is held.
 
     Raises:
         InputError: no plan arrives; it says what the best one reached.
     """
-    channels, options = model.channels, _planning_options(model, task, point, bounds, range)
-    way = np.abs(point.x - start.x)[channels.position]
-    moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
-    usual = _usual_duration(start, moved)
-    durations = [task.seconds] if task.seconds is not None else [usual * f for f in _LONGER]
-    best = None
-    for seconds in durations:
+    channels, best = model.channels, None
+    for seconds in _durations(model, task, start, point):
         plan = ilqr(
             model,
             start.x,
@@ -340,6 +345,59 @@ def _plan_motion(
         goal,
         "give it more time (`seconds=`), wider limits, or other weights (`weight=`)",
     )
+
+
+def _try_computed_torque(
+    model: Model,
+    task: ControlTask,
+    start: OperatingPoint,
+    point: OperatingPoint,
+    feedback: Feedback,
+    options: Mapping[str, Any],
+) -> Tracking | None:
+    """The motion by inverse dynamics; None where it is not possible, or the task asks for others.
+
+    Weights, integrals, delays and observers are those of linear-quadratic feedback.
+
+    Args:
+        model: the model.
+        task: the task, with a start.
+        start: where it begins.
+        point: where it ends.
+        feedback: the feedback there.
+        options: the limits of a plan, see `_planning_options`.
+    """
+    if task.deviations or task.integral or task.delay or task.observer:
+        return None
+    channels, names = model.channels, controlled(model).names
+    if task.reference is not None:
+        references = [_reference_states(model, task.reference, start, point)]
+    else:
+        ends = start.x[channels.position], point.x[channels.position]
+        references = [
+            smooth_motion(*ends, max(1, round(seconds / model.dt)), float(model.dt))
+            for seconds in _durations(model, task, start, point)
+        ]
+    for x in references:
+        columns = {name: x[:, names.index(name)] for name in options["within"]}
+        ends = options["within"].items()
+        if all(low <= columns[n].min() and columns[n].max() <= high for n, (low, high) in ends):
+            with suppress(InputError):  # not fully driven, or too quick for the limits
+                return computed_torque(model, x, feedback, limits=options["limits"])
+    return None
+
+
+def _durations(
+    model: Model, task: ControlTask, start: OperatingPoint, point: OperatingPoint
+) -> list[float]:
+    """Durations of a motion that are tried in turn [s]."""
+    if task.seconds is not None:
+        return [task.seconds]
+    channels = model.channels
+    way = np.abs(point.x - start.x)[channels.position]
+    moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
+    usual = _usual_duration(start, moved)
+    return [usual * factor for factor in _LONGER]
 
 
 def _planning_options(
@@ -393,26 +451,17 @@ def _plan_following(
     task: ControlTask,
     start: OperatingPoint,
     point: OperatingPoint,
-    bounds: InputLimits,
-    range: Range | None,
+    options: Mapping[str, Any],
 ) -> Plan:
     """The motion nearest to the reference of a task.
 
     Raises:
         InputError: a search that did not converge.
     """
-    options = _planning_options(model, task, point, bounds, range)
-    channels, reference = model.channels, dict(task.reference or {})
-    names = [c.name for c in channels.coordinates]
-    x = np.tile(point.x, (len(next(iter(reference.values()))), 1))
-    x[:, channels.position] = start.x[channels.position]
-    for name, q in reference.items():
-        j = names.index(name)
-        x[:, channels.position][:, j] = q
-        x[:, channels.velocity][:, j] = np.gradient(q, model.dt)
-        near = _FOLLOWED * float(np.ptp(q)) or _WINDOW
-        options["deviations"].setdefault(name, near)
-    plan = follow(model, x, **options)
+    reference = dict(task.reference or {})
+    near = {name: _FOLLOWED * float(np.ptp(q)) or _WINDOW for name, q in reference.items()}
+    x = _reference_states(model, reference, start, point)
+    plan = follow(model, x, **{**options, "deviations": near | options["deviations"]})
     if not plan.converged:
         raise InputError(
             "the reference",
@@ -421,6 +470,21 @@ def _plan_following(
             "a slower one, or wider limits (`limits=`)",
         )
     return plan
+
+
+def _reference_states(
+    model: Model, reference: Mapping[str, Vector], start: OperatingPoint, point: OperatingPoint
+) -> Float[np.ndarray, "samples n_x"]:
+    """States along a reference, at rest at its ends; what it does not name stays at the start."""
+    channels = model.channels
+    names = [c.name for c in channels.coordinates]
+    x = np.tile(point.x, (len(next(iter(reference.values()))), 1))
+    x[:, channels.position] = start.x[channels.position]
+    for name, q in reference.items():
+        j = names.index(name)
+        x[:, channels.position][:, j] = q
+        x[1:-1, channels.velocity][:, j] = np.gradient(q, model.dt)[1:-1]
+    return x
 
 
 def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:

@@ -1,6 +1,6 @@
 """A model as it is controlled: its step by the latest command, earlier commands in the state."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from math import ceil, log2
 from typing import NamedTuple
@@ -92,6 +92,24 @@ class ControlledModel:
         return jnp.concatenate([self._step(x, jnp.concatenate(samples)), kept])
 
     @cached_property
+    def _slope(self) -> Callable[[Array], Array] | None:
+        """The derivatives by [z, u], (n_z, n_z + n_u), where they have equations of their own."""
+        step_along, layout = self.model.step_along, self._layout
+        if step_along is None or layout.shape != (self.n_u,):
+            return None
+        n_x, n_u, along = self.n_x, self.n_u, step_along
+        state, previous, command = np.split(np.eye(self.size + n_u), [n_x, self.size])
+        commands = np.concatenate([command, previous])
+        samples = np.concatenate([commands[p * n_u : (p + 1) * n_u] for p in self._places])
+        inputs, kept = layout.matrix @ samples, commands[: self.previous * n_u]
+
+        def slope(point: Array) -> Array:
+            columns = along(point[:n_x], jnp.asarray(inputs) @ point, state, inputs)
+            return jnp.concatenate([columns[:, 1:], kept])
+
+        return slope
+
+    @cached_property
     def step_formula(self) -> Formula:
         """The step at many points [z, u]."""
         size = self.size
@@ -99,6 +117,7 @@ class ControlledModel:
             lambda point: self.function(point[:size], point[size:]),
             size + self.n_u,
             where=self.where,
+            slope=self._slope,
         )
         compile_formula(formula, derivatives=True)
         return formula

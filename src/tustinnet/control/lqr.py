@@ -127,6 +127,20 @@ class Recovery:
     settled_within: Float[np.ndarray, " n_x"]
 
 
+class AccelerationGains(NamedTuple):
+    """Gains from errors of each coordinate to its acceleration.
+
+    Attributes:
+        proportional: kp, by the error of the position [1/s^2].
+        derivative: kd, by that of the velocity [1/s].
+        integral: ki, by the integral of the error of the position [1/s^3].
+    """
+
+    proportional: float
+    derivative: float
+    integral: float
+
+
 @dataclass(frozen=True)
 class Tracking:
     """Time-varying feedback along a plan, and the feedback that holds its end.
@@ -134,15 +148,24 @@ class Tracking:
     Attributes:
         plan: the plan.
         gains: gains at every step, (N, n_u, n_z): `u = plan.u[k] - gains[k] z`, `z` the errors of
-            the states and the previous commands as differences from those of the plan.
+            the states and the previous commands as differences from those of the plan. With
+            `by_acceleration` also the integrals of `final`, which go on from the plan to its end.
         final: the feedback after the last step.
         recovery: the way back to the plan's start after a fall; None for none.
+        by_acceleration: the gains of which those along the plan follow by inverse dynamics, see
+            `computed_torque`; None for others.
     """
 
     plan: Plan
     gains: Float[np.ndarray, "N n_u n_z"]
     final: Feedback
     recovery: Recovery | None = None
+    by_acceleration: AccelerationGains | None = None
+
+    @property
+    def integral(self) -> tuple[int, ...]:
+        """Indices of the coordinates whose errors are integrated along the plan."""
+        return self.final.integral if self.by_acceleration else ()
 
 
 class LoopMatrices(NamedTuple):

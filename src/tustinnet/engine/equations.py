@@ -46,6 +46,8 @@ class Equations:
         matrices: the weights of layers that are given with every run, and their shapes.
         sampled: what happens at each sample; the function takes its values last. None for
             nothing.
+        along: of state and inputs, the next state and its derivatives by both behind it,
+            (n_x, 1 + n_x + n_u); None for those of the program.
     """
 
     function: Callable[..., Any]
@@ -57,6 +59,7 @@ class Equations:
     where: str = "model"
     matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     sampled: SampledValues | None = None
+    along: Callable[[Any, Any], Any] | None = None
 
     @cached_property
     def with_sampled_states(self) -> "tuple[Equations, Equations]":
@@ -115,12 +118,33 @@ class Equations:
 
         Loops stay loops, so that machine code of a step is compiled in a fraction of a second.
         """
-        return with_derivatives(self.program, "x", {"a": "x", "b": "u"})
+        if self.along is None:
+            return with_derivatives(self.program, "x", {"a": "x", "b": "u"})
+        return read_linearised(self.along, self.program.inputs, self.where)
 
     @cached_property
     def adjoints(self) -> Adjoints:
         """The program in reverse: adjoints of the state, the parameters and the layers."""
         return with_adjoints(self.program, "x", ("x", "p"))
+
+
+def read_linearised(
+    along: Callable[[Any, Any], Any], inputs: Mapping[str, int], where: str = "model"
+) -> Program:
+    """The program of a linearised step: `x`, and its derivatives `a` by the state, `b` by inputs.
+
+    Args:
+        along: see `Equations`.
+        inputs: sizes of the program's inputs; state and inputs are the first two.
+        where: its name in messages.
+    """
+    n_x = next(iter(inputs.values()))
+
+    def linearised(x: Any, u: Any, *_: Any) -> dict[str, Any]:
+        columns = along(x, u)
+        return {"x": columns[:, 0], "a": columns[:, 1 : 1 + n_x], "b": columns[:, 1 + n_x :]}
+
+    return read(linearised, inputs, where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,12 +178,15 @@ class Formula:
         size: `n`.
         by: the numbers of a point that it is differentiated by; by default all.
         where: its name in messages.
+        slope: of a point, the derivatives by all its numbers, (m, n); None for those of the
+            program.
     """
 
     function: Callable[[Any], Any]
     size: int
     by: range | None = None
     where: str = "model"
+    slope: Callable[[Any], Any] | None = None
 
     @cached_property
     def program(self) -> Program:
@@ -173,6 +200,8 @@ class Formula:
     @cached_property
     def derivatives(self) -> Program:
         """The program of the derivatives, by rows: `x` to `value`."""
+        if (slope := self.slope) is not None:
+            return read(lambda x: {"value": slope(x)}, {"x": self.size}, self.where)
         columns = {} if self.by is None else {"x": self.by}
         both = with_derivatives(self.program, "value", {"slope": "x"}, columns)
         return Program(both.inputs, both.nodes, {"value": both.outputs["slope"]}, both.tables)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
-from tustinnet.engine.equations import Equations, Formula
+from tustinnet.engine.equations import Equations, Formula, read_linearised
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
@@ -117,7 +117,17 @@ class Source:
     @cached_property
     def equations(self) -> Equations:
         """The step for the engine, one state at a time."""
-        return step_equations(self.model, (self.n_w,), self.function)
+        return replace(step_equations(self.model, (self.n_w,), self.function), along=self._along)
+
+    @cached_property
+    def _along(self) -> StepFunction | None:
+        """The step with derivatives by state and inputs behind it, where these have equations."""
+        step_along, layout = self.model.step_along, self.input_layout
+        if step_along is None or layout.shape != (self.channels.n_u,):
+            return None
+        along, matrix, n_x = step_along, np.asarray(layout.matrix), self.n_x
+        dx, du = np.eye(n_x, n_x + self.n_w), np.pad(matrix, ((0, 0), (n_x, 0)))
+        return lambda x, w: along(x, jnp.asarray(matrix) @ w, dx, du)
 
     @cached_property
     def batched_step(self) -> Formula:
@@ -159,7 +169,9 @@ class Source:
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
-        return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
+        if self._along is None:
+            return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
+        return read_linearised(self._along, self.step.inputs)
 
     @cached_property
     def rest(self) -> Program:

@@ -132,7 +132,7 @@ class Chain:
     @property
     def inertia(self) -> Inertia:
         """The mass matrix and the Coriolis forces as a system takes them."""
-        return Inertia(self.mass_matrix, self.coriolis)
+        return Inertia(self.mass_matrix, self.coriolis, inverse=self.inverse)
 
     def kinetic(self, q: Coordinates, v: Coordinates, p: Values) -> Scalar:
         """Kinetic energy [J]."""
@@ -205,6 +205,12 @@ class Chain:
     def coriolis(self, q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
         """`dT/dq - (d2T/dv dq) v`: centrifugal and Coriolis forces, (n_q,) [N m or N]."""
         return -self.inertial_forces(q, v, jnp.zeros_like(v), self._inertias(p))
+
+    def inverse(self, q: Coordinates, v: Coordinates, a: Coordinates, p: Values) -> Coordinates:
+        """Forces that a motion needs, without those of gravity, (n_q,) [N m or N]."""
+        armatures = [0.0 if name is None else p[name] for name in self.armatures]
+        own = jnp.stack([x * a[k] for k, x in enumerate(armatures)])
+        return self.inertial_forces(q, v, a, self._inertias(p)) + own
 
     def inertial_forces(
         self,

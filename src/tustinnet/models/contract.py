@@ -25,6 +25,11 @@ InputVector = Float[Array, " n_u"]
 Internal = Float[Array, " n_z"]
 Coordinates = Float[Array, " n_q"]
 
+# of state, inputs of a step, and directions of both, by columns: the next state, and behind it its
+# derivatives along these directions, (n_x, 1 + directions)
+Directions = Float[Array | np.ndarray, "_ directions"]
+StepAlong = Callable[[State, InputVector, Directions, Directions], Float[Array, "n_x columns"]]
+
 SameModel = TypeVar("SameModel")  # a bound by name could not be checked in other modules
 
 
@@ -138,6 +143,15 @@ class Model(Stateful):
             f"steps of its sampling period, {self.dt:g} s",
             "resample the record",
         )
+
+    @property
+    def step_along(self) -> StepAlong | None:
+        """The step with derivatives along directions, where these have equations of their own.
+
+        It takes inputs that are constant over the period. By default there is none, and the
+        derivatives are those of the step's program.
+        """
+        return None
 
     @property
     def step_layout(self) -> StepLayout:

@@ -1,7 +1,7 @@
 """Continuous models made discrete by fixed steps."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -14,10 +14,13 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import (
     ContinuousModel,
+    Directions,
     InputVector,
     Model,
     State,
+    StepAlong,
 )
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.sizes import MOST_SUBSTEPS, MOST_UNROLLED
 from tustinnet.models.step_layout import StepInput, StepLayout
 
@@ -77,17 +80,51 @@ class Discretised(FromContinuous):
 
     def advance(self, x: State, u: StepInput, period: Array | float) -> State:
         """The state after a period [s]: `substeps` Runge-Kutta steps of fourth order."""
-        n, h = self.substeps, period / self.substeps
         x, model = self.continuous.between_samples(x, input_at(u, 0.0))
+        return self._integrate(model, x, u, period)
+
+    @property
+    def step_along(self) -> StepAlong | None:
+        """The step with derivatives of equations of motion, where nothing happens at samples."""
+        model = self.continuous
+        if not isinstance(model, LagrangianModel) or model.changes_at_samples:
+            return None
+
+        def step(x: State, u: InputVector, dx: Directions, du: Directions) -> Array:
+            along = jnp.concatenate([x[:, None], dx], axis=1)
+            return self._integrate(_Along(model, du), along, u, self.dt)
+
+        return step
+
+    def _integrate(self, model: Any, x: Array, u: StepInput, period: Array | float) -> Array:
+        n, h = self.substeps, period / self.substeps
         if self.unrolled:
             for i in range(n):
                 x = runge_kutta_4(model, x, stage_inputs(u, i, n), h)
             return x
 
-        def substep(state: State, i: Array) -> tuple[State, None]:
+        def substep(state: Array, i: Array) -> tuple[Array, None]:
             return runge_kutta_4(model, state, stage_inputs(u, i, n), h, looped=True), None
 
         return jax.lax.scan(substep, x, jnp.arange(n, dtype=x.dtype))[0]
+
+
+@dataclass(frozen=True)
+class _Along:
+    """Equations of motion of a state and of its derivatives along directions behind it, by columns.
+
+    Attributes:
+        model: the equations of motion.
+        inputs: the directions of the inputs, (n_u, directions).
+    """
+
+    model: LagrangianModel
+    inputs: Directions
+
+    def derivative(self, x: Array, u: InputVector) -> Array:
+        """The derivative of the columns, (n_x, 1 + directions)."""
+        rate, along = self.model.derivative_along(x[:, 0], u, x[:, 1:], self.inputs)
+        return jnp.concatenate([rate[:, None], along], axis=1)
 
 
 def discretise(
@@ -149,18 +186,18 @@ def input_at(u: StepInput, part: Array | float) -> InputVector:
 
 
 def runge_kutta_4(
-    model: ContinuousModel,
-    x: State,
+    model: Any,
+    x: Array,
     u: tuple[InputVector, InputVector, InputVector],
     h: Array | float,
     *,
     looped: bool = False,
-) -> State:
+) -> Array:
     """One classical Runge-Kutta step of length `h` [s].
 
     Args:
-        model: the model.
-        x: the state, (n_x,).
+        model: the model, or another object with `derivative(x, u)`.
+        x: the state, (n_x,), or an array of another shape.
         u: the inputs at the beginning, the middle and the end of the step.
         h: length of the step [s].
         looped: whether the four stages are a loop of the compiled program. That compiles three
@@ -168,7 +205,7 @@ def runge_kutta_4(
             are carried along.
     """
 
-    def stage(carry: tuple[State, State], now: tuple[Any, ...]) -> tuple[tuple[State, State], None]:
+    def stage(carry: tuple[Array, Array], now: tuple[Any, ...]) -> tuple[tuple[Array, Array], None]:
         slope, mean = carry
         node, weight, inputs_now = now
         slope = model.derivative(x + h * node * slope, inputs_now)

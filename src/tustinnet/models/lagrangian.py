@@ -20,6 +20,7 @@ from tustinnet.errors import InputError, describe_error
 from tustinnet.models.contract import (
     ContinuousModel,
     Coordinates,
+    Directions,
     InputVector,
     Internal,
     State,
@@ -57,11 +58,14 @@ class Inertia:
         coriolis: `C(q, v, p)`, dT/dq - (d2T/dv dq) v, (n_q,) [N m or N].
         uncoupled: indices of coordinates whose rows of the mass matrix are 0 beside the diagonal,
             as of motors behind elastic gears. Their accelerations are quotients.
+        inverse: `M(q, p) a - C(q, v, p)` as a function of `(q, v, a, p)` by one recursion, (n_q,):
+            derivatives of equations of motion are shortest by it. None to add both.
     """
 
     mass_matrix: Callable[[Coordinates, Values], Any]
     coriolis: Callable[[Coordinates, Coordinates, Values], Any]
     uncoupled: tuple[int, ...] = ()
+    inverse: Callable[[Coordinates, Coordinates, Coordinates, Values], Any] | None = None
 
 
 class _Held(ContinuousModel):
@@ -535,7 +539,13 @@ class LagrangianModel(ContinuousModel):
     def acceleration(self, x: State, u: InputVector) -> AllCoordinates:
         """The acceleration at a state under an input, of all coordinates [rad/s^2 or m/s^2]."""
         q, v, z = self._parts(x)
-        matrix, force = self.mass_matrix(q), self.applied(q, v, z, u) + self.conservative(q, v)
+        force = self.applied(q, v, z, u) + self.conservative(q, v)
+        return self._accelerate(self.mass_matrix(q), force)
+
+    def _accelerate(
+        self, matrix: Float[Array, "n n"], force: Float[Array, "n *columns"]
+    ) -> Float[Array, "n *columns"]:
+        """Accelerations by forces, with the mass matrix of all coordinates."""
         uncoupled = self.system.inertia.uncoupled if self.system.inertia else ()
         if not uncoupled:
             return solve_positive(matrix, force)
@@ -546,6 +556,61 @@ class LagrangianModel(ContinuousModel):
             for i, a in zip(coupled, solve_positive(matrix[at][:, at], force[at]), strict=True):
                 accelerations[i] = a
         return jnp.stack(accelerations)
+
+    def imbalance(self, x: State, u: InputVector, a: AllCoordinates) -> AllCoordinates:
+        """`M a + c + dV/dq + D - Q - F`: forces that a motion needs and does not have, (n,).
+
+        Args:
+            x: the state, (n_x,).
+            u: the inputs, (n_u,).
+            a: accelerations of all coordinates, (n,).
+        """
+        (q, v, z), s, p = self._parts(x), self.system, self.values
+        if s.inertia and s.inertia.inverse:
+            needed = jnp.asarray(s.inertia.inverse(q, v, a, p))
+            needed = needed + jax.grad(s.potential)(q, p) if s.potential else needed
+        else:
+            needed = self.mass_matrix(q) @ a - self.conservative(q, v)
+        return needed - self.applied(q, v, z, u)
+
+    def derivative_along(
+        self,
+        x: State,
+        u: InputVector,
+        dx: Directions,
+        du: Directions,
+    ) -> tuple[State, Float[Array, "n_x directions"]]:
+        """The derivative of the state, and its own derivatives along some directions.
+
+        Along a motion the imbalance of forces is 0: `M da = -d(imbalance)` with the acceleration
+        held. So neither the mass matrix nor its factorisation is differentiated, and all directions
+        share one Jacobian.
+
+        Args:
+            x: the state, (n_x,).
+            u: the inputs, (n_u,).
+            dx: directions of the state, (n_x, directions).
+            du: directions of the inputs, (n_u, directions).
+
+        References:
+            Carpentier, Mansard (2018), Analytical derivatives of rigid body dynamics algorithms,
+            Robotics: Science and Systems.
+        """
+        q, v, z = self._parts(x)
+        matrix, n = self.mass_matrix(q), self.channels.n_q
+        a = self._accelerate(matrix, self.applied(q, v, z, u) + self.conservative(q, v))
+
+        def along(function: Callable[[State, InputVector], Any]) -> Any:
+            by_x, by_u = jax.jacfwd(function, argnums=(0, 1))(x, u)
+            return by_x @ dx + by_u @ du
+
+        da = self._accelerate(matrix, -along(lambda x, u: self.imbalance(x, u, a)))
+        hidden = dx[self.channels.internal][len(v) - n : 2 * (len(v) - n)]
+        rate = jnp.concatenate([v[:n], a[:n], v[n:], a[n:], self.memory_rate(x, u)])
+        parts = [dx[self.channels.velocity], da[:n], hidden, da[n:]]
+        if len(rate) > 2 * len(v):
+            parts.append(along(self.memory_rate))
+        return rate, jnp.concatenate(parts)
 
     def derivative(self, x: State, u: InputVector) -> State:
         """`d/dt [q, v, z] = [v, a, rate]`."""
@@ -564,6 +629,12 @@ class LagrangianModel(ContinuousModel):
         feedback, x = self.system.feedback, self.settled(x)
         is_held = feedback is not None and feedback.is_sampled
         return x, _Held(self, self.computed(x, u)) if is_held else self
+
+    @property
+    def changes_at_samples(self) -> bool:
+        """Whether states settle at samples, or a controller in the loop computes then."""
+        feedback, memory = self.system.feedback, self.system.states.memory
+        return memory.settle is not None or (feedback is not None and feedback.is_sampled)
 
     def settled(self, x: State) -> State:
         """The state as it goes on at a sample, (n_x,): of memory that settles."""
@@ -680,13 +751,16 @@ def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], model.memory_rate(x, u)])
 
 
-def solve_positive(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+def solve_positive(
+    matrix: Float[Array, "n n"], right: Float[Array, "n *columns"]
+) -> Float[Array, "n *columns"]:
     """Solves `matrix x = right` for a symmetric positive definite matrix by Cholesky.
 
-    Small systems are written out: a call of LAPACK a step would cost more than all the rest.
+    Small systems are written out: a call of LAPACK a step would cost more than all the rest. So are
+    those of several columns, whose rows programs take as vectors.
     """
     n = right.shape[0]
-    if n > _UNROLLED:
+    if n > _UNROLLED and right.ndim == 1:
         return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix, lower=True), right)
     lower: dict[tuple[int, int], Array] = {}
     y: list[Array] = []

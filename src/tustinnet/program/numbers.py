@@ -18,8 +18,9 @@ def run(program: Program, **inputs: np.ndarray) -> dict[str, Vector]:
         inputs: the vectors and matrices that it is given, by their names.
     """
     values: list[Any] = []
-    for node in program.nodes:
-        values.append(_value(program, node, [values[a] for a in node.args], inputs))
+    with np.errstate(all="ignore"):  # once: for each operation it would take longer than that
+        for node in program.nodes:
+            values.append(_value(program, node, [values[a] for a in node.args], inputs))
     return {name: _numbers(values[i]) for name, i in program.outputs.items()}
 
 
@@ -44,8 +45,7 @@ def _value(program: Program, node: Node, args: list[Any], inputs: dict[str, np.n
             return (matrix.T if node.data.is_transposed else matrix) @ _numbers(args[0])
         case "loop":
             return _run_loop(node.data, [_numbers(a) for a in args])
-    with np.errstate(all="ignore"):
-        return OPERATIONS[node.op].apply(*args)
+    return OPERATIONS[node.op].apply(*args)
 
 
 def _numbers(value: Any) -> Vector:

@@ -194,6 +194,8 @@ def multiply(tape: Tape, params: dict[str, Any], first: Any, second: Any) -> Ids
             out[i] = np.stack([_product(tape, a[i], v) for v in b[i]], 1) if columns else 0
         elif b.dtype.kind == "f":
             out[i] = np.stack([_product(tape, b[i], v) for v in a[i]]) if rows else 0
+        elif columns and any(tape.is_vector(v) for v in b[i].T):
+            out[i] = [_combination(tape, numbers, b[i].T) for numbers in a[i]]
         else:
             for row, column in np.ndindex(rows, columns):
                 out[i, row, column] = _dot(tape, a[i, row], b[i, column])
@@ -215,13 +217,27 @@ def _product(tape: Tape, matrix: np.ndarray, vector: Ids) -> list[int]:
     nonzero = np.count_nonzero(matrix)
     if matrix.size >= _DENSE and nonzero >= _FULL * matrix.size:
         return tape.split(tape.product(np.asarray(matrix, np.float64), tape.vector(vector)))
-    return [_dot(tape, np.array([tape.number(w) for w in row], int), vector) for row in matrix]
+    used = [np.flatnonzero(row) for row in matrix]
+    return [
+        _dot(tape, np.array([tape.number(w) for w in row[i]], int), vector[i])
+        for row, i in zip(matrix, used, strict=True)
+    ]
+
+
+def _combination(tape: Tape, numbers: Ids, vectors: Ids) -> Ids:
+    """Nodes of the sum of vectors, each times a number."""
+    total = np.full(vectors.shape[1], tape.number(0.0))
+    for number, vector in zip(numbers, vectors, strict=True):
+        term = elementwise(tape, partial(tape.apply, "mul"), [number, vector])
+        total = elementwise(tape, partial(tape.apply, "add"), [total, term])
+    return total
 
 
 def _dot(tape: Tape, a: Ids, b: Ids) -> int:
-    total = tape.number(0.0)
+    total = zero = tape.number(0.0)
     for x, y in zip(a.tolist(), b.tolist(), strict=True):
-        total = tape.apply("add", total, tape.apply("mul", x, y))
+        if x != zero and y != zero:
+            total = tape.apply("add", total, tape.apply("mul", x, y))
     return total
 
 

@@ -208,7 +208,10 @@ def sentences(design: ControlDesign) -> list[str]:
             f"{i.name} up to {u:.3g} {i.unit}".rstrip()
             for i, u in zip(channels.inputs, largest, strict=True)
         )
-        lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {plan.iterations} iterations")
+        how = (
+            "by computed torque" if design.has_computed_torque else f"{plan.iterations} iterations"
+        )
+        lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {how}")
     if design.beyond is not None:
         lines.append(f"motion: {_beyond(design)}")
     if design.plan is not None and design.point.is_unstable:
@@ -296,6 +299,7 @@ def summarise(
         if plan is None
         else {
             "seconds": len(plan.u) * plan.dt,
+            "computed_torque": design.has_computed_torque,
             "iterations": plan.iterations,
             "cost": plan.cost,
             "largest_inputs": dict(zip(inputs, np.abs(plan.u).max(axis=0).tolist(), strict=True)),

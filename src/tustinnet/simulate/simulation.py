@@ -29,14 +29,21 @@ def step_equations(
         model: the model.
         shape: shape of the input that a step takes.
         step: the step, where it is not the model's own: from state and input to the next state.
+            Its derivatives are those of its program.
     """
     function = model.step if step is None else step
+    n_x, n_u, step_along = model.state_size, int(np.prod(shape)), model.step_along
+    along = None
+    if step is None and step_along is not None and shape == (model.channels.n_u,):
+        directions = np.split(np.eye(n_x + n_u), [n_x])
+        along = lambda x, u: step_along(x, u, *directions)  # noqa: E731
     return Equations(
         lambda x, u, p, c: function(x, u.reshape(shape)),
-        n_x=model.state_size,
-        n_u=int(np.prod(shape)),
+        n_x=n_x,
+        n_u=n_u,
         continuous=False,
         where=f"the model ({type(model).__name__})",
+        along=along,
     )
 
 

@@ -109,7 +109,7 @@ class RobotEquations:
         if not self.elastic:
             return self.chain.inertia
         uncoupled = tuple(self._motor_places[k] for k in self.elastic)
-        return Inertia(self._mass_matrix, self._coriolis, uncoupled)
+        return Inertia(self._mass_matrix, self._coriolis, uncoupled, self._inverse)
 
     @property
     def unmeasured(self) -> UnmeasuredCoordinates | None:
@@ -181,6 +181,16 @@ class RobotEquations:
         """Centrifugal and Coriolis forces, which act on links [N m or N]."""
         acting = self.chain.coriolis(self._links(q), self._links(v), p)
         return self._on_coordinates(list(acting), [0.0 * f for f in acting])
+
+    def _inverse(self, q: Any, v: Any, a: Any, p: Any) -> Any:
+        """Forces on links and motors that a motion needs, without gravity and gears [N m or N]."""
+        needed = self.chain.inverse(self._links(q), self._links(v), self._links(a), p)
+        accelerations = self._motors(a)
+        own = [
+            p[f"{name}.armature"] * accelerations[k] if k in self.elastic else 0.0 * q[k]
+            for k, name in enumerate(self.joints)
+        ]
+        return self._on_coordinates(list(needed), own)
 
     def _initial_states(self, q: Any, v: Any, u: Any, p: Any) -> Any:
         """Positions and velocities of what has no encoder, where a record begins.

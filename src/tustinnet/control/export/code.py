@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.control.computed_torque import inverse_dynamics
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
-from tustinnet.export.c_text import constant_array
+from tustinnet.export.c_text import Code, constant_array
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files
 from tustinnet.export.words import fill_template
+from tustinnet.program.program import Program
+from tustinnet.program.reading import read
 from tustinnet.simulate.filtering import GATE, LOST_AFTER, FilterNoise
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -78,6 +81,7 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
     final = controller if isinstance(controller, Feedback) else controller.final
     recovery = tracking.recovery if tracking else None
     settle = recovery.feedback if recovery else None
+    own = tracking.by_acceleration if tracking else None
     n_x, n_i = len(final.x0), len(final.integral)
     # integrals last, so that the gains of a plan, which has none, are in the same order
     order = [*range(n_x), *range(n_x + n_i, final.gain.shape[1]), *range(n_x, n_x + n_i)]
@@ -89,9 +93,9 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
         "upper": final.upper,
         "safe": _safe(final),
         "before": tracking.plan.before if tracking else final.u0,
-        "plan_x": tracking.plan.x[:-1] if tracking else np.zeros(0),
-        "plan_u": tracking.plan.u if tracking else np.zeros(0),
-        "plan_gain": tracking.gains if tracking else np.zeros(0),
+        "plan_x": tracking.plan.x if tracking else np.zeros(0),
+        "plan_u": tracking.plan.u if tracking and not own else np.zeros(0),
+        "plan_gain": tracking.gains if tracking and not own else np.zeros(0),
         "settle_gain": settle.gain if settle else np.zeros(0),
         "settle_x0": settle.x0 if settle else np.zeros(0),
         "settle_u0": settle.u0 if settle else np.zeros(0),
@@ -103,6 +107,10 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
         *(_index_table(name, values) for name, values in indices.items()),
         *(constant_array(name, v if v.size else np.zeros(1)) for name, v in numbers.items()),
     ]
+    law = Code()
+    if own:
+        law.add("required", _required_inputs(source))
+        tables.append(constant_array("acceleration_gain", np.array(own)))
     return {
         "controller.h": fill_template(
             "controller.h",
@@ -113,11 +121,23 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
             periodic=len(final.periodic),
             steps=len(tracking.plan.u) if tracking else 0,
             recovers=int(recovery is not None),
+            accelerates=int(own is not None),
         ),
         "controller.c": fill_template(
-            "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
+            "controller.c",
+            TEMPLATES,
+            helpers=math_helpers(wrap=True),
+            tables="".join(tables),
+            required=law.text(),
         ),
     }
+
+
+def _required_inputs(source: Source) -> Program:
+    """The inverse dynamics as a program: `x` and `a` to the inputs `u`."""
+    function = inverse_dynamics(source.model)
+    sizes = {"x": source.n_x, "a": source.channels.n_q}
+    return read(lambda x, a: {"u": function(x, a)}, sizes, "the inverse dynamics")
 
 
 def _safe(feedback: Feedback) -> Vector:
@@ -176,7 +196,8 @@ def make_readme(
     final = controller if isinstance(controller, Feedback) else controller.final
     kind = "linear feedback about the goal"
     if isinstance(controller, Tracking):
-        kind = f"a plan of {len(controller.plan.u)} periods with feedback along it, then {kind}"
+        law = "computed torque" if controller.by_acceleration else "feedback"
+        kind = f"a plan of {len(controller.plan.u)} periods with {law} along it, then {kind}"
         if controller.recovery is not None:
             kind += "; after a fall feedback about the plan's start, then the plan again"
     states = [

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tustinnet.channels import Channels
-from tustinnet.control.lqr import Feedback, Recovery, Tracking
+from tustinnet.control.lqr import AccelerationGains, Feedback, Recovery, Tracking
 from tustinnet.control.plan import Plan
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.export.mat import mat_cells, mat_file
@@ -95,7 +95,10 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
         before=read("before", (n_u,)),
         delay=final.delay,
     )
-    n_z = n_x + final.previous * n_u
+    own = None
+    if "acceleration" in plan:
+        own = AccelerationGains(*read("acceleration", (3,)).tolist())
+    n_z = n_x + (len(final.integral) if own else final.previous * n_u)
     gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
     recovery = None
     if "recovery" in content:
@@ -117,7 +120,7 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
                 f"entry 'recovery.feedback.gain' of shape {recovery.feedback.gain.shape}",
                 f"{n_u} x {n_z}",
             )
-    return Tracking(plan=motion, gains=gains, final=final, recovery=recovery)
+    return Tracking(motion, gains, final, recovery, own)
 
 
 def _feedback(controller: Feedback | Tracking) -> Feedback:
@@ -141,6 +144,8 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
         "goal": p.goal,
         "before": p.before,
     }
+    if controller.by_acceleration:
+        plan["acceleration"] = np.array(controller.by_acceleration)
     content = {"feedback": feedback, "plan": plan, "gains": controller.gains}
     if recovery is not None:
         content["recovery"] = {

@@ -214,6 +214,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     if isinstance(controller, Tracking):
         plan, steps = controller.plan, len(controller.plan.u)
         n_p, recovery = n_x + previous * n_u, controller.recovery
+        n_p += len(controller.integral)
         if not plan.reached:
             miss = zip(source.states, plan.miss.tolist(), strict=True)
             raise InputError(

@@ -1,7 +1,9 @@
 /* u = u0 - gain z within limits. z has the errors of the states, the commands before as differences
    from those of the goal, the latest first, and the integrals of errors. While a plan lasts, goal,
    u0 and gain are its own, without integrals; so they are while the motion settles about the start
-   of the plan after a fall. Tables of what is not used hold a 0. */
+   of the plan after a fall. Where inverse dynamics follow a plan, its inputs are those that its
+   accelerations require, corrected by errors and their integrals. Tables of what is not used hold
+   a 0. */
 #include "controller.h"
 
 @helpers@
@@ -15,6 +17,7 @@ enum {
 };
 
 @tables@
+@required@
 void controller_reset(controller *c)
 {
     c->step = 0;
@@ -60,6 +63,21 @@ static void choose_phase(controller *c, const model_real x[])
     }
 }
 
+#if CONTROLLER_ACCELERATES
+/* The inputs that a period of the plan requires, with the accelerations that correct errors. */
+static void follow(const model_real from[], const model_real z[], model_real u[])
+{
+    const model_real *to = from + X, *k = acceleration_gain;
+    model_real x[X], a[U];
+    for (int i = 0; i < X; i++)
+        x[i] = (from[i] + to[i]) / R(2.0);
+    for (int i = 0; i < U; i++)
+        a[i] = (to[U + i] - from[U + i]) / MODEL_PERIOD - k[0] * z[i] - k[1] * z[U + i]
+               - k[2] * z[X + i];
+    required(x, a, u);
+}
+#endif
+
 void controller_inputs(controller *c, const model_real x[], model_real u[])
 {
     int known = 1, limited = 0;
@@ -71,10 +89,12 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
         c->step = SETTLING;
     const int k = c->step, settling = k == SETTLING;
     const int planned = !settling && k < CONTROLLER_STEPS, held = k == CONTROLLER_STEPS;
-    const int size = held ? X + P * U + I : X + P * U;
+    const int integrates = held || (planned && CONTROLLER_ACCELERATES);
+    const int size = integrates ? X + P * U + I : X + P * U;
     const model_real *goal = settling ? settle_x0 : planned ? plan_x + k * X : x0;
-    const model_real *feed = settling ? settle_u0 : planned ? plan_u + k * U : u0;
-    const model_real *row = settling ? settle_gain : planned ? plan_gain + k * U * size : gain;
+    const int tabled = planned && !CONTROLLER_ACCELERATES;
+    const model_real *feed = settling ? settle_u0 : tabled ? plan_u + k * U : u0;
+    const model_real *row = settling ? settle_gain : tabled ? plan_gain + k * U * size : gain;
     model_real z[X + P * U + I];
     int finite = known;
     errors(x, goal, z);
@@ -86,17 +106,24 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
     }
     for (int i = 0; i < I; i++)
         z[X + P * U + i] = c->integral[i];
-    for (int i = 0; i < U; i++, row += size) {
-        u[i] = feed[i];
-        for (int j = 0; j < size; j++)
-            u[i] -= row[j] * z[j];
+#if CONTROLLER_ACCELERATES
+    if (planned)
+        follow(goal, z, u);
+    else
+#endif
+        for (int i = 0; i < U; i++, row += size) {
+            u[i] = feed[i];
+            for (int j = 0; j < size; j++)
+                u[i] -= row[j] * z[j];
+        }
+    for (int i = 0; i < U; i++) {
         finite = finite && isfinite(u[i]);
         limited = limited || u[i] < lower[i] || u[i] > upper[i];
         u[i] = u[i] < lower[i] ? lower[i] : u[i] > upper[i] ? upper[i] : u[i];
     }
     for (int i = 0; i < U && !finite; i++)
         u[i] = safe[i];
-    if (held && finite && !limited)
+    if (integrates && finite && !limited)
         for (int i = 0; i < I; i++)
             c->integral[i] += MODEL_PERIOD * z[integrated[i]];
     for (int i = P * U - 1; i >= U; i--)

@@ -10,6 +10,7 @@
 #define CONTROLLER_PERIODIC @periodic@ /* angles whose errors are wrapped */
 #define CONTROLLER_STEPS @steps@ /* of the plan that is followed first; 0 without a plan */
 #define CONTROLLER_RECOVERS @recovers@ /* 1 where the plan begins again after a fall */
+#define CONTROLLER_ACCELERATES @accelerates@ /* 1 where inverse dynamics follow the plan */
 
 #ifdef __cplusplus
 extern "C" {
