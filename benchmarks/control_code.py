@@ -3,6 +3,7 @@
 python benchmarks/control_code.py
 
 The feedback holds the rotary pendulum upright; the plan has 300 periods with feedback along it.
+Predictive control begins with either, and looks 20 periods ahead.
 Times are medians over 61 rounds of 300 periods, in which device and encoders take no part. Sizes on
 a Cortex-M7 are told where arm-none-eabi-gcc is.
 """
@@ -28,7 +29,7 @@ from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2 import SYSTEM, WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import COUNT
 
-PERIOD, STEPS = 0.01, 300
+PERIOD, STEPS, AHEAD = 0.01, 300, 20
 FLAGS = ("-O2", "-O2 -DMODEL_FLOAT", "-O3 -march=native")
 SOURCES = ["controller.c", "estimator.c", "model.c"]
 DEVIATIONS = {"theta": 1.0, "alpha": 0.5, "der_theta": 10.0, "der_alpha": 10.0, "voltage": 5.0}
@@ -107,8 +108,8 @@ def pendulum(system: tn.LagrangianSystem, substeps: int) -> tn.Model:
     )
 
 
-def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
-    """The feedback, and a plan of 300 periods from beside the goal with feedback along it."""
+def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking | tc.Mpc]:
+    """The feedback, a plan from beside the goal with feedback along it, and both looking ahead."""
     x0, u0 = np.zeros(model.state_size), np.zeros(1)
     feedback = tc.lqr(model, x0, u0, deviations=DEVIATIONS)
     step, states, inputs = tn.compiled_step(model), [x0 + 0.1 * (np.arange(len(x0)) < 2)], []
@@ -127,7 +128,14 @@ def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
         before=u0,
     )
     gains = np.tile(feedback.gain, (STEPS, 1, 1))
-    return {"feedback": feedback, "plan": tc.Tracking(plan, gains, feedback)}
+    along = tc.Tracking(plan, gains, feedback)
+    ahead = {"steps": AHEAD, "deviations": DEVIATIONS}
+    return {
+        "feedback": feedback,
+        "plan": along,
+        "predictive": tc.Mpc(model, feedback, **ahead),
+        "predictive, plan": tc.Mpc(model, along, **ahead),
+    }
 
 
 def run(command: list[str], folder: Path) -> str:
@@ -196,10 +204,14 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as place:
                 folder = Path(place)
                 tc.export_controller(model, controller, noise, folder)
-                speed += [[title, name, flags, *times(folder, *flags.split())] for flags in FLAGS]
+                size = sum(len((folder / source).read_bytes()) for source in SOURCES) / 1000
+                speed += [
+                    [title, name, f"{size:.0f}", flags, *times(folder, *flags.split())]
+                    for flags in FLAGS
+                ]
                 if shutil.which("arm-none-eabi-gcc"):
                     space.append([title, name, *sizes(folder)])
-    headings = ["model", "controller", "flags", "controller us", "filter us", "both us"]
+    headings = ["model", "controller", "C [kB]", "flags", "controller us", "filter us", "both us"]
     print(Table(headings, speed, title="A period in C, medians [us]").markdown())
     title = "Cortex-M7, float, -O2 [bytes]; stack without libm's"
     headings = ["model", "controller", "flash", "constants", "stack", "structures"]

@@ -17,6 +17,7 @@ from tustinnet.control.estimator import FilterConsistency, check_filter, find_no
 from tustinnet.control.ilqr import follow, ilqr
 from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
+from tustinnet.control.mpc import Mpc
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
@@ -53,10 +54,11 @@ class ControlTask:
         integral: names of coordinates with integral action.
         delay: samples from when an input is computed to when it acts.
         limits: limits of inputs by name, instead of those that the model declares.
-        within: limits of states by name, which a motion keeps.
+        within: limits of states by name, which a motion and predictive control keep.
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
         safe: inputs by name while the estimator has lost the state, see `lqr`.
+        predict: steps that predictive control looks ahead, see `Mpc`; None for linear feedback.
         reference: positions to follow to `at`, by the name of their coordinate, at each sample from
             the start on (see `read_reference`); None for a motion that is free between its ends.
     """
@@ -72,6 +74,7 @@ class ControlTask:
     trust_beyond: bool = False
     safe: Mapping[str, float] | None = None
     reference: Mapping[str, Vector] | None = None
+    predict: int | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,7 @@ class ControlDesign:
         point: the equilibrium that is held.
         start: the equilibrium from which the motion begins, None without a motion.
         gains: the feedback, along the plan where there is one.
+        mpc: the predictive controller that begins with this feedback, None without one.
         margins: of the loop about the equilibrium.
         noise: the noise of the estimator.
         consistency: tests of the estimator along records, None without records.
@@ -96,6 +100,7 @@ class ControlDesign:
     point: OperatingPoint
     start: OperatingPoint | None
     gains: Feedback | Tracking
+    mpc: Mpc | None
     margins: Margins
     noise: FilterNoise
     consistency: FilterConsistency | None
@@ -146,7 +151,9 @@ class ControlDesign:
         return point.x[self.model.channels.position]
 
     def make_controller(self) -> Controller:
-        """A new controller."""
+        """The controller; one by linear feedback is a new one."""
+        if self.mpc is not None:
+            return self.mpc
         if isinstance(self.gains, Tracking):
             return TrackingFeedback(self.gains)
         return LinearFeedback(self.gains)
@@ -242,11 +249,15 @@ def design_controller(
                 settle = proportional_feedback(start)
         gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
         gains = replace(gains, final=feedback)
+    mpc = None
+    if task.predict is not None:
+        on_message("predictive control")
+        mpc = Mpc(model, gains, steps=task.predict, deviations=own, range=range, within=task.within)
     on_message("estimator")
     noise = find_noise(model, records) if records else usual_noise(model, range)
     consistency = check_filter(model, records, noise) if records else None
     return ControlDesign(
-        model, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
+        model, task, point, start, gains, mpc, loop_margins, noise, consistency, goal, beyond
     )
 
 

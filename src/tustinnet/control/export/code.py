@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.mpc import ROUNDING, SHARES, Mpc
+from tustinnet.control.riccati import SWEEPS
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
 from tustinnet.export.c_text import constant_array
 from tustinnet.export.source import Source
@@ -30,7 +32,7 @@ Vector = Float[np.ndarray, " _"]
 
 
 def make_code(
-    controller: Feedback | Tracking,
+    controller: Feedback | Tracking | Mpc,
     source: Source,
     noise: FilterNoise,
     start: Vector,
@@ -50,7 +52,7 @@ def make_code(
     return {
         **make_model_files(source, lost_after=lost_after),
         **_estimator_files(source, noise),
-        **_controller_files(controller, source),
+        **controller_files(controller, source),
         "main.c": _main(source, start, steps),
         "Makefile": fill_template("Makefile", TEMPLATES),
     }
@@ -72,10 +74,16 @@ def _estimator_files(source: Source, noise: FilterNoise) -> Files:
     }
 
 
-def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
+def gains_of(controller: Feedback | Tracking | Mpc) -> Feedback | Tracking:
+    """The feedback of a controller; that with which predictive control begins."""
+    return controller.gains if isinstance(controller, Mpc) else controller
+
+
+def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
-    tracking = controller if isinstance(controller, Tracking) else None
-    final = controller if isinstance(controller, Feedback) else controller.final
+    gains = gains_of(controller)
+    tracking = gains if isinstance(gains, Tracking) else None
+    final = gains if isinstance(gains, Feedback) else gains.final
     recovery = tracking.recovery if tracking else None
     settle = recovery.feedback if recovery else None
     n_x, n_i = len(final.x0), len(final.integral)
@@ -113,11 +121,39 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
             periodic=len(final.periodic),
             steps=len(tracking.plan.u) if tracking else 0,
             recovers=int(recovery is not None),
+            ahead=controller.steps if isinstance(controller, Mpc) else 0,
         ),
         "controller.c": fill_template(
-            "controller.c", TEMPLATES, helpers=math_helpers(wrap=True), tables="".join(tables)
+            "controller.c",
+            TEMPLATES,
+            helpers=math_helpers(wrap=True),
+            tables="".join(tables),
+            predict=_predictive_code(controller) if isinstance(controller, Mpc) else "",
         ),
     }
+
+
+def _predictive_code(controller: Mpc) -> str:
+    """The part of `controller.c` that plans ahead."""
+    cost = controller.cost
+    tables = {
+        "goal_x": controller.goal,
+        "ends": controller.ends,
+        "state_weight": cost.states,
+        "input_weight": cost.inputs,
+        "least": cost.lower,
+        "most": cost.upper,
+        "penalty": cost.penalty,
+        "shares": np.array(SHARES),
+        "rounding": np.array(ROUNDING),
+    }
+    return fill_template(
+        "predict.c",
+        TEMPLATES,
+        iterations=controller.iterations,
+        sweeps=SWEEPS,
+        tables="".join(constant_array(name, values) for name, values in tables.items()),
+    )
 
 
 def _safe(feedback: Feedback) -> Vector:
@@ -163,7 +199,10 @@ def _c_string(text: str) -> str:
 
 
 def make_readme(
-    controller: Feedback | Tracking, source: Source, scripts: Sequence[str], notes: Sequence[str]
+    controller: Feedback | Tracking | Mpc,
+    source: Source,
+    scripts: Sequence[str],
+    notes: Sequence[str],
 ) -> str:
     """`README.md` of the folder.
 
@@ -173,12 +212,15 @@ def make_readme(
         scripts: the files for solvers that are in the folder.
         notes: remarks.
     """
-    final = controller if isinstance(controller, Feedback) else controller.final
+    gains = gains_of(controller)
+    final = gains if isinstance(gains, Feedback) else gains.final
     kind = "linear feedback about the goal"
-    if isinstance(controller, Tracking):
-        kind = f"a plan of {len(controller.plan.u)} periods with feedback along it, then {kind}"
-        if controller.recovery is not None:
+    if isinstance(gains, Tracking):
+        kind = f"a plan of {len(gains.plan.u)} periods with feedback along it, then {kind}"
+        if gains.recovery is not None:
             kind += "; after a fall feedback about the plan's start, then the plan again"
+    if isinstance(controller, Mpc):
+        kind = f"predictive control, {controller.steps} periods ahead, which begins with {kind}"
     states = [
         f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} | {x0:.6g} |"
         for i, (name, unit, x0) in enumerate(
