@@ -325,12 +325,15 @@ def run(
     folder: Path, names: Sequence[str], budget: str, system: bool, command: str, out: Path
 ) -> None:
     """Fits and scores the machines that have no row yet; prints and writes the table."""
+    runs = out.with_suffix("")
+    if runs.resolve() == folder.resolve():
+        raise SystemExit(f"{out}: its runs would take the place of the machines; another name")
     out.parent.mkdir(parents=True, exist_ok=True)
     lines = out.with_suffix(".jsonl")
     done = {row.machine for row in read_rows(lines)}
     for name in names:
         if name not in done:
-            row = fit_and_score(folder / name, budget, system, command, out.with_suffix(""))
+            row = fit_and_score(folder / name, budget, system, command, runs)
             append_row(lines, row)
             print(table([row]).splitlines()[-1], flush=True)
     text = table([row for row in read_rows(lines) if row.machine in names])

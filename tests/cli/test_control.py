@@ -257,6 +257,7 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", *LIMITS, "--seconds", 1), "--seconds"),
         (("--at", "angle=0", *LIMITS, "--within", "angle=-1:1"), "--within"),
         (("--at", "angle=0", *LIMITS, "--mpc", 9, "--integral", "angle"), "--integral: not appl"),
+        (("--at", "angle=0", *LIMITS, "--mpc", 9, "--observer"), "--observer: not appl"),
         (("--at", "angle=0", *LIMITS, "--mpc", 9, "--within", "elbow=0:1"), "elbow"),
         (("--at", "angle=0", *LIMITS, "--card", "x.toml"), "--card"),
         (("--at", "angle=0", *LIMITS, "--weight", "angle=fast"), "--weight"),

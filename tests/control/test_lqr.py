@@ -1,5 +1,6 @@
 """Linear-quadratic feedback against scipy and python-control, and in the loop."""
 
+from dataclasses import replace
 from itertools import groupby
 
 import control
@@ -22,6 +23,7 @@ from tustinnet.control import (
 )
 from tustinnet.models import forces
 from tustinnet.simulate.range import Range
+from tustinnet.systems.library.link_chain import TWO_LINKS
 
 
 def play(model, controller, x, samples):
@@ -82,6 +84,26 @@ def test_dry_friction_is_a_force_whatever_the_speed_at_which_it_is_rounded():
     viscous = LinearMachine(a, b, model.channels)
     expected = lqr(viscous, np.zeros(2), np.zeros(1), deviations={"der_s": 1.0}).gain
     np.testing.assert_allclose(gains[2], expected, rtol=0.05)
+
+
+def test_dry_friction_of_a_joint_without_input_does_not_turn_the_feedback_round():
+    """Stuck joints make one rigid pendulum of two; feedback for that pushes the wrong way."""
+    gains = []
+    for dry in (1e-6, 2e-3, 5e-3, 1e-2):
+        pendubot = replace(
+            TWO_LINKS,
+            inputs=(tn.Input("torque", "N m", limits=(-3.0, 3.0)),),
+            dissipation=lambda q, v, p, dry=dry: forces.coulomb(v, jnp.array([0.0, dry]), 0.01),
+        )
+        values = {p.name: jnp.asarray(p.nominal) for p in pendubot.parameters}
+        model = tn.discretise(pendubot.model(values), 0.005, 4)
+        deviations = {"joint1": 1.0, "joint2": 1.0, "der_joint1": 1.0, "der_joint2": 1.0}
+        upright = np.array([np.pi, 0.0, 0.0, 0.0])
+        gains.append(lqr(model, upright, np.zeros(1), deviations=deviations).gain[0])
+    frictionless, *rubbing = gains
+    for gain in rubbing:
+        assert (np.sign(gain) == np.sign(frictionless)).all()
+        np.testing.assert_allclose(gain, frictionless, rtol=0.8)
 
 
 def test_a_sample_of_delay_is_accounted_for():

@@ -13,7 +13,6 @@ from small_selection import plan_in, swings
 from swinging import CREEPING, SWING, TRUTH
 
 import tustinnet as tn
-from tustinnet.families.family import family_of
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
@@ -23,6 +22,7 @@ from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.shooting.stages import ESTIMATE
 from tustinnet.fitting.task import Task
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.physical_values import physical_parameters
 from tustinnet.report.selection import candidates_table
 from tustinnet.selection import jobs
 from tustinnet.selection.applicability import applicable_candidates
@@ -110,7 +110,7 @@ def test_a_search_by_simulation_begins_at_the_values_by_forces_of_its_fold(made)
     for task in grey:
         fold = task.members[0].fold
         model = made.choice.context.load_model(by_forces[fold][0].model)
-        values = {name: value for name, _, value in family_of(model).parameters(model)}
+        values = {name: value for name, _, value in physical_parameters(model)}
         begin = task.identification_recipe.model.begin
         assert begin["gravity"] == pytest.approx(values["gravity"], rel=1e-12)
         assert begin["gravity"] != SWING.nominal()["gravity"]

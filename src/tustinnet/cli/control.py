@@ -122,6 +122,12 @@ def control(
             help="Inputs while the sensors of positions cannot be used. Default: 0.",
         ),
     ] = None,
+    observer: Annotated[
+        bool,
+        typer.Option(
+            "--observer", help="Estimate lasting disturbances, and take them from the inputs."
+        ),
+    ] = False,
     trust_beyond: Annotated[
         bool,
         typer.Option(
@@ -196,7 +202,9 @@ def control(
 
     _refuse_others(follow, at, to, seconds, within, mpc, swing_up=swing_up)
     if mpc is not None:
-        refuse_options({"--integral": integral}, "beside --mpc", "linear feedback")
+        refuse_options(
+            {"--integral": integral, "--observer": observer}, "beside --mpc", "linear feedback"
+        )
     if data is None:
         needed = {"--card": card, "--follow-links": follow_links}
         refuse_options(needed, "without records", "--data")
@@ -236,6 +244,7 @@ def control(
         trust_beyond,
         values.read_point("--safe", safe),
         reference,
+        observer,
         mpc,
     )
     with lock_folder(out):
@@ -260,7 +269,7 @@ def control(
             None
             if is_refused
             else export_controller(
-                simulator,
+                design.estimated,
                 design.mpc or design.gains,
                 design.noise,
                 out,

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
@@ -58,9 +59,10 @@ class ControlTask:
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
         safe: inputs by name while the estimator has lost the state, see `lqr`.
-        predict: steps that predictive control looks ahead, see `Mpc`; None for linear feedback.
         reference: positions to follow to `at`, by the name of their coordinate, at each sample from
             the start on (see `read_reference`); None for a motion that is free between its ends.
+        observer: whether lasting disturbances are estimated and taken from the inputs.
+        mpc: steps that predictive control looks ahead, see `Mpc`; None for linear feedback.
     """
 
     at: Mapping[str, float]
@@ -74,7 +76,8 @@ class ControlTask:
     trust_beyond: bool = False
     safe: Mapping[str, float] | None = None
     reference: Mapping[str, Vector] | None = None
-    predict: int | None = None
+    observer: bool = False
+    mpc: int | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class ControlDesign:
 
     Attributes:
         model: the model.
+        estimated: the model whose states are estimated: with disturbances where these are.
         task: what it is to do.
         point: the equilibrium that is held.
         start: the equilibrium from which the motion begins, None without a motion.
@@ -96,6 +100,7 @@ class ControlDesign:
     """
 
     model: Model
+    estimated: Model
     task: ControlTask
     point: OperatingPoint
     start: OperatingPoint | None
@@ -181,9 +186,14 @@ def design_controller(
         InputError: no equilibrium under the limits, or one that a network has no records of; an
             input without limits; a mode that does not decay and that the inputs do not move or the
             encoders do not show; a motion whose planning did not converge, or that leaves the range
-            of the records; names that the model does not have.
+            of the records; names that the model does not have; disturbances or integrals beside
+            predictive control.
     """
     bounds = input_limits(model, task.limits)
+    if task.mpc is not None and task.observer:
+        raise InputError(
+            "`observer=`", "not applicable beside `mpc=`", "linear feedback", "leave one out"
+        )
     on_message("equilibrium")
     own = _usual_deviations(model, task, bounds)
     weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
@@ -249,15 +259,29 @@ def design_controller(
                 settle = proportional_feedback(start)
         gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
         gains = replace(gains, final=feedback)
-    mpc = None
-    if task.predict is not None:
+    estimated, mpc = model, None
+    if task.mpc is not None:
         on_message("predictive control")
-        mpc = Mpc(model, gains, steps=task.predict, deviations=own, range=range, within=task.within)
+        mpc = Mpc(model, gains, steps=task.mpc, deviations=own, range=range, within=task.within)
+    if task.observer:
+        estimated = observe_disturbances(model, bounds)
+        gains = cancel_disturbances(gains)
     on_message("estimator")
-    noise = find_noise(model, records) if records else usual_noise(model, range)
-    consistency = check_filter(model, records, noise) if records else None
+    noise = find_noise(estimated, records) if records else usual_noise(estimated, range)
+    consistency = check_filter(estimated, records, noise) if records else None
     return ControlDesign(
-        model, task, point, start, gains, mpc, loop_margins, noise, consistency, goal, beyond
+        model,
+        estimated,
+        task,
+        point,
+        start,
+        gains,
+        mpc,
+        loop_margins,
+        noise,
+        consistency,
+        goal,
+        beyond,
     )
 
 

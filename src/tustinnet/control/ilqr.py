@@ -20,7 +20,7 @@ from tustinnet.control.dynamics import (
     require_known,
     require_vector,
 )
-from tustinnet.control.lqr import feedback_gain, gains_along, loop_matrices, riccati_solution
+from tustinnet.control.lqr import gains_along, hold
 from tustinnet.control.plan import Plan
 from tustinnet.control.riccati import Policy, backward_pass
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
@@ -306,7 +306,7 @@ def ilqr(
             "plan fewer steps, or give guesses",
         )
     finite.sort(key=lambda search: search[1].cost)
-    holding = _holding_gain(system, bounds, x_end, u_end, deviations, range)
+    holding = hold(system, x_end, u_end, bryson_weights(system, bounds, deviations, range)).gain
     plans: list[Plan] = []
     for solver, motion, is_converged, count in finite:
         if not is_converged and count < iterations:
@@ -373,7 +373,7 @@ def follow(
             "a slower one",
         )
     motion, is_converged, count = solver.minimise(motion, iterations)
-    holding = _holding_gain(system, bounds, x[-1], u_end, deviations, range)
+    holding = hold(system, x[-1], u_end, bryson_weights(system, bounds, deviations, range)).gain
     return _make_plan(solver, motion, is_converged, count, holding, before)
 
 
@@ -398,20 +398,6 @@ def _make_plan(
         before=before,
         delay=solver.system.delay,
     )
-
-
-def _holding_gain(
-    system: ControlledModel,
-    limits: InputLimits,
-    x: Float[np.ndarray, " n_x"],
-    u: Float[np.ndarray, " n_u"],
-    deviations: Deviations | None,
-    range: Range | None,
-) -> Float[np.ndarray, "n_u n_z"]:
-    """The gain of the linear feedback that holds a goal."""
-    weights = bryson_weights(system, limits, deviations, range)
-    matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
-    return feedback_gain(matrices, riccati_solution(system, matrices, weights), weights)
 
 
 def _is_held(
@@ -461,9 +447,8 @@ def make_cost(
         half = (high - low) / 2
         own = 1 / half**2 if np.isfinite(half) else 0.0
         penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
-    matrices = loop_matrices(system, x, u, weights.usual_speeds(system.model.channels))
-    end = riccati_solution(system, matrices, weights)
-    return Cost(x, u, weights.states, weights.inputs, end_weight * end, lower, upper, penalty)
+    end = end_weight * hold(system, x, u, weights).value
+    return Cost(x, u, weights.states, weights.inputs, end, lower, upper, penalty)
 
 
 def _targets(

@@ -27,6 +27,8 @@ from tustinnet.simulate.range import Range
 
 _SECONDS = 1.0  # for which a position may stay at its deviation, where its integral has no weight
 _TINY = 1e-9  # weight of states without one: no mode is without any
+_DOUBLINGS = 3  # of usual speeds, a tenth of the acceptable ones: up to nearly these
+_DEARER = 1.25  # costs of feedback in motions twice as fast, by those of their own: it serves both
 _FALLEN = 0.25  # share of a plan's way from which its end is lost: balances come back from less
 _SETTLED = 0.1  # share of a plan's range about its start from which its feedback follows it
 
@@ -155,6 +157,22 @@ class LoopMatrices(NamedTuple):
     b: Float[np.ndarray, "n_z n_u"]
 
 
+class Holding(NamedTuple):
+    """Linear-quadratic feedback about a point, and the linear model that it is for.
+
+    Attributes:
+        speeds: usual speeds for which the model was linearised, (n_q,).
+        matrices: the linear model.
+        value: the cost to go, `z' value z`, (n_z, n_z).
+        gain: the gain, (n_u, n_z).
+    """
+
+    speeds: Float[np.ndarray, " n_q"]
+    matrices: LoopMatrices
+    value: Float[np.ndarray, "n_z n_z"]
+    gain: Float[np.ndarray, "n_u n_z"]
+
+
 def lqr(
     model: Model,
     x: ArrayLike,
@@ -170,8 +188,7 @@ def lqr(
     """Discrete linear-quadratic feedback about an operating point, mostly an equilibrium.
 
     It minimises the sum of squared errors and inputs, each divided by its acceptable deviation.
-    The model is linearised in the mean over a tenth of the acceptable speeds, where dry friction is
-    a force and not the huge viscous friction that it looks like at rest.
+    The model is linearised in the mean over motions, see `hold`.
 
     Args:
         model: a model that steps from sample to sample.
@@ -219,13 +236,10 @@ def lqr(
         "weights",
         "integrals",
     )
-    speeds = weights.usual_speeds(model.channels)
-    require_stabilisable(system, x0, u0, speeds, "lqr")
-    matrices = loop_matrices(system, x0, u0, speeds, indices)
-    value = riccati_solution(system, matrices, weights, sums)
-    gain = feedback_gain(matrices, value, weights)
+    require_stabilisable(system, x0, u0, weights.usual_speeds(model.channels), "lqr")
+    held = hold(system, x0, u0, weights, indices, sums)
     return Feedback(
-        gain=gain,
+        gain=held.gain,
         x0=x0,
         u0=u0,
         lower=bounds.lower,
@@ -234,9 +248,62 @@ def lqr(
         integral=indices,
         delay=delay,
         periodic=system.periodic,
-        speeds=speeds,
+        speeds=held.speeds,
         safe=safe_inputs(model, bounds, safe),
     )
+
+
+def hold(
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    weights: Weights,
+    integral: Sequence[int] = (),
+    sums: Sequence[float] = (),
+) -> Holding:
+    """Linear-quadratic feedback about a point, for motions as fast as it needs.
+
+    The model is linearised in the mean over a tenth of the acceptable speeds, where dry friction is
+    a force and not the huge viscous friction that it looks like at rest. Where it still rules, a
+    joint without an input seems stuck to the next one, and feedback for that drives a moving
+    machine away. So the speeds are doubled until feedback serves motions twice as fast, too.
+
+    Args:
+        system: the model.
+        x: the state of the point, (n_x,).
+        u: the inputs there, (n_u,).
+        weights: of states and inputs.
+        integral: indices of the coordinates whose errors are integrated.
+        sums: weights of these integrals.
+
+    Raises:
+        InputError: an integral that the inputs cannot hold at 0, derivatives that are not finite.
+    """
+
+    def solve(speeds: Float[np.ndarray, " n_q"]) -> Holding:
+        matrices = loop_matrices(system, x, u, speeds, integral)
+        value = _riccati_solution(system, matrices, weights, sums)
+        return Holding(speeds, matrices, value, _feedback_gain(matrices, value, weights))
+
+    def cost(loop: LoopMatrices, gain: Float[np.ndarray, "n_u n_z"]) -> float:
+        """The mean cost from states that are as far away as is acceptable, inf if it grows."""
+        closed = loop.a - loop.b @ gain
+        if np.abs(np.linalg.eigvals(closed)).max() >= 1:
+            return np.inf
+        price = np.diag(_prices(system, len(closed), weights, sums))
+        price += gain.T @ np.diag(weights.inputs) @ gain
+        value = scipy.linalg.solve_discrete_lyapunov(closed.T, price)
+        has_weight = weights.states > 0
+        own = np.diag(value)[: system.n_x][has_weight]
+        return float(np.mean(own / weights.states[has_weight]))
+
+    held = solve(weights.usual_speeds(system.model.channels))
+    for _ in range(_DOUBLINGS):
+        faster = solve(2 * held.speeds)
+        if cost(faster.matrices, held.gain) <= _DEARER * cost(faster.matrices, faster.gain):
+            break
+        held = faster
+    return held
 
 
 def loop_matrices(
@@ -258,7 +325,7 @@ def loop_matrices(
     return LoopMatrices(a[np.ix_(order, order)], b[order])
 
 
-def riccati_solution(
+def _riccati_solution(
     system: ControlledModel, matrices: LoopMatrices, weights: Weights, sums: Sequence[float] = ()
 ) -> Float[np.ndarray, "n_z n_z"]:
     """The cost to go of linear-quadratic feedback without an end: `z' P z`.
@@ -266,12 +333,10 @@ def riccati_solution(
     Raises:
         InputError: there is none: an integral that the inputs cannot hold at 0.
     """
-    price = np.full(len(matrices.a), _TINY)
-    price[: system.n_x] += weights.states
-    price[system.n_x : system.n_x + len(sums)] += np.array(sums)
+    price = np.diag(_prices(system, len(matrices.a), weights, sums))
     try:
         return scipy.linalg.solve_discrete_are(
-            matrices.a, matrices.b, np.diag(price), np.diag(weights.inputs)
+            matrices.a, matrices.b, price, np.diag(weights.inputs)
         )
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(
@@ -282,7 +347,17 @@ def riccati_solution(
         ) from error
 
 
-def feedback_gain(
+def _prices(
+    system: ControlledModel, size: int, weights: Weights, sums: Sequence[float]
+) -> Float[np.ndarray, " n_z"]:
+    """Weights of states, of integrals, and of what has none, in the order of `Feedback`."""
+    prices = np.full(size, _TINY)
+    prices[: system.n_x] += weights.states
+    prices[system.n_x : system.n_x + len(sums)] += np.array(sums)
+    return prices
+
+
+def _feedback_gain(
     matrices: LoopMatrices, value: Float[np.ndarray, "n_z n_z"], weights: Weights
 ) -> Float[np.ndarray, "n_u n_z"]:
     """The gain whose cost to go one step later is `z' value z`, (n_u, n_z)."""
@@ -333,9 +408,8 @@ def time_varying_lqr(
         )
     bounds = input_limits(model, _limits_of(model, final))
     weights = bryson_weights(system, bounds, deviations, range)
-    matrices = loop_matrices(system, final.x0, final.u0, final.speeds)
-    value = riccati_solution(system, matrices, weights)
-    gains, _ = gains_along(system, plan, value, weights)
+    end = hold(system, final.x0, final.u0, weights)
+    gains, _ = gains_along(system, plan, end.value, weights)
     return Tracking(plan, gains, final, settle and _make_recovery(model, plan, settle))
 
 
@@ -377,7 +451,7 @@ def gains_along(
     gains, values = [], [value]
     for derivative in derivatives[::-1]:
         matrices = LoopMatrices(derivative[:, : system.size], derivative[:, system.size :])
-        gain = feedback_gain(matrices, value, weights)
+        gain = _feedback_gain(matrices, value, weights)
         value = price + matrices.a.T @ value @ (matrices.a - matrices.b @ gain)
         value = (value + value.T) / 2
         gains.append(gain)

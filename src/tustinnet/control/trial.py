@@ -77,7 +77,7 @@ def try_design(
     controller = design.make_controller()
     if design.mpc is not None:
         controller = compiled(design.mpc, design.model)
-    estimator = ExtendedKalmanFilter(design.model, design.noise)
+    estimator = ExtendedKalmanFilter(design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )

@@ -13,10 +13,9 @@ from jaxtyping import Array, Float
 from tustinnet.channels import Channels
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
-from tustinnet.families.family import family_of
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
-from tustinnet.models.physical_values import equations_in, with_values
+from tustinnet.models.physical_values import equations_in, physical_parameters, with_values
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
@@ -108,7 +107,7 @@ class Source:
     @property
     def parameters(self) -> tuple[tuple[str, str, float], ...]:
         """Name, unit and value of the physical parameters, which are constants of the step."""
-        return tuple(family_of(self.model).parameters(self.model))
+        return tuple(physical_parameters(self.model))
 
     @cached_property
     def function(self) -> StepFunction:

@@ -195,16 +195,6 @@ class EulerLagrangeFamily(IdentifiedFamily):
         begin = {name: float(x) for name, x in equations.values.items() if name in names}
         return hyper.model_copy(update={"begin": begin, "forces": (*hyper.forces, *more)})
 
-    def parameters(self, model: Discretised) -> Sequence[tuple[str, str, float]]:
-        """Name, unit and value of the system's parameters; of values by group the chosen one."""
-        equations = self.equations(model)
-        values = equations.values
-        return [
-            (p.name, p.unit, float(values[p.name]))
-            for p in equations.system.parameters
-            if p.name in values
-        ]
-
     def equations(self, model: Discretised) -> LagrangianModel:
         """The equations of motion that the model integrates."""
         return cast(LagrangianModel, model.continuous)

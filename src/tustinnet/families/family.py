@@ -189,10 +189,6 @@ class Family(ABC):
         """The lines on the structure of a model file that `show` prints."""
         return []
 
-    def parameters(self, model: Any) -> Sequence[tuple[str, str, float]]:
-        """Name, unit and value of a model's physical parameters; networks have none."""
-        return ()
-
     def equations(self, model: Any) -> LagrangianModel | None:
         """The equations of motion that a model has in it, for its energy; networks have none."""
         return None

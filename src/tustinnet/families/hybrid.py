@@ -301,10 +301,6 @@ class HybridFamily(TrainedFamily):
             lines += summarise_part(header[name], arrays, f"{name}.")
         return lines
 
-    def parameters(self, model: HybridModel) -> Sequence[tuple[str, str, float]]:
-        """Name, unit and value of the parameters of the physics."""
-        return family_of(model.physics).parameters(model.physics)
-
     def equations(self, model: HybridModel) -> LagrangianModel | None:
         """The equations of motion of the physics."""
         return family_of(model.physics).equations(model.physics)

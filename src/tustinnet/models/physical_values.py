@@ -23,6 +23,16 @@ def equations_in(model: Model | ContinuousModel) -> LagrangianModel | None:
     return next((node for node in nodes if _is_equations(node)), None)
 
 
+def physical_parameters(model: Model | ContinuousModel) -> list[tuple[str, str, float]]:
+    """Name, unit and value of the physical parameters in a model; none of a network."""
+    equations = equations_in(model)
+    if equations is None:
+        return []
+    values = equations.values
+    own = (p for p in equations.system.parameters if p.name in values)
+    return [(p.name, p.unit, float(values[p.name])) for p in own]
+
+
 def with_equations(model: Model, equations: LagrangianModel) -> Model:
     """A model with others in the place of its first equations of motion."""
     leaves, structure = jax.tree.flatten(model, is_leaf=_is_equations)

@@ -25,13 +25,14 @@ def point_table(design: ControlDesign) -> Table:
     point, feedback = design.point, design.feedback
     channels = design.model.channels
     units = [c.unit for c in channels.coordinates] + [f"{c.unit}/s" for c in channels.coordinates]
-    units += [""] * (len(point.names) - len(units))
+    names = [*point.names, *design.estimated.internal[len(design.model.internal) :]]
+    units += [""] * (len(names) - len(units))
     inputs = [i.name for i in channels.inputs]
     rows = [
         [name, f"{value:.4g}", unit, *(f"{g:.4g}" for g in feedback.gain[:, j])]
-        for j, (name, value, unit) in enumerate(zip(point.names, point.x, units, strict=True))
+        for j, (name, value, unit) in enumerate(zip(names, feedback.x0, units, strict=True))
     ]
-    n_x = len(point.names)
+    n_x = len(names)
     integrals = [channels.coordinates[i].name for i in feedback.integral]
     extra = [f"integral of {name}" for name in integrals]
     extra += [

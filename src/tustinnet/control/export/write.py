@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.disturbances import DisturbedModel
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
 from tustinnet.control.export.code import gains_of, make_code, make_readme
@@ -100,7 +101,11 @@ def export_controller(
     require_export_folder(folder, overwrite=overwrite)
     header = {} if file is None else read_header(file)
     gains = gains_of(controller)
-    source = make_source(model, Range.from_header(header, model), groups, header)
+    inner = model.inner if isinstance(model, DisturbedModel) else model
+    known = Range.from_header(header, inner)
+    if isinstance(model, DisturbedModel) and known is not None:
+        known = model.extend_range(known)
+    source = make_source(model, known, groups, header)
     final = gains.final if isinstance(gains, Tracking) else gains
     source = replace(source, layout=find_causal_layout(source.model, final.delay))
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
@@ -122,7 +127,9 @@ def export_controller(
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
-    if find_spec("casadi") is None:
+    if inner is not model:
+        notes.append("no scripts for CasADi, acados and do-mpc: they have no disturbances")
+    elif find_spec("casadi") is None:
         notes.append(
             "the package casadi is not installed (pip install 'tustinnet[casadi]'): no scripts for "
             "CasADi, acados and do-mpc"

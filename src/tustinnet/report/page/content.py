@@ -10,8 +10,8 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.residuals import ResidualReport
-from tustinnet.families.family import family_of
 from tustinnet.models.kinematics import Link, parent_indices
+from tustinnet.models.physical_values import physical_parameters
 from tustinnet.report.page.model_result import ModelResult
 from tustinnet.report.page.reported_model import History, ReportedModel
 from tustinnet.report.page.signals import bounded, pack, thin
@@ -163,7 +163,7 @@ def _search_content(reported: ReportedModel) -> dict[str, Any] | None:
             costs[-1].append(math.nan if line["cost"] is None else line["cost"])
     names = [name for name in ends[0]["parameters"] if all(name in s["parameters"] for s in ends)]
     series = {name: [stage["parameters"][name] for stage in ends] for name in names}
-    parameters = family_of(reported.model).parameters(reported.model)
+    parameters = physical_parameters(reported.model)
     units = {name: unit for name, unit, _ in parameters}
     return {
         "stages": [

@@ -12,6 +12,7 @@ from tustinnet.data.spoiled import KEY as SPOILED
 from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit
 from tustinnet.families.family import family_of
 from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError
+from tustinnet.models.physical_values import physical_parameters
 from tustinnet.models.written_equations import equations_header
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.fits import (
@@ -203,7 +204,7 @@ def parameters_of(reported: ReportedModel) -> list[ParameterGroup]:
     Of many parameters those that the records tell little about are a group of their own.
     """
     identification = reported.header.get("identification")
-    values = family_of(reported.model).parameters(reported.model)
+    values = physical_parameters(reported.model)
     units = {name: unit for name, unit, _ in values}
     if identification is None:
         rows = [[name, f"{value:.4g}", unit] for name, unit, value in values]
