@@ -9,6 +9,7 @@ import pytest
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.store.data_set_folder import write_data_set
 
 LIMITS = ("--limits", "torque=-6:6")  # of 10 / 2 that hold it level
 
@@ -209,6 +210,9 @@ def test_predictive_control_is_designed_played_and_written(model, tmp_path, caps
     assert design["check"]["difference"] < 1e-9
     assert "predictive control, 10 periods ahead" in (out / "README.md").read_text()
     assert "without looking ahead" in (out / "control.html").read_text()
+    code, _, messages = tustinnet(capsys, "control", out, "--replay", tmp_path)
+    assert code == 1
+    assert "predictive control; expected linear feedback" in messages
     for steps in (0, 101):
         code, _, messages = tustinnet(capsys, *told, "--mpc", steps)
         assert code == 2
@@ -338,3 +342,31 @@ def test_a_swing_up_without_a_place_to_hang_names_options_of_the_verb(model, tmp
     )
     assert code == 1
     assert "name the start and the goal: --at and --to" in messages
+
+
+def test_the_verb_replays_a_log(model, tmp_path, capsys):
+    out, logs = tmp_path / "held", tmp_path / "logs"
+    told = ("control", model, "--at", "angle=180deg", *LIMITS, "--starts", 1, "--out", out)
+    assert tustinnet(capsys, *told)[0] == 0
+    loaded = tn.load_model(out / "model.safetensors")
+    t = np.arange(300) * loaded.dt
+    q = np.pi + 0.05 * np.sin(3 * t)[:, None]
+    record = tn.from_arrays(
+        q, 0 * q, dt=loaded.dt, coordinates=loaded.coordinates, inputs=loaded.inputs, name="hand"
+    )
+    write_data_set(tn.DataSet("hand", (record,)), logs, "moved by hand")
+    code, text, messages = tustinnet(capsys, "control", out, "--replay", logs)
+    assert code == 0, messages
+    assert "torque differs" in text
+    assert "estimator: angle: the filter is" in text
+    assert "next: tustinnet evaluate" in text
+    code, text, _ = tustinnet(capsys, "control", out, "--replay", logs, "--json")
+    (row,) = json.loads(text)["records"]
+    assert row["inputs"]["torque"]["difference"] > 0
+    code, _, messages = tustinnet(capsys, "control", out, "--replay", logs, "--delay", "0")
+    assert code == 1
+    assert "--delay" in messages
+    assert "beside --replay" in messages
+    code, _, messages = tustinnet(capsys, "control", tmp_path, "--replay", logs)
+    assert code == 1
+    assert "controller.json" in messages

@@ -41,9 +41,9 @@ def play_on_a_slope(task: ControlTask):
     """A run on a slope that the model does not know, and the design."""
     model = level_slide()
     design = design_controller(model, task)
-    options = PlantOptions(counts=[COUNT], limits=[[-20.0, 20.0]])
+    options = PlantOptions(counts=[COUNT], limits=[[-20.0, 20.0]], delay=task.delay)
     plant = ModelPlant(SteppedModel(model), {"slope": 3.0}, options)
-    estimator = ExtendedKalmanFilter(design.estimated, design.noise)
+    estimator = ExtendedKalmanFilter(design.estimated, design.noise, delay=task.delay)
     run = closed_loop(plant, design.make_controller(), estimator, 400, design.first_positions)
     return run, design
 
@@ -79,4 +79,6 @@ def test_inputs_that_act_late_are_disturbed_late():
     task = ControlTask({"s": 0.0}, delay=2, observer=True)
     run, design = play_on_a_slope(task)
     assert design.feedback.gain.shape == (1, 5)
+    # the estimator knows how late: what it expects of velocities is right
+    np.testing.assert_allclose(run.estimates[50:, 1], run.states[50:, 1], atol=0.01)
     assert np.abs(run.states[-50:, 0]).max() < 3 * COUNT

@@ -106,6 +106,10 @@ def test_noise_of_a_right_model_is_that_of_its_encoder():
     assert consistency.is_consistent
     assert consistency.nis[0] > 0.7
     assert "innovations are" in consistency.sentences[0]
+    # better than whatever has no model, which differs little in its two forms
+    own, low_pass, parabola = consistency.velocity_errors[:, 0]
+    assert own < 0.8 * parabola < 0.8 * low_pass
+    assert "no use" not in consistency.sentences[1]
 
     wrong = tn.discretise(swing_model({"gravity": 1.2}), DT, 4)
     of_wrong = find_noise(wrong, records[:2])
@@ -117,6 +121,9 @@ def test_noise_of_a_right_model_is_that_of_its_encoder():
     assert "too sure of itself" in consistency.sentences[0]
     assert "not white" in consistency.sentences[0]
     assert check_filter(wrong, records[2:], of_wrong).nis[0] < 2
+    # a model of another machine, trusted wholly
+    other = tn.discretise(swing_model({"gravity": 8.0}), DT, 4)
+    assert "of no use to it" in check_filter(other, records[2:], found).sentences[1]
 
 
 def test_noise_of_internal_states_and_of_an_unknown_resolution_is_found():

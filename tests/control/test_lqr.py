@@ -21,6 +21,7 @@ from tustinnet.control import (
     margins,
     time_varying_lqr,
 )
+from tustinnet.control.dynamics import controlled
 from tustinnet.models import forces
 from tustinnet.simulate.range import Range
 from tustinnet.systems.library.link_chain import TWO_LINKS
@@ -104,6 +105,27 @@ def test_dry_friction_of_a_joint_without_input_does_not_turn_the_feedback_round(
     for gain in rubbing:
         assert (np.sign(gain) == np.sign(frictionless)).all()
         np.testing.assert_allclose(gain, frictionless, rtol=0.8)
+
+
+def test_records_of_a_whirling_machine_do_not_turn_the_feedback_round():
+    """Forces grow with squared speeds: about a point they are none, however fast records are."""
+    pendubot = replace(
+        TWO_LINKS,
+        inputs=(tn.Input("torque", "N m", limits=(-3.0, 3.0)),),
+    )
+    values = {p.name: jnp.asarray(p.nominal) for p in pendubot.parameters}
+    model = tn.discretise(pendubot.model(values), 0.01, 4)
+    upright = np.array([np.pi, 0.0, 0.0, 0.0])
+    exact, b = controlled(model).tangent(upright, np.zeros(1))
+    moving, moving_b = controlled(model).tangent(upright, np.zeros(1), np.array([1.0, 1.0]))
+    np.testing.assert_allclose(moving, exact, atol=2e-3)
+    np.testing.assert_allclose(moving_b, b, rtol=2e-3)
+    gains = []
+    for speed in (5.0, 50.0):
+        ends = np.array([3.0, 3.0, speed, speed])
+        ranges = Range(np.stack([-ends, ends], axis=1), np.array([[-3.0, 3.0]]))
+        gains.append(lqr(model, upright, np.zeros(1), range=ranges).gain[0])
+    assert (np.sign(gains[0]) == np.sign(gains[1])).all()
 
 
 def test_a_sample_of_delay_is_accounted_for():

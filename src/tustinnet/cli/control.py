@@ -19,12 +19,22 @@ if TYPE_CHECKING:
     from tustinnet.models.contract import Model
 
 _LONGEST = 1000  # s, of a motion
+_OF_REPLAY = ("model", "replay", "card", "follow_links", "system", "group", "json")
 LOOP, ROBUSTNESS, SUMMARY, PAGE = "closed_loop.png", "robustness.png", "design.json", "control.html"
+MODEL = "model.safetensors"  # the model of the estimator, with which a replay computes
 
 
 def control(
-    model: options.Model,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the controller.")],
+    context: typer.Context,
+    model: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL", help="Model file (.safetensors); with --replay a controller's folder."
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the controller.")
+    ] = None,
     at: Annotated[
         str | None,
         typer.Option(
@@ -122,6 +132,14 @@ def control(
             help="Inputs while the sensors of positions cannot be used. Default: 0.",
         ),
     ] = None,
+    replay: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DATA",
+            help="Instead of designing: logs of the machine, and what a controller (its folder in "
+            "the place of MODEL) would have commanded, estimated and missed.",
+        ),
+    ] = None,
     observer: Annotated[
         bool,
         typer.Option(
@@ -180,6 +198,7 @@ def control(
     from tustinnet.control.export.write import export_controller
     from tustinnet.control.plants import load_plant
     from tustinnet.control.reference import read_reference
+    from tustinnet.control.sampled_plant import PlantOptions
     from tustinnet.control.trial import try_design
     from tustinnet.models.groups import model_for_groups
     from tustinnet.models.physical_values import equations_in
@@ -200,11 +219,15 @@ def control(
     from tustinnet.store.files import lock_folder, to_json, write_into
     from tustinnet.store.header import read_header
 
+    if replay is not None:
+        _refuse_beside_replay(context)
+        groups = parse_pairs("--group", group)
+        _replay(model, replay, card, system, groups, follow_links=follow_links, json=json)
+        return
+    if out is None:
+        raise InputError("--out", "not given", "a folder for the controller")
+    _refuse_beside_mpc(mpc, integral, observer=observer)
     _refuse_others(follow, at, to, seconds, within, mpc, swing_up=swing_up)
-    if mpc is not None:
-        refuse_options(
-            {"--integral": integral, "--observer": observer}, "beside --mpc", "linear feedback"
-        )
     if data is None:
         needed = {"--card": card, "--follow-links": follow_links}
         refuse_options(needed, "without records", "--data")
@@ -260,7 +283,12 @@ def control(
         printer(
             f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant"
         )
-        plants = {} if plant is None else {Path(plant).name: load_plant(plant, simulator.channels)}
+        late = PlantOptions(delay=delay)
+        plants = (
+            {}
+            if plant is None
+            else {Path(plant).name: load_plant(plant, simulator.channels, options=late)}
+        )
         is_physical = equations_in(simulator) is not None
         candidates = [] if is_physical else _load_rivals(model, system, groups)
         trial = try_design(design, header, plants=plants, count=starts, candidates=candidates)
@@ -300,6 +328,7 @@ def control(
                 f"{', or '.join(remedies)}; --force writes it all the same",
             )
         write_into(out, SUMMARY, to_json(content))
+        _keep_model(model, out)
         write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
         write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
         write_control_page(
@@ -314,6 +343,15 @@ def control(
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
         )
+
+
+def _refuse_beside_mpc(
+    mpc: int | None, integral: "Sequence[str] | None", *, observer: bool
+) -> None:
+    """Raises for options of linear feedback that predictive control does not have."""
+    if mpc is not None:
+        options = {"--integral": integral, "--observer": observer}
+        refuse_options(options, "beside --mpc", "linear feedback")
 
 
 def _refuse_others(
@@ -339,6 +377,60 @@ def _refuse_others(
         refuse_options({"--seconds": seconds}, "without a motion", motion)
         if mpc is None:
             refuse_options({"--within": within}, "without a motion", f"{motion}, or --mpc")
+
+
+def _refuse_beside_replay(context: typer.Context) -> None:
+    """Raises for options of a design, which a replay does not make."""
+    for name in context.params:
+        source = context.get_parameter_source(name)
+        if name not in _OF_REPLAY and source is not None and source.name == "COMMANDLINE":
+            option = f"--{name.replace('_', '-')}"
+            refuse_options({option: True}, "beside --replay", "a replay of logs alone")
+
+
+def _keep_model(model: Path, out: Path) -> None:
+    """Copies the model, and the system that is kept with it, beside its controller."""
+    from tustinnet.store.files import write_into
+    from tustinnet.store.kept_system import find_system_copy, write_system_copy
+
+    write_into(out, MODEL, model.read_bytes())
+    if (copy := find_system_copy(model)) is not None:
+        write_system_copy(copy, out)
+
+
+def _replay(
+    folder: Path,
+    data: str,
+    card: Path | None,
+    system: str | None,
+    groups: "Mapping[str, str]",
+    *,
+    follow_links: bool,
+    json: bool,
+) -> None:
+    """Prints what the controller of a folder makes of logs."""
+    from tustinnet.control.estimator import check_filter
+    from tustinnet.control.export.gains import read_controller
+    from tustinnet.control.replay import model_of, noise_of, replay
+    from tustinnet.models.groups import model_for_groups
+    from tustinnet.report.replay import replay_sentences, replay_table, summarise
+
+    gains = read_controller(folder)
+    file = folder / MODEL
+    loaded = model_for_groups(load_model(file, system), groups, "control")
+    model, noise = model_of(gains, loaded), noise_of(folder / SUMMARY)
+    records = load_records(data, card, follow_links=follow_links)
+    replays = [replay(gains, model, noise, record) for record in records]
+    consistency = check_filter(model, [*records], noise)
+    if json:
+        terminal.print_json(summarise(replays, consistency))
+        return
+    terminal.print_tables(replay_table(replays))
+    terminal.echo("\n".join(replay_sentences(replays, consistency)))
+    terminal.echo(
+        f"next: tustinnet evaluate {file} {data} (free runs of the model), tustinnet fit {data} "
+        f"--from {file} --out refitted (the model by these logs), then control with that"
+    )
 
 
 def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, str]") -> "list[Model]":

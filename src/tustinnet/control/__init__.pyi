@@ -5,6 +5,8 @@ from .closed_loop import closed_loop as closed_loop
 from .controller import Controller as Controller
 from .controllers import LinearFeedback as LinearFeedback
 from .controllers import TrackingFeedback as TrackingFeedback
+from .disturbances import DisturbedModel as DisturbedModel
+from .disturbances import observe_disturbances as observe_disturbances
 from .equilibrium import Mode as Mode
 from .equilibrium import OperatingPoint as OperatingPoint
 from .equilibrium import find_equilibrium as find_equilibrium
@@ -36,6 +38,8 @@ from .plants import load_rivals as load_rivals
 from .plants import qube_twin as qube_twin
 from .plants import system_plant as system_plant
 from .reference import read_reference as read_reference
+from .replay import Replay as Replay
+from .replay import replay as replay
 from .robustness import Robustness as Robustness
 from .robustness import RobustnessRow as RobustnessRow
 from .robustness import assess_robustness as assess_robustness

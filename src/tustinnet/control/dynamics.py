@@ -137,7 +137,8 @@ class ControlledModel:
 
         With `speeds` it is the one that fits best in the mean over motions about the point, by
         statistical linearisation. At the point itself dry friction looks like a huge viscous one,
-        and inputs seem to move nothing; no motion meets that.
+        and inputs seem to move nothing; no motion meets that. What grows with the squared speed, as
+        the force of a whirling link, is taken away by a second speed: it is none of small motions.
 
         Args:
             x: the state, (n_x,).
@@ -157,11 +158,12 @@ class ControlledModel:
         # columns of a Hadamard matrix have no part of one another, with its opposite no squares
         half = scipy.linalg.hadamard(2 ** ceil(log2(len(moved) + 1)))[:, 1 : len(moved) + 1]
         signs = np.concatenate([half, -half])
-        z = np.tile(self.augment(x, u), (len(signs), 1))
-        z[:, columns] += signs * usual[moved]
-        inputs = np.tile(u, (len(z), 1))
-        jacobian = self.derivatives(z, inputs).mean(axis=0)
-        slopes = self.steps(z, inputs).T @ signs / len(signs)
+        z = np.tile(self.augment(x, u), (2, len(signs), 1))
+        z[:, :, columns] += np.multiply.outer((1, 2), signs * usual[moved])
+        inputs = np.tile(u, (len(signs), 1))
+        slow, fast = (self.derivatives(rows, inputs).mean(axis=0) for rows in z)
+        jacobian = slow + (slow - fast) / 3
+        slopes = self.steps(z[0], inputs).T @ signs / len(signs)
         jacobian[:, columns] = slopes / usual[moved]
         if not np.isfinite(jacobian).all():
             raise InputError(

@@ -11,10 +11,12 @@ from jaxtyping import Float
 from tustinnet.channels import Channels
 from tustinnet.control.input_history import InputHistory
 from tustinnet.data.experiment import Experiment
+from tustinnet.data.inspection import smooth_velocities
 from tustinnet.engine.engines import make_linearised_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import require_stepping
 from tustinnet.models.contract import Model
+from tustinnet.signals.causal_velocities import low_pass_velocities, polynomial_velocities
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.simulate.filtering import (
     LOST_AFTER,
@@ -76,6 +78,7 @@ class ExtendedKalmanFilter:
             finds them by records.
         lost_after: samples in a row that were not used, after which the estimate is lost, until as
             many were used.
+        delay: samples by which inputs act later than the model says, as a computer needs.
 
     Attributes:
         model: the model.
@@ -86,14 +89,16 @@ class ExtendedKalmanFilter:
             model's, an estimate that is lost after fewer than one sample.
     """
 
-    def __init__(self, model: Model, noise: FilterNoise, lost_after: int = LOST_AFTER) -> None:
+    def __init__(
+        self, model: Model, noise: FilterNoise, lost_after: int = LOST_AFTER, delay: int = 0
+    ) -> None:
         require_stepping(model)
         channels = model.channels
         self.model = model
         self.noise = noise.checked(model.state_size, channels.n_q, "ExtendedKalmanFilter")
         if lost_after < 1:
             raise InputError("ExtendedKalmanFilter", f"lost_after {lost_after}", "1 or more")
-        self._history = InputHistory(model)
+        self._history = InputHistory(model, delay)
         equations = step_equations(model.simplify(), self._history.shape)
         angular = channels.angular if channels.angular.any() else None
         self._filter = KalmanFilter(
@@ -165,6 +170,9 @@ class FilterConsistency:
             by the chi-square distribution.
         correlation: of innovations at lags of 1 to 20 samples, (20, n_q).
         correlation_bound: within which independent innovations are at 95 % of the lags.
+        velocity_errors: root mean square of what velocities are off from those of the smoothed
+            records: of the filter, of the best low-pass of differences, of the best parabola
+            through the last samples, (3, n_q) [rad/s or m/s].
 
     References:
         Bar-Shalom, Li, Kirubarajan (2001), Estimation with Applications to Tracking and
@@ -177,6 +185,7 @@ class FilterConsistency:
     bounds: tuple[float, float]
     correlation: Float[np.ndarray, "lags n_q"]
     correlation_bound: float
+    velocity_errors: Float[np.ndarray, "3 n_q"]
 
     @property
     def is_consistent(self) -> bool:
@@ -214,6 +223,13 @@ class FilterConsistency:
             sentences.append(
                 f"{coordinate.name}: the filter is {verdict}, innovations are "
                 f"{math.sqrt(self.nis[j]):.2f} times as large as it expects, and {white}"
+            )
+            own, low_pass, parabola = self.velocity_errors[:, j]
+            better = "" if own <= min(low_pass, parabola) else ", so the model is of no use to it"
+            sentences.append(
+                f"{coordinate.name}: its velocity is off by {own:.3g} {coordinate.unit}/s, that of "
+                f"the best low-pass by {low_pass:.3g}, of the best parabola through the last "
+                f"samples by {parabola:.3g}{better}"
             )
         return tuple(sentences)
 
@@ -316,10 +332,8 @@ def check_filter(
     import scipy.stats
 
     parts = _parts(model, records)
-    series = [
-        (result.innovations / result.innovation_deviations)[_SETTLING:]
-        for result in _filtered(model, parts, noise)
-    ]
+    results = _filtered(model, parts, noise)
+    series = [(one.innovations / one.innovation_deviations)[_SETTLING:] for one in results]
     pooled = np.concatenate(series)
     n = len(pooled)
     tails = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
@@ -338,7 +352,29 @@ def check_filter(
         bounds=(low, high),
         correlation=correlations,
         correlation_bound=float(scipy.stats.norm.ppf(tails[1])) / math.sqrt(n),
+        velocity_errors=_velocity_errors(parts, results),
     )
+
+
+def _velocity_errors(
+    parts: Sequence[Experiment], results: Sequence[FilterResult]
+) -> Float[np.ndarray, "3 n_q"]:
+    """Errors of the filter's velocities, and of what is computed without a model; see there."""
+    channels = parts[0].channels
+
+    def error(velocities: Sequence[np.ndarray]) -> np.ndarray:
+        squares = [
+            (v - smooth_velocities(e))[_SETTLING:] ** 2
+            for v, e in zip(velocities, parts, strict=True)
+        ]
+        return np.sqrt(np.mean(np.concatenate(squares), axis=0))
+
+    own = error([result.states[:, channels.velocity] for result in results])
+    without_model = [
+        np.min([error(v) for v in zip(*(compute(e.q, e.dt) for e in parts), strict=True)], axis=0)
+        for compute in (low_pass_velocities, polynomial_velocities)
+    ]
+    return np.stack([own, *without_model])
 
 
 def _parts(model: Model, records: Sequence[Experiment]) -> list[Experiment]:

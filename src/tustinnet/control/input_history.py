@@ -16,14 +16,15 @@ class InputHistory:
 
     Args:
         model: the model.
+        delay: samples by which inputs act later than the model says, as a computer needs.
 
     Attributes:
         shape: the shape of a step's inputs.
         samples: how many samples a step depends on.
     """
 
-    def __init__(self, model: Model) -> None:
-        layout = find_causal_layout(model)
+    def __init__(self, model: Model, delay: int = 0) -> None:
+        layout = find_causal_layout(model, delay)
         n_u, self.shape = model.channels.n_u, layout.shape
         self.samples = len(layout.offsets)
         is_plain = self.samples == 1 and np.array_equal(layout.matrix, np.eye(n_u))

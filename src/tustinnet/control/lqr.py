@@ -27,7 +27,7 @@ from tustinnet.simulate.range import Range
 
 _SECONDS = 1.0  # for which a position may stay at its deviation, where its integral has no weight
 _TINY = 1e-9  # weight of states without one: no mode is without any
-_DOUBLINGS = 3  # of usual speeds, a tenth of the acceptable ones: up to nearly these
+_DOUBLINGS = 3  # of usual speeds, mostly a tenth of the acceptable ones: up to nearly these
 _DEARER = 1.25  # costs of feedback in motions twice as fast, by those of their own: it serves both
 _FALLEN = 0.25  # share of a plan's way from which its end is lost: balances come back from less
 _SETTLED = 0.1  # share of a plan's range about its start from which its feedback follows it

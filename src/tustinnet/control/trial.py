@@ -12,7 +12,7 @@ from tustinnet.control.design import ControlDesign
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.compiled import compiled
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
-from tustinnet.control.sampled_plant import SampledPlant
+from tustinnet.control.sampled_plant import PlantOptions, SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
@@ -51,6 +51,9 @@ def try_design(
     Predictive control is played by its code in C, where a compiler is there: the table would take
     minutes in Python.
 
+    The delay of the task is in the variants, and known to the estimator; other plants have their
+    own.
+
     Args:
         design: the controller.
         header: the header of the model's file, with the errors of its parameters.
@@ -62,7 +65,13 @@ def try_design(
     """
     kinds = list(
         make_variants(
-            design.model, design.noise, header, count=count, seed=seed, candidates=candidates
+            design.model,
+            design.noise,
+            header,
+            count=count,
+            seed=seed,
+            options=PlantOptions(delay=design.task.delay),
+            candidates=candidates,
         )
         if variants
         else ()
@@ -77,7 +86,7 @@ def try_design(
     controller = design.make_controller()
     if design.mpc is not None:
         controller = compiled(design.mpc, design.model)
-    estimator = ExtendedKalmanFilter(design.estimated, design.noise)
+    estimator = ExtendedKalmanFilter(design.estimated, design.noise, delay=design.task.delay)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )

@@ -35,10 +35,12 @@ class Weights(NamedTuple):
     def usual_speeds(self, channels: Channels) -> Float[np.ndarray, " n_q"]:
         """Speeds that are usual about an equilibrium, a share of the acceptable ones, (n_q,).
 
-        0 where any speed is acceptable.
+        0 where any speed is acceptable. Records of falls and whirls have higher speeds than any
+        motion about a point: more than 1 rad/s or m/s is not usual.
         """
         prices = self.states[channels.velocity]
-        return np.where(prices > 0, _USUAL / np.sqrt(np.where(prices > 0, prices, 1.0)), 0.0)
+        acceptable = 1 / np.sqrt(np.where(prices > 0, prices, 1.0))
+        return np.where(prices > 0, _USUAL * np.minimum(acceptable, _POSITION / _SECONDS), 0.0)
 
 
 def bryson_weights(

@@ -309,6 +309,7 @@ def summarise(
             "begins_again_after_a_fall": design.recovery is not None,
         },
         "estimator": {
+            "start": np.asarray(design.noise.start).tolist(),
             "process": np.asarray(design.noise.process).tolist(),
             "measured": np.asarray(design.noise.measured).tolist(),
             "tests": [] if design.consistency is None else list(design.consistency.sentences),
