@@ -428,8 +428,8 @@ def _replay(
     terminal.print_tables(replay_table(replays))
     terminal.echo("\n".join(replay_sentences(replays, consistency)))
     terminal.echo(
-        f"next: tustinnet evaluate {file} {data} (free runs of the model), tustinnet fit {data} "
-        f"--from {file} --out refitted (the model by these logs), then control with that"
+        f"next: tustinnet evaluate {file} {data} (free runs of the model), "
+        f"tustinnet fit {data} --out refitted (a model by these logs, too), then control that"
     )
 
 
