@@ -2,8 +2,9 @@
 
 python benchmarks/control_code.py
 
-The feedback holds the rotary pendulum upright; the plan has 300 periods with feedback along it. An
-arm of six joints follows a motion of 250 periods by computed torque, and by a plan with feedback.
+The feedback holds the rotary pendulum upright; the plan has 300 periods with feedback along it.
+Predictive control begins with either, and looks 20 periods ahead. An arm of six joints follows a
+motion of 250 periods by computed torque, and by a plan with feedback.
 Times are medians over 61 rounds of 300 periods, in which device and encoders take no part. Sizes on
 a Cortex-M7 are told where arm-none-eabi-gcc is.
 """
@@ -30,7 +31,7 @@ from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2 import SYSTEM, WITH_MEMORY
 from tustinnet.systems.qube_servo2_twin import COUNT
 
-PERIOD, STEPS = 0.01, 300
+PERIOD, STEPS, AHEAD = 0.01, 300, 20
 ARM_PERIOD, ARM_STEPS = 0.008, 250
 FLAGS = ("-O2", "-O2 -DMODEL_FLOAT", "-O3 -march=native")
 SOURCES = ["controller.c", "estimator.c", "model.c"]
@@ -151,8 +152,8 @@ def arm_controllers(model: tn.Model) -> dict[str, tc.Tracking]:
     return {"computed torque": by_torque, "plan": by_feedback}
 
 
-def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
-    """The feedback, and a plan of 300 periods from beside the goal with feedback along it."""
+def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking | tc.Mpc]:
+    """The feedback, a plan from beside the goal with feedback along it, and both looking ahead."""
     x0, u0 = np.zeros(model.state_size), np.zeros(1)
     feedback = tc.lqr(model, x0, u0, deviations=DEVIATIONS)
     step, states, inputs = tn.compiled_step(model), [x0 + 0.1 * (np.arange(len(x0)) < 2)], []
@@ -171,7 +172,14 @@ def controllers(model: tn.Model) -> dict[str, tc.Feedback | tc.Tracking]:
         before=u0,
     )
     gains = np.tile(feedback.gain, (STEPS, 1, 1))
-    return {"feedback": feedback, "plan": tc.Tracking(plan, gains, feedback)}
+    along = tc.Tracking(plan, gains, feedback)
+    ahead = {"steps": AHEAD, "deviations": DEVIATIONS}
+    return {
+        "feedback": feedback,
+        "plan": along,
+        "predictive": tc.Mpc(model, feedback, **ahead),
+        "predictive, plan": tc.Mpc(model, along, **ahead),
+    }
 
 
 def run(command: list[str], folder: Path) -> str:
@@ -252,14 +260,16 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as place:
                 folder = Path(place)
                 tc.export_controller(model, controller, noise, folder)
+                written = sum(len((folder / source).read_bytes()) for source in SOURCES) / 1000
                 size = text(folder)
                 speed += [
-                    [title, name, flags, *times(folder, *flags.split()), size] for flags in FLAGS
+                    [title, name, f"{written:.0f}", flags, *times(folder, *flags.split()), size]
+                    for flags in FLAGS
                 ]
                 if shutil.which("arm-none-eabi-gcc"):
                     space.append([title, name, *sizes(folder)])
     columns = ["controller us", "filter us", "both us", "-O2 [bytes]"]
-    headings = ["model", "controller", "flags", *columns]
+    headings = ["model", "controller", "C [kB]", "flags", *columns]
     print(Table(headings, speed, title="A period in C, medians [us]").markdown())
     title = "Cortex-M7, float, -O2 [bytes]; stack without libm's"
     headings = ["model", "controller", "flash", "constants", "stack", "structures"]

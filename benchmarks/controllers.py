@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import tustinnet as tn
-from tustinnet.control import Mpc, ilqr
+from tustinnet.control import Mpc, ilqr, lqr
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import controlled, input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter, usual_noise
@@ -162,9 +162,10 @@ def measure_mpc() -> None:
     cost = make_cost(
         controlled(model), limits, goal, np.zeros(1), deviations=None, range=None, within=None
     )
+    feedback = lqr(model, goal, np.zeros(1), limits=LIMITS)
     rows = []
     for iterations in (1, 2, 5):
-        mpc = Mpc(model, goal, np.zeros(1), steps=AHEAD, iterations=iterations, limits=LIMITS)
+        mpc = Mpc(model, feedback, steps=AHEAD, iterations=iterations)
         x, times, states, costs = START, [], [], []
         for k in range(PERIODS):
             begin = time.process_time()

@@ -197,6 +197,28 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     assert plan.x[-1, 0] == pytest.approx(0.4, abs=0.05)
 
 
+def test_predictive_control_is_designed_played_and_written(model, tmp_path, capsys):
+    out = tmp_path / "ahead"
+    command = ("control", model, "--at", "angle=180deg", "--swing-up", *LIMITS, "--trust-beyond")
+    told = (*command, "--within", "angle=90:420", "--starts", 1, "--out", out)
+    code, text, messages = tustinnet(capsys, *told, "--mpc", 10)
+    assert code == 0, messages
+    assert "predictive control: at every sample 10 steps ahead" in text
+    assert "PID" not in text
+    design = json.loads((out / "design.json").read_text())
+    assert design["predictive"] == {"steps": 10, "iterations": 1}
+    assert design["check"]["difference"] < 1e-9
+    assert "predictive control, 10 periods ahead" in (out / "README.md").read_text()
+    assert "without looking ahead" in (out / "control.html").read_text()
+    code, _, messages = tustinnet(capsys, "control", out, "--replay", tmp_path)
+    assert code == 1
+    assert "predictive control; expected linear feedback" in messages
+    for steps in (0, 101):
+        code, _, messages = tustinnet(capsys, *told, "--mpc", steps)
+        assert code == 2
+        assert "'--mpc'" in messages
+
+
 def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
     out = tmp_path / "held"
     assert (
@@ -238,6 +260,9 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys
         (("--at", "angle=0", "--limits", "force=-6:6"), "force"),
         (("--at", "angle=0", *LIMITS, "--seconds", 1), "--seconds"),
         (("--at", "angle=0", *LIMITS, "--within", "angle=-1:1"), "--within"),
+        (("--at", "angle=0", *LIMITS, "--mpc", 9, "--integral", "angle"), "--integral: not appl"),
+        (("--at", "angle=0", *LIMITS, "--mpc", 9, "--observer"), "--observer: not appl"),
+        (("--at", "angle=0", *LIMITS, "--mpc", 9, "--within", "elbow=0:1"), "elbow"),
         (("--at", "angle=0", *LIMITS, "--card", "x.toml"), "--card"),
         (("--at", "angle=0", *LIMITS, "--weight", "angle=fast"), "--weight"),
         (("--at", "angle=0", *LIMITS, "--weight", "elbow=1"), "elbow"),

@@ -50,7 +50,9 @@ def play_on_a_slope(task: ControlTask):
 
 @pytest.mark.parametrize("follows", [False, True])
 def test_a_force_that_the_model_does_not_know_moves_the_device_without_an_observer(follows):
-    way = {"start": {"s": 0.0}, "reference": {"s": WAY}} if follows else {}
+    # weights are those of feedback along a plan; computed torque has integrals of its own
+    way = {"start": {"s": 0.0}, "reference": {"s": WAY}, "deviations": {"s": 1.0}}
+    way = way if follows else {}
     at = {"s": float(WAY[-1])} if follows else {"s": 0.0}
     tasks = [ControlTask(at, trust_beyond=True, observer=b, **way) for b in (False, True)]
     (without, _), (observed, design) = map(play_on_a_slope, tasks)

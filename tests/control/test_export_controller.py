@@ -21,11 +21,13 @@ from tustinnet.control.dynamics import controlled, input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.check import BOUND, check_loop
 from tustinnet.control.export.code import make_code
+from tustinnet.control.export.compiled import compiled
 from tustinnet.control.export.gains import JSON, MAT
 from tustinnet.control.export.write import export_controller
 from tustinnet.control.ilqr import make_cost
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.mpc import Mpc
 from tustinnet.control.plants import ModelPlant
 from tustinnet.export.source import make_source
 from tustinnet.simulate.filtering import FilterNoise
@@ -138,6 +140,11 @@ def some_feedback(model: tn.Model, integral: tuple[int, ...] = ()) -> Feedback:
     )
 
 
+def predictive(gains: Feedback | Tracking, model: tn.Model | None = None, **options) -> Mpc:
+    """Predictive control of the pendulum, or of another model, some steps ahead."""
+    return Mpc(model or pendulum(), gains, **{"steps": 15, "deviations": DEVIATIONS} | options)
+
+
 CASES = {
     "balance": lambda: (pendulum(), balance()),
     "integral": lambda: (pendulum(), balance(integral=("theta",))),
@@ -150,6 +157,14 @@ CASES = {
     "actuator lag": lambda: (example("actuator lag"), some_feedback(example("actuator lag"))),
     "cart": lambda: (example("cart"), some_feedback(example("cart"), (1, 0))),
     "network": lambda: (example("network memory"), some_feedback(example("network memory"))),
+    "predictive": lambda: (pendulum(), predictive(balance(), iterations=3, within=COST["within"])),
+    "predictive late": lambda: (pendulum(), predictive(balance(2))),
+    "predictive late motion": lambda: (pendulum(), predictive(late_motion())),
+    "predictive swing-up": lambda: (pendulum(), predictive(replace(swing_up(), final=balance(1)))),
+    "predictive cart": lambda: (
+        example("cart"),
+        predictive(some_feedback(example("cart")), example("cart"), deviations={}, steps=5),
+    ),
 }
 
 
@@ -564,6 +579,23 @@ def test_without_casadi_there_are_no_scripts(tmp_path, monkeypatch):
     assert not any(name.endswith(".py") for name in result.files)
     assert "step.casadi" not in (tmp_path / "README.md").read_text()
     assert any("tustinnet[casadi]" in note for note in result.notes)
+
+
+@needs_gcc
+def test_its_code_in_c_plays_predictive_control(monkeypatch):
+    model = pendulum()
+    mpc = predictive(balance(2))
+    played = compiled(mpc, model)
+    assert played is not mpc
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        played.reset()
+        mpc.reset()
+        for k in range(5):
+            x = 0.1 * rng.normal(size=4) if k != 3 else np.full(4, np.nan)
+            np.testing.assert_allclose(played.inputs(k, x), mpc.inputs(k, x), rtol=1e-9)
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert compiled(mpc, model) is mpc
 
 
 def test_without_a_compiler_it_is_written_and_told(tmp_path, monkeypatch):

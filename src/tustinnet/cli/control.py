@@ -94,6 +94,16 @@ def control(
             metavar="NAME", help="Coordinate held without a lasting error; may be repeated."
         ),
     ] = None,
+    mpc: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=100,
+            metavar="STEPS",
+            help="Predictive control instead of linear feedback: at every sample it plans so many "
+            "steps ahead, and keeps --within where it can.",
+        ),
+    ] = None,
     delay: Annotated[
         int,
         typer.Option(
@@ -111,7 +121,8 @@ def control(
         list[str] | None,
         typer.Option(
             metavar="NAME=LOW:HIGH",
-            help="Limits of a position or velocity that a motion keeps. May be repeated.",
+            help="Limits of a position or velocity that a motion keeps, and --mpc. May be "
+            "repeated.",
         ),
     ] = None,
     safe: Annotated[
@@ -174,9 +185,9 @@ def control(
 ) -> None:
     """Design a controller on a model, test it on what the model does not know, write it as C.
 
-    Feedback is linear-quadratic, the state is estimated by an extended Kalman filter, a motion is
-    planned by iterative LQR. The folder gets controller, estimator, model and a closed loop in C,
-    gains, scripts for CasADi, acados and do-mpc, and figures.
+    Feedback is linear-quadratic, or predictive (--mpc); the state is estimated by an extended
+    Kalman filter, a motion is planned by iterative LQR. The folder gets controller, estimator,
+    model and a closed loop in C, gains, scripts for CasADi, acados and do-mpc, and figures.
     """
     terminal.prepare_jax()
     import shlex
@@ -215,7 +226,8 @@ def control(
         return
     if out is None:
         raise InputError("--out", "not given", "a folder for the controller")
-    _refuse_others(follow, at, to, seconds, within, swing_up=swing_up)
+    _refuse_beside_mpc(mpc, integral, observer=observer)
+    _refuse_others(follow, at, to, seconds, within, mpc, swing_up=swing_up)
     if data is None:
         needed = {"--card": card, "--follow-links": follow_links}
         refuse_options(needed, "without records", "--data")
@@ -256,6 +268,7 @@ def control(
         values.read_point("--safe", safe),
         reference,
         observer,
+        mpc,
     )
     with lock_folder(out):
         begin = time.perf_counter()
@@ -285,7 +298,7 @@ def control(
             if is_refused
             else export_controller(
                 design.estimated,
-                design.gains,
+                design.mpc or design.gains,
                 design.noise,
                 out,
                 deviations=design.deviations,
@@ -332,12 +345,22 @@ def control(
         )
 
 
+def _refuse_beside_mpc(
+    mpc: int | None, integral: "Sequence[str] | None", *, observer: bool
+) -> None:
+    """Raises for options of linear feedback that predictive control does not have."""
+    if mpc is not None:
+        options = {"--integral": integral, "--observer": observer}
+        refuse_options(options, "beside --mpc", "linear feedback")
+
+
 def _refuse_others(
     follow: Path | None,
     at: str | None,
     to: str | None,
     seconds: float | None,
     within: "Sequence[str] | None",
+    mpc: int | None,
     *,
     swing_up: bool,
 ) -> None:
@@ -350,8 +373,10 @@ def _refuse_others(
     elif to is not None:
         refuse_options({"--swing-up": swing_up}, "beside --to", "one of them")
     elif not swing_up:
-        needed = {"--seconds": seconds, "--within": within}
-        refuse_options(needed, "without a motion", "--swing-up, --to or --follow")
+        motion = "--swing-up, --to or --follow"
+        refuse_options({"--seconds": seconds}, "without a motion", motion)
+        if mpc is None:
+            refuse_options({"--within": within}, "without a motion", f"{motion}, or --mpc")
 
 
 def _refuse_beside_replay(context: typer.Context) -> None:

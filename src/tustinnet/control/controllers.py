@@ -46,6 +46,10 @@ class LinearFeedback:
         self._previous = np.concatenate([command, self._previous])[: len(self._rest)]
         return command
 
+    def correct(self, command: Float[np.ndarray, " n_u"]) -> None:
+        """Remembers that other inputs were commanded at the last sample."""
+        self._previous = replace_latest(self._previous, command)
+
 
 class TrackingFeedback:
     """A controller that follows a plan by time-varying feedback, then holds its end.
@@ -59,6 +63,9 @@ class TrackingFeedback:
 
     Attributes:
         phase: `plan`, `hold` or `settle`, of the last sample.
+        step: the step of the plan at the last sample; after its end, and while the motion settles,
+            how many there are.
+        previous: the commands before the next sample, the latest first.
     """
 
     phase: Phase
@@ -75,36 +82,42 @@ class TrackingFeedback:
 
     def reset(self) -> None:
         """Forgets the commands and integrals of an earlier run, and begins with the plan."""
-        self._previous = np.tile(self.tracking.plan.before, self.tracking.final.previous)
+        self.previous = np.tile(self.tracking.plan.before, self.tracking.final.previous)
         self._integral = np.zeros(len(self.tracking.integral))
-        self.phase, self._begin = "plan", 0
+        self.phase, self._begin, self.step = "plan", 0, 0
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,)."""
         self._choose_phase(k, x)
-        plan, final, step = self.tracking.plan, self.tracking.final, k - self._begin
+        plan, final = self.tracking.plan, self.tracking.final
+        self.step = step = k - self._begin if self.phase == "plan" else len(plan.u)
         if self.phase == "hold":
             command = self._hold.inputs(k, x)
         elif self.phase == "settle":
             command = self._settle.inputs(k, x)
         else:
             error = wrap(x - plan.x[step], final.periodic)
-            z = np.concatenate([error, self._integral, self._previous - self._reference[step]])
+            z = np.concatenate([error, self._integral, self.previous - self._reference[step]])
             unlimited = plan.u[step] - self.tracking.gains[step] @ z
             command = final.command(unlimited)
             if np.array_equal(command, unlimited):
                 own = error[list(self.tracking.integral)]
                 self._integral = self._integral + final.dt * own
             self._begin += not np.isfinite(x).all()  # the plan waits
-        self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
+        self.previous = np.concatenate([command, self.previous])[: len(self.previous)]
         return command
+
+    def correct(self, command: Float[np.ndarray, " n_u"]) -> None:
+        """Remembers that other inputs were commanded at the last sample."""
+        self.previous = replace_latest(self.previous, command)
+        self._hold.correct(command)
 
     def _choose_phase(self, k: int, x: Float[np.ndarray, " n_x"]) -> None:
         """Goes on to the next phase where that is due at a sample."""
         plan, final, recovery = self.tracking.plan, self.tracking.final, self.tracking.recovery
         if self.phase == "plan" and k - self._begin >= len(plan.u):
             self.phase = "hold"
-            self._hold.reset(self._previous, self._integral if self.tracking.integral else None)
+            self._hold.reset(self.previous, self._integral if self.tracking.integral else None)
         if recovery is None:
             return
         # after a while without a state the device is somewhere else
@@ -114,8 +127,15 @@ class TrackingFeedback:
             is_off = ((fallen > 0) & (np.abs(error) > fallen)).any()
         if is_off:
             self.phase = "settle"
-            self._settle.reset(self._previous)
+            self._settle.reset(self.previous)
         if self.phase == "settle":
             near, error = recovery.settled_within, wrap(x - plan.x[0], final.periodic)
             if ((near == 0) | (np.abs(error) <= near)).all():
                 self.phase, self._begin = "plan", k
+
+
+def replace_latest(
+    previous: Float[np.ndarray, " previous"], command: Float[np.ndarray, " n_u"]
+) -> Float[np.ndarray, " previous"]:
+    """Previous commands with another one as the latest; none where there are none."""
+    return np.concatenate([command, previous[len(command) :]])[: len(previous)]

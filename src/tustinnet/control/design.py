@@ -19,6 +19,7 @@ from tustinnet.control.estimator import FilterConsistency, check_filter, find_no
 from tustinnet.control.ilqr import follow, ilqr
 from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
+from tustinnet.control.mpc import Mpc
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
@@ -55,13 +56,14 @@ class ControlTask:
         integral: names of coordinates with integral action.
         delay: samples from when an input is computed to when it acts.
         limits: limits of inputs by name, instead of those that the model declares.
-        within: limits of states by name, which a motion keeps.
+        within: limits of states by name, which a motion and predictive control keep.
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
         safe: inputs by name while the estimator has lost the state, see `lqr`.
         reference: positions to follow to `at`, by the name of their coordinate, at each sample from
             the start on (see `read_reference`); None for a motion that is free between its ends.
         observer: whether lasting disturbances are estimated and taken from the inputs.
+        mpc: steps that predictive control looks ahead, see `Mpc`; None for linear feedback.
     """
 
     at: Mapping[str, float]
@@ -76,6 +78,7 @@ class ControlTask:
     safe: Mapping[str, float] | None = None
     reference: Mapping[str, Vector] | None = None
     observer: bool = False
+    mpc: int | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class ControlDesign:
         point: the equilibrium that is held.
         start: the equilibrium from which the motion begins, None without a motion.
         gains: the feedback, along the plan where there is one.
+        mpc: the predictive controller that begins with this feedback, None without one.
         margins: of the loop about the equilibrium.
         noise: the noise of the estimator.
         consistency: tests of the estimator along records, None without records.
@@ -102,6 +106,7 @@ class ControlDesign:
     point: OperatingPoint
     start: OperatingPoint | None
     gains: Feedback | Tracking
+    mpc: Mpc | None
     margins: Margins
     noise: FilterNoise
     consistency: FilterConsistency | None
@@ -157,7 +162,9 @@ class ControlDesign:
         return point.x[self.model.channels.position]
 
     def make_controller(self) -> Controller:
-        """A new controller."""
+        """The controller; one by linear feedback is a new one."""
+        if self.mpc is not None:
+            return self.mpc
         if isinstance(self.gains, Tracking):
             return TrackingFeedback(self.gains)
         return LinearFeedback(self.gains)
@@ -185,9 +192,14 @@ def design_controller(
         InputError: no equilibrium under the limits, or one that a network has no records of; an
             input without limits; a mode that does not decay and that the inputs do not move or the
             encoders do not show; a motion whose planning did not converge, or that leaves the range
-            of the records; names that the model does not have.
+            of the records; names that the model does not have; disturbances or integrals beside
+            predictive control.
     """
     bounds = input_limits(model, task.limits)
+    if task.mpc is not None and task.observer:
+        raise InputError(
+            "`observer=`", "not applicable beside `mpc=`", "linear feedback", "leave one out"
+        )
     on_message("equilibrium")
     own = _usual_deviations(model, task, bounds)
     weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
@@ -258,7 +270,10 @@ def design_controller(
                     settle = proportional_feedback(start)
             gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
             gains = replace(gains, final=feedback)
-    estimated = model
+    estimated, mpc = model, None
+    if task.mpc is not None:
+        on_message("predictive control")
+        mpc = Mpc(model, gains, steps=task.mpc, deviations=own, range=range, within=task.within)
     if task.observer:
         estimated = observe_disturbances(model, bounds)
         gains = cancel_disturbances(gains)
@@ -266,7 +281,18 @@ def design_controller(
     noise = find_noise(estimated, records) if records else usual_noise(estimated, range)
     consistency = check_filter(estimated, records, noise) if records else None
     return ControlDesign(
-        model, estimated, task, point, start, gains, loop_margins, noise, consistency, goal, beyond
+        model,
+        estimated,
+        task,
+        point,
+        start,
+        gains,
+        mpc,
+        loop_margins,
+        noise,
+        consistency,
+        goal,
+        beyond,
     )
 
 
@@ -357,7 +383,8 @@ def _try_computed_torque(
 ) -> Tracking | None:
     """The motion by inverse dynamics; None where it is not possible, or the task asks for others.
 
-    Weights, integrals, delays and observers are those of linear-quadratic feedback.
+    Weights, integrals, delays and observers are those of linear-quadratic feedback, as is what
+    predictive control begins with.
 
     Args:
         model: the model.
@@ -367,7 +394,8 @@ def _try_computed_torque(
         feedback: the feedback there.
         options: the limits of a plan, see `_planning_options`.
     """
-    if task.deviations or task.integral or task.delay or task.observer:
+    is_linear = task.deviations or task.integral or task.delay or task.observer
+    if is_linear or task.mpc is not None:
         return None
     channels, names = model.channels, controlled(model).names
     if task.reference is not None:

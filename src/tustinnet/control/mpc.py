@@ -1,116 +1,128 @@
 """Model predictive control by iterative LQR, warm-started from sample to sample."""
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from tustinnet.control.dynamics import (
-    Limits,
-    controlled,
-    input_limits,
-    require_vector,
-    safe_inputs,
-)
-from tustinnet.control.ilqr import Motion, Solver, make_cost, next_damping, shift, turns_to
-from tustinnet.control.lqr import gains_along, hold
+from tustinnet.control.controllers import TrackingFeedback
+from tustinnet.control.dynamics import InputLimits, Limits, controlled
+from tustinnet.control.ilqr import Motion, Solver, make_cost, shift, turns_to
+from tustinnet.control.lqr import Feedback, Tracking, gains_along, wrap
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
-_ALL = np.ones(1)
+LONGEST = 100  # steps ahead: a microcontroller keeps their states, inputs and gains
+SHARES = (1.0, 0.5, 0.2, 0.05)  # of the change of the inputs, tried one after the other
+# by which the cost may grow, as a share of it: near the minimum all that is left is rounding
+ROUNDING = 1e-12
+
+_WHOLE = np.ones(1)
 
 
 class Mpc:
-    """A controller that plans some steps ahead at every sample, and applies the first input.
+    """A controller that plans some steps ahead at every sample, and applies the first inputs.
 
     Each plan begins with the better of two: the one before, shifted by a sample and corrected by
-    its own feedback; and what linear feedback to the goal would do. It is improved by a fixed
-    number of iterations of `ilqr`. Its end costs what linear feedback needs to hold the goal ever
-    after. It can also follow a plan: the goal moves along it, then stays.
+    its own feedback; and what given feedback would do. A fixed number of iterations of `ilqr`
+    improves it. Its end costs what linear feedback needs to hold the goal ever after. With a
+    motion, the goal moves along it, and stays at its end. Inputs are those of the given feedback
+    where the state is lost, where the motion settles after a fall, and where every plan diverges.
+    An export in C computes the same.
 
     Args:
         model: a model that steps from sample to sample.
-        x: the goal, (n_x,), an equilibrium.
-        u: the inputs that hold it, (n_u,).
-        steps: how many steps it plans ahead.
+        gains: feedback about the goal (`lqr`), or along a motion to it (`time_varying_lqr`). It
+            has the goal, the limits of the inputs, the delay and the safe inputs.
+        steps: how many steps it plans ahead, 1 to 100.
         iterations: iterations at every sample.
-        plan: a plan that leads to the goal, to be followed first.
-        deviations: acceptable deviations of states and inputs by name, as in `lqr`.
+        deviations: acceptable deviations of states and inputs by name, those of the feedback.
         range: the range of the training records.
-        within: limits of states by name, as in `ilqr`.
-        limits: limits of inputs by name, instead of those that the model declares.
-        delay: samples from when an input is computed to when it acts.
-        safe: inputs by name while the estimator has lost the state, as in `lqr`.
+        within: limits of states by name. What is beyond costs as in `ilqr`: they are exceeded a
+            little where that spares much, and more where the inputs cannot help it.
 
     Attributes:
-        motion: the motion that was planned at the last sample, None before the first.
+        gains: the feedback.
+        final: the feedback about the goal.
+        steps: how many steps it plans ahead.
+        iterations: iterations at every sample.
+        cost: what a plan costs, without its end where a motion is followed.
+        ends: matrices of the end's cost, at every sample of the motion and after it,
+            (N + 1, n_z, n_z); (1, n_z, n_z) without a motion.
+        goal: the goal with the whole turns of the motion, (n_x,).
+        motion: the motion that was planned at the last sample, None where there was none.
 
     Raises:
-        InputError: an input without limits, other shapes, names that the model does not have, a
-            goal that no feedback can hold, a plan of another model, period or delay.
+        InputError: no step, or more than 100; feedback with integrals, which plans do not have;
+            names that the model does not have, a plan of another model, period or delay.
+
+    References:
+        Tassa, Mansard and Todorov (2014), Control-limited differential dynamic programming, ICRA;
+        Diehl, Bock and Schlöder (2005), A real-time iteration scheme, SIAM J. Control Optim. 43(5).
     """
 
     def __init__(
         self,
         model: Model,
-        x: ArrayLike,
-        u: ArrayLike,
+        gains: Feedback | Tracking,
         *,
         steps: int = 40,
         iterations: int = 1,
-        plan: Plan | None = None,
         deviations: Deviations | None = None,
         range: Range | None = None,
         within: Limits | None = None,
-        limits: Limits | None = None,
-        delay: int = 0,
-        safe: Mapping[str, float] | None = None,
     ) -> None:
-        if steps < 1 or iterations < 1:
-            raise InputError("Mpc", f"{steps} steps, {iterations} iterations", "at least 1 of each")
-        system, bounds = controlled(model, delay), input_limits(model, limits)
-        x_end = require_vector(x, system.n_x, "Mpc, x")
-        u_end = bounds.clip(require_vector(u, system.n_u, "Mpc, u"))
-        if plan is not None:
-            plan.require_for(system.n_x, system.n_u, system.dt, delay, "Mpc")
-            x_end = x_end + turns_to(system, x_end, plan.goal)
-        self._system, self._limits = system, bounds
-        self._safe = safe_inputs(model, bounds, safe)
-        self._steps, self._iterations = steps, iterations
-        self._cost = make_cost(
-            system, bounds, x_end, u_end, deviations=deviations, range=range, within=within
+        if not 1 <= steps <= LONGEST or iterations < 1:
+            raise InputError(
+                "Mpc",
+                f"{steps} steps, {iterations} iterations",
+                f"1 to {LONGEST} steps, at least 1 iteration",
+            )
+        tracking = gains if isinstance(gains, Tracking) else _without_motion(gains)
+        plan, final = tracking.plan, tracking.final
+        if final.integral:
+            raise InputError(
+                "Mpc", "feedback with integrals", "one without", "a plan has no integrals"
+            )
+        system = controlled(model, final.delay)
+        plan.require_for(system.n_x, system.n_u, system.dt, final.delay, "Mpc")
+        self.gains, self.final, self.steps, self.iterations = gains, final, steps, iterations
+        self.goal = final.x0 + turns_to(system, final.x0, plan.goal)
+        limits = InputLimits(final.lower, final.upper)
+        self.cost = make_cost(
+            system,
+            limits,
+            self.goal,
+            final.u0,
+            deviations=deviations,
+            range=range,
+            within=within,
         )
-        weights, value = Weights(self._cost.states, self._cost.inputs), self._cost.end
-        held = hold(system, x_end, u_end, weights).gain
-        # what is followed, and the feedback about it: along the plan, then at the goal
-        goal = np.tile(system.augment(x_end, u_end), (steps + 1, 1))
-        rest, gains, ends = np.tile(u_end, (steps, 1)), np.tile(held, (steps, 1, 1)), value[None]
-        self._before = bounds.clip(np.zeros(system.n_u))
-        if plan is not None:
-            along, values = gains_along(system, plan, value, weights)
-            past = plan.previous_inputs(system.previous)
-            goal = np.concatenate([np.hstack([plan.x[:-1], past]), goal])
-            rest, gains = np.concatenate([plan.u, rest]), np.concatenate([along, gains])
-            ends, self._before = values, plan.before
-        self._followed, self._gains, self._ends = Motion(goal, rest, np.inf), -gains, ends
-        self._solver = Solver(system, bounds, self._cost)
+        self.ends = self.cost.end[None]
+        if len(plan.u):
+            weights = Weights(self.cost.states, self.cost.inputs)
+            _, self.ends = gains_along(system, plan, self.cost.end, weights)
+        # what is followed, and the feedback about it: along the motion, then at the goal
+        along = np.hstack([plan.x[:-1], plan.previous_inputs(system.previous)])
+        self._z = np.concatenate([along, system.augment(self.goal, final.u0)[None]])
+        self._u = np.concatenate([plan.u, final.u0[None]])
+        self._about = -np.concatenate([tracking.gains, final.gain[None]])
+        self._feedback = TrackingFeedback(tracking)
+        self._solver = Solver(system, limits, self.cost)
         self.reset()
         # all machine code is made now, not at the first sample
-        self.inputs(0, x_end)
-        self.inputs(1, x_end)
+        self.inputs(0, plan.x[0])
+        self.inputs(1, plan.x[0])
         self.reset()
 
     def reset(self) -> None:
         """Forgets the plan of the last sample and previous commands."""
+        self._feedback.reset()
         self.motion: Motion | None = None
-        self._gain, self._damping = self._gains[: self._steps], 0.0
-        self._previous = np.tile(self._before, self._system.previous)
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,).
@@ -119,45 +131,68 @@ class Mpc:
             k: the sample, from 0 on.
             x: the estimated state, (n_x,).
         """
-        if np.isfinite(x).all():
-            command = self._plan(k, x)
-        else:
-            command, self.motion = self._safe, None
-        self._previous = np.concatenate([command, self._previous])[: len(self._previous)]
+        previous = self._feedback.previous
+        command = self._feedback.inputs(k, x)
+        self.motion = (
+            self._plan(self._feedback.step, x, previous)
+            if np.isfinite(x).all() and self._feedback.phase != "settle"
+            else None
+        )
+        if self.motion is None:
+            return command
+        command = self.motion.u[0].copy()
+        self._feedback.correct(command)
         return command
 
-    def _plan(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
-        """The first inputs of a new plan, (n_u,)."""
-        solver, steps, n_x = self._solver, self._steps, self._system.n_x
-        first = min(k, len(self._followed.u) - steps)
-        z = self._followed.z[first : first + steps + 1]
-        u = self._followed.u[first : first + steps]
-        end = self._ends[min(first + steps, len(self._ends) - 1)]
-        solver.cost = replace(self._cost, x=z[:, :n_x], u=u, end=end)
-        near = x + turns_to(self._system, x, z[0, :n_x])
-        start = np.concatenate([near, self._previous])
-        kept = solver.without_feedback(steps)
-        motion = solver.roll_out(
-            start,
-            Motion(z, u, np.inf),
-            kept._replace(gain=self._gains[first : first + steps]),
-            _ALL,
-        )
+    def _plan(
+        self, step: int, x: Float[np.ndarray, " n_x"], previous: Float[np.ndarray, " previous"]
+    ) -> Motion | None:
+        """A new plan, None where all motions diverge.
+
+        Args:
+            step: of the motion that is followed.
+            x: the state, (n_x,).
+            previous: the commands before, the latest first.
+        """
+        solver, n_x = self._solver, len(x)
+        at = np.minimum(step + np.arange(self.steps + 1), len(self._u) - 1)
+        z, u, gain = self._z[at], self._u[at[:-1]], self._about[at[:-1]]
+        solver.cost = replace(self.cost, x=z[:, :n_x], u=u, end=self.ends[at[-1]])
+        periodic = solver.system.periodic
+        start = np.concatenate([z[0, :n_x] + wrap(x - z[0, :n_x], periodic), previous])
+        kept = solver.without_feedback(self.steps)
+        motion = solver.roll_out(start, Motion(z, u, np.inf), kept._replace(gain=gain), _WHOLE)
         if self.motion is not None:
             # the plan of the last sample, turned as the state is: a step does not depend on turns
-            states = shift(self.motion.z)
-            states[:, :n_x] += turns_to(self._system, states[0, :n_x], near)
-            shifted = solver.roll_out(
-                start,
-                Motion(states, shift(self.motion.u), np.inf),
-                kept._replace(gain=shift(self._gain)),
-                _ALL,
-            )
+            states, own = shift(self.motion.z), shift(self._gain)
+            error = start[:n_x] - states[0, :n_x]
+            states[:, :n_x] += error - wrap(error, periodic)
+            before = Motion(states, shift(self.motion.u), np.inf)
+            shifted = solver.roll_out(start, before, kept._replace(gain=own), _WHOLE)
             motion = min(motion, shifted, key=lambda each: each.cost)
-        for _ in itertools.repeat(None, self._iterations):
-            policy = solver.policy(motion, self._damping)
-            better = solver.improve(motion, policy)
-            self._damping = next_damping(self._damping, is_better=better is not None)
-            motion, self._gain = better or motion, policy.gain
-        self.motion = motion
-        return motion.u[0].copy()
+        if not np.isfinite(motion.cost):
+            return None
+        for _ in itertools.repeat(None, self.iterations):
+            policy = solver.policy(motion, 0.0)
+            most, self._gain = motion.cost * (1 + ROUNDING), policy.gain
+            tries = (solver.roll_out(start, motion, policy, s * _WHOLE) for s in SHARES)
+            motion = next((better for better in tries if better.cost <= most), motion)
+        return motion
+
+
+def _without_motion(feedback: Feedback) -> Tracking:
+    """Feedback about a point as one along a motion of no steps."""
+    n_u, n_z = feedback.gain.shape
+    plan = Plan(
+        x=feedback.x0[None],
+        u=np.zeros((0, n_u)),
+        cost=0.0,
+        converged=True,
+        reached=True,
+        iterations=0,
+        dt=feedback.dt,
+        goal=feedback.x0,
+        before=feedback.u0,
+        delay=feedback.delay,
+    )
+    return Tracking(plan, np.zeros((0, n_u, n_z)), feedback)

@@ -110,14 +110,19 @@ def noise_of(file: str | Path) -> FilterNoise:
         file: the `design.json` of its folder.
 
     Raises:
-        InputError: there is no such file, or it has no such noise.
+        InputError: there is no such file, it has no such noise, or the controller is predictive,
+            whose numbers do not make its inputs.
     """
     path = Path(file)
     with convert_errors(path, "cannot be read", "the summary of a controller, as `control` writes"):
-        noise = json.loads(path.read_text(encoding="utf-8"))["estimator"]
-        return FilterNoise(
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        noise = summary["estimator"]
+        found = FilterNoise(
             *(np.array(noise[name], float) for name in ("start", "process", "measured"))
         )
+    if summary.get("predictive"):
+        raise InputError(path, "predictive control", "linear feedback, which a replay computes")
+    return found
 
 
 def _estimates(estimator: ExtendedKalmanFilter, record: Experiment) -> Float[np.ndarray, "n n_x"]:

@@ -16,7 +16,7 @@ from tustinnet.engine.equations import Equations
 from tustinnet.engine.runs import Runs
 
 _MOST_COMPILED = 9  # states and inputs up to which a step is written out as machine code
-_SWEEPS = 12  # over the inputs, which find the minimum under limits of several
+SWEEPS = 12  # over the inputs, which find the minimum under limits of several
 
 
 class Policy(NamedTuple):
@@ -189,7 +189,7 @@ def _bounded_minimum(xp: ModuleType, matrix: Any, vector: Any, least: Any, most:
     """The minimum of `x' matrix x / 2 + vector' x` within limits, one number after the other."""
     n = len(vector)
     x = [xp.minimum(xp.maximum(least[i] * 0.0, least[i]), most[i]) for i in range(n)]
-    for _ in range(_SWEEPS if n > 1 else 1):
+    for _ in range(SWEEPS if n > 1 else 1):
         for i in range(n):
             rest = vector[i] + sum(matrix[i, j] * x[j] for j in range(n) if j != i)
             x[i] = xp.minimum(xp.maximum(-rest / matrix[i, i], least[i]), most[i])

@@ -195,7 +195,13 @@ def sentences(design: ControlDesign) -> list[str]:
         f"equilibrium: {place}, with {inputs}",
         f"it is {point.stability}; {point.controllable}; {point.observable}",
     ]
-    if (pid := design.feedback.pid) is not None:
+    if design.mpc is not None:
+        lines.append(
+            f"predictive control: at every sample {design.mpc.steps} steps ahead, "
+            f"{design.mpc.steps * design.model.dt:.3g} s; gains and margins are those of the "
+            "feedback with which it begins"
+        )
+    elif (pid := design.feedback.pid) is not None:
         per, unit = channels.coordinates[0].unit, channels.inputs[0].unit or "1"
         lines.append(
             f"as a PID in parallel form: kp = {pid.proportional:.4g} {unit}/{per}, "
@@ -278,7 +284,7 @@ def summarise(
         robustness: its tests.
         export: what was written of it, None where nothing was.
     """
-    point, plan = design.point, design.plan
+    point, plan, mpc = design.point, design.plan, design.mpc
     inputs = [i.name for i in design.model.channels.inputs]
     return {
         "at": dict(design.task.at),
@@ -294,7 +300,8 @@ def summarise(
             "sensitivity_peak": design.margins.sensitivity_peak,
             "peak_frequency": design.margins.peak_frequency,
         },
-        "pid": None if design.feedback.pid is None else design.feedback.pid._asdict(),
+        "pid": None if mpc or design.feedback.pid is None else design.feedback.pid._asdict(),
+        "predictive": None if mpc is None else {"steps": mpc.steps, "iterations": mpc.iterations},
         "motion": None
         if plan is None
         else {

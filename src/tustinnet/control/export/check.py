@@ -1,9 +1,7 @@
 """The comparison of an exported controller in C with the one in Python, in closed loop."""
 
 import ctypes
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -11,19 +9,16 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.code import SOURCES
+from tustinnet.control.export.compiled import MEMORY, load_library
 from tustinnet.engine.engines import make_linearised_step, make_step
 from tustinnet.errors import InputError
-from tustinnet.export.c import compile_c
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise, KalmanFilter
-from tustinnet.store.files import write_into
 from tustinnet.wording import counted
 
 BOUND = 1e-9  # of the difference, relative to 1 + the value
-_LIBRARY = ("-std=c99", "-O1", "-fPIC", "-shared")
 _SPOILED, _WRONG = 20, 3.0  # every so many samples are wrong, by so much [rad or m], or NaN
-_CONTROLLER = 1000  # numbers: more than the memory of a controller
 
 Vector = Float[np.ndarray, " _"]
 
@@ -77,17 +72,10 @@ def check_loop(
             1 + the value.
     """
     try:
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            for name, content in files.items():
-                write_into(folder, name, content)
-            library = folder / "controller.so"
-            compile_c([folder / name for name in SOURCES], library, _LIBRARY)
-            difference = _compare(
-                library, controller, source, noise, start, steps, fall, lost_after
-            )
+        functions = load_library(files, SOURCES)
     except NotRunnable as reason:
         return LoopCheck(0, None, f"not run here: {reason}")
+    difference = _compare(functions, controller, source, noise, start, steps, fall, lost_after)
     if not difference <= BOUND:
         raise InputError(
             "the controller in C",
@@ -99,7 +87,7 @@ def check_loop(
 
 
 def _compare(
-    library: Path,
+    functions: ctypes.CDLL,
     controller: Controller,
     source: Source,
     noise: FilterNoise,
@@ -109,13 +97,12 @@ def _compare(
     lost_after: int,
 ) -> float:
     """The largest difference along the loop, relative to 1 + the value."""
-    functions = ctypes.CDLL(str(library))
     channels, n_x, n_w = source.channels, source.n_x, source.n_w
     counts, read = channels.resolution, channels.resolution > 0
     # as they are in memory: published state, state, covariance, variances, two counters, inputs
     estimator = np.zeros(4 * n_x + n_x**2 + channels.n_q + 1 + n_w)
     state, covariance = slice(n_x, 2 * n_x), slice(2 * n_x, 2 * n_x + n_x**2)
-    memory = np.zeros(_CONTROLLER)
+    memory = np.zeros(MEMORY)
     x, inputs, u = np.array(start, np.float64), np.zeros(n_w), np.zeros(channels.n_u)
     largest = 0.0
 

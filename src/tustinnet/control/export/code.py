@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from tustinnet.control.computed_torque import inverse_dynamics
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.mpc import ROUNDING, SHARES, Mpc
+from tustinnet.control.riccati import SWEEPS
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
 from tustinnet.export.c_text import Code, constant_array
 from tustinnet.export.source import Source
@@ -33,7 +35,7 @@ Vector = Float[np.ndarray, " _"]
 
 
 def make_code(
-    controller: Feedback | Tracking,
+    controller: Feedback | Tracking | Mpc,
     source: Source,
     noise: FilterNoise,
     start: Vector,
@@ -53,7 +55,7 @@ def make_code(
     return {
         **make_model_files(source, lost_after=lost_after),
         **_estimator_files(source, noise),
-        **_controller_files(controller, source),
+        **controller_files(controller, source),
         "main.c": _main(source, start, steps),
         "Makefile": fill_template("Makefile", TEMPLATES),
     }
@@ -75,10 +77,16 @@ def _estimator_files(source: Source, noise: FilterNoise) -> Files:
     }
 
 
-def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
+def gains_of(controller: Feedback | Tracking | Mpc) -> Feedback | Tracking:
+    """The feedback of a controller; that with which predictive control begins."""
+    return controller.gains if isinstance(controller, Mpc) else controller
+
+
+def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
-    tracking = controller if isinstance(controller, Tracking) else None
-    final = controller if isinstance(controller, Feedback) else controller.final
+    gains = gains_of(controller)
+    tracking = gains if isinstance(gains, Tracking) else None
+    final = gains if isinstance(gains, Feedback) else gains.final
     recovery = tracking.recovery if tracking else None
     settle = recovery.feedback if recovery else None
     own = tracking.by_acceleration if tracking else None
@@ -122,6 +130,7 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
             steps=len(tracking.plan.u) if tracking else 0,
             recovers=int(recovery is not None),
             accelerates=int(own is not None),
+            ahead=controller.steps if isinstance(controller, Mpc) else 0,
         ),
         "controller.c": fill_template(
             "controller.c",
@@ -129,6 +138,7 @@ def _controller_files(controller: Feedback | Tracking, source: Source) -> Files:
             helpers=math_helpers(wrap=True),
             tables="".join(tables),
             required=law.text(),
+            predict=_predictive_code(controller) if isinstance(controller, Mpc) else "",
         ),
     }
 
@@ -138,6 +148,29 @@ def _required_inputs(source: Source) -> Program:
     function = inverse_dynamics(source.model)
     sizes = {"x": source.n_x, "a": source.channels.n_q}
     return read(lambda x, a: {"u": function(x, a)}, sizes, "the inverse dynamics")
+
+
+def _predictive_code(controller: Mpc) -> str:
+    """The part of `controller.c` that plans ahead."""
+    cost = controller.cost
+    tables = {
+        "goal_x": controller.goal,
+        "ends": controller.ends,
+        "state_weight": cost.states,
+        "input_weight": cost.inputs,
+        "least": cost.lower,
+        "most": cost.upper,
+        "penalty": cost.penalty,
+        "shares": np.array(SHARES),
+        "rounding": np.array(ROUNDING),
+    }
+    return fill_template(
+        "predict.c",
+        TEMPLATES,
+        iterations=controller.iterations,
+        sweeps=SWEEPS,
+        tables="".join(constant_array(name, values) for name, values in tables.items()),
+    )
 
 
 def _safe(feedback: Feedback) -> Vector:
@@ -183,7 +216,10 @@ def _c_string(text: str) -> str:
 
 
 def make_readme(
-    controller: Feedback | Tracking, source: Source, scripts: Sequence[str], notes: Sequence[str]
+    controller: Feedback | Tracking | Mpc,
+    source: Source,
+    scripts: Sequence[str],
+    notes: Sequence[str],
 ) -> str:
     """`README.md` of the folder.
 
@@ -193,13 +229,16 @@ def make_readme(
         scripts: the files for solvers that are in the folder.
         notes: remarks.
     """
-    final = controller if isinstance(controller, Feedback) else controller.final
+    gains = gains_of(controller)
+    final = gains if isinstance(gains, Feedback) else gains.final
     kind = "linear feedback about the goal"
-    if isinstance(controller, Tracking):
-        law = "computed torque" if controller.by_acceleration else "feedback"
-        kind = f"a plan of {len(controller.plan.u)} periods with {law} along it, then {kind}"
-        if controller.recovery is not None:
+    if isinstance(gains, Tracking):
+        law = "computed torque" if gains.by_acceleration else "feedback"
+        kind = f"a plan of {len(gains.plan.u)} periods with {law} along it, then {kind}"
+        if gains.recovery is not None:
             kind += "; after a fall feedback about the plan's start, then the plan again"
+    if isinstance(controller, Mpc):
+        kind = f"predictive control, {controller.steps} periods ahead, which begins with {kind}"
     states = [
         f"| `x[{i}]` | {markdown_cell(name)} | {markdown_cell(unit)} | {x0:.6g} |"
         for i, (name, unit, x0) in enumerate(

@@ -12,12 +12,13 @@ from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.disturbances import DisturbedModel
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
-from tustinnet.control.export.code import make_code, make_readme
+from tustinnet.control.export.code import gains_of, make_code, make_readme
 from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
 from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.ilqr import make_cost
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.mpc import Mpc
 from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source, make_source
@@ -54,7 +55,7 @@ class ControllerExport:
 
 def export_controller(
     model: Model,
-    controller: Feedback | Tracking,
+    controller: Feedback | Tracking | Mpc,
     noise: FilterNoise,
     out: str | Path,
     *,
@@ -73,7 +74,7 @@ def export_controller(
 
     Args:
         model: the model on which the controller was designed, for the estimator.
-        controller: the feedback, or the feedback along a plan.
+        controller: the feedback, the feedback along a plan, or predictive control, on this model.
         noise: the noise of the estimator, see `find_noise`.
         out: the folder, which is empty or has an earlier export.
         deviations: acceptable deviations of states and inputs by name, as the controller was
@@ -99,27 +100,30 @@ def export_controller(
     folder = Path(out)
     require_export_folder(folder, overwrite=overwrite)
     header = {} if file is None else read_header(file)
+    gains = gains_of(controller)
     inner = model.inner if isinstance(model, DisturbedModel) else model
     known = Range.from_header(header, inner)
     if isinstance(model, DisturbedModel) and known is not None:
         known = model.extend_range(known)
     source = make_source(model, known, groups, header)
-    final = controller.final if isinstance(controller, Tracking) else controller
+    final = gains.final if isinstance(gains, Tracking) else gains
     source = replace(source, layout=find_causal_layout(source.model, final.delay))
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
-    _require_fit(controller, source)
+    _require_fit(gains, source)
     if start is None:
-        start = _default_start(controller, source)
+        start = _default_start(gains, source)
     elif np.shape(start) != (source.n_x,) or not np.isfinite(start).all():
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
-    steps = _AFTER + (len(controller.plan.u) if isinstance(controller, Tracking) else 0)
+    steps = _AFTER + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
     own = (
-        TrackingFeedback(controller)
+        controller
+        if isinstance(controller, Mpc)
+        else TrackingFeedback(controller)
         if isinstance(controller, Tracking)
         else LinearFeedback(controller)
     )
-    check = check_loop(code, own, source, noise, start, steps, _fall(controller), lost_after)
+    check = check_loop(code, own, source, noise, start, steps, _fall(gains), lost_after)
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
@@ -141,7 +145,7 @@ def export_controller(
             range=source.range,
             within=within,
         )
-        scripts = make_scripts(controller, source, cost, start)
+        scripts = make_scripts(gains, source, cost, start)
         if len(source.input_layout.offsets) > 1:
             notes.append(
                 "a step of the model depends on inputs before its sample: the scripts for CasADi, "
@@ -149,8 +153,8 @@ def export_controller(
             )
     files = {
         **code,
-        JSON: controller_json(controller, source.channels),
-        MAT: controller_mat(controller, source.channels),
+        JSON: controller_json(gains, source.channels),
+        MAT: controller_mat(gains, source.channels),
         **scripts,
         "README.md": make_readme(controller, source, tuple(scripts), notes),
     }

@@ -88,6 +88,7 @@ def write_control_page(
             "playground": bool(modules),
             "plan": design.plan is not None,
             "recovery": design.recovery is not None,
+            "predictive": design.mpc is not None,
             "range": training_range is not None,
         },
     }

@@ -21,6 +21,9 @@ enum {
 void controller_reset(controller *c)
 {
     c->step = 0;
+#if CONTROLLER_AHEAD
+    c->has_motion = 0;
+#endif
     for (int i = 0; i < P * U; i++)
         c->previous[i] = before[i % U];
     for (int i = 0; i < I; i++)
@@ -35,7 +38,7 @@ static void errors(const model_real x[], const model_real goal[], model_real z[]
         z[periodic[i]] = wrapped(z[periodic[i]]);
 }
 
-/* Whether an error is beyond its bound; a bound of 0 is none. */
+@predict@/* Whether an error is beyond its bound; a bound of 0 is none. */
 static int beyond(const model_real z[], const model_real bounds[])
 {
     int found = 0;
@@ -123,6 +126,12 @@ void controller_inputs(controller *c, const model_real x[], model_real u[])
     }
     for (int i = 0; i < U && !finite; i++)
         u[i] = safe[i];
+#if CONTROLLER_AHEAD
+    if (finite && !settling)
+        plan_ahead(c, x, k, u);
+    else
+        c->has_motion = 0;
+#endif
     if (integrates && finite && !limited)
         for (int i = 0; i < I; i++)
             c->integral[i] += MODEL_PERIOD * z[integrated[i]];
