@@ -40,6 +40,7 @@ def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
         "design.json",
         "closed_loop.png",
         "robustness.png",
+        "bode.png",
     } <= names
     design = json.loads((out / "design.json").read_text())
     assert design["motion"] is None

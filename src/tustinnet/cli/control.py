@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 _LONGEST = 1000  # s, of a motion
 _OF_REPLAY = ("model", "replay", "card", "follow_links", "system", "group", "json")
-LOOP, ROBUSTNESS, SUMMARY, PAGE = "closed_loop.png", "robustness.png", "design.json", "control.html"
+_DRAWS = 20  # of parameters, by which bands of frequency responses are drawn
+LOOP, ROBUSTNESS, BODE = "closed_loop.png", "robustness.png", "bode.png"
+SUMMARY, PAGE = "design.json", "control.html"
 MODEL = "model.safetensors"  # the model of the estimator, with which a replay computes
 
 
@@ -196,15 +198,18 @@ def control(
 
     from tustinnet.control.design import ControlTask, design_controller, find_rest
     from tustinnet.control.export.write import export_controller
+    from tustinnet.control.frequency import loop_responses
     from tustinnet.control.plants import load_plant
     from tustinnet.control.reference import read_reference
     from tustinnet.control.sampled_plant import PlantOptions
     from tustinnet.control.trial import try_design
+    from tustinnet.control.variants import allowed_values
     from tustinnet.models.groups import model_for_groups
     from tustinnet.models.physical_values import equations_in
     from tustinnet.report.control import (
         closed_loop_figure,
         errors_along,
+        frequency_figure,
         margins_table,
         point_table,
         robustness_figure,
@@ -331,6 +336,9 @@ def control(
         _keep_model(model, out)
         write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
         write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
+        allowed = allowed_values(simulator, header, _DRAWS)
+        responses = loop_responses(simulator, design.own_feedback, allowed)
+        write_figure(frequency_figure(responses, simulator.channels), out, BODE)
         write_control_page(
             design,
             trial,
@@ -341,7 +349,7 @@ def control(
         for note in export.notes:
             terminal.messages().print(f"note: {note}")
         terminal.messages().print(
-            f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, PAGE))}"
+            f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, BODE, PAGE))}"
         )
 
 

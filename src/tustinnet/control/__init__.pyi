@@ -20,6 +20,8 @@ from .export.gains import read_controller as read_controller
 from .export.write import ControllerExport as ControllerExport
 from .export.write import export_controller as export_controller
 from .fmu_plant import FmuPlant as FmuPlant
+from .frequency import LoopResponses as LoopResponses
+from .frequency import loop_responses as loop_responses
 from .ilqr import follow as follow
 from .ilqr import ilqr as ilqr
 from .lqr import AccelerationGains as AccelerationGains

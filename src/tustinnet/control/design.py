@@ -148,6 +148,13 @@ class ControlDesign:
         return self.gains.final if isinstance(self.gains, Tracking) else self.gains
 
     @property
+    def own_feedback(self) -> Feedback:
+        """The feedback of the states of the model alone, without disturbances."""
+        feedback, n_x, more = self.feedback, self.model.state_size, self.estimated.state_size
+        gain = np.delete(feedback.gain, np.s_[n_x:more], axis=1)
+        return replace(feedback, gain=gain, x0=feedback.x0[:n_x])
+
+    @property
     def steps(self) -> int:
         """The periods of a run that shows whether the goal is met: the motion, and the hold."""
         planned = 0 if self.plan is None else len(self.plan.u)

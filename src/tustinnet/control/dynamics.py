@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from math import ceil, log2
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.export.source import find_input_layout, make_source, step_by_samples
 from tustinnet.models.contract import Model
+from tustinnet.models.physical_values import physical_parameters, with_values
 
 _RECENT = 8  # models whose steps are compiled and at hand
 _TURN_TOLERANCE = 1e-6  # of a state after a whole turn more of an angle
@@ -81,15 +82,34 @@ class ControlledModel:
         """The name of the model in messages."""
         return f"the model ({type(self.model).__name__})"
 
-    def function(self, z: Array, u: Array) -> Array:
-        """The next state after a command, written with JAX."""
+    def function(self, z: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
+        """The next state after a command, written with JAX; with other values of parameters."""
+        step = self._step
+        if values is not None:
+            step = step_by_samples(with_values(self.model, values), self._layout)
         if not self.previous:
-            return self._step(z, jnp.concatenate([u] * len(self._places)))
+            return step(z, jnp.concatenate([u] * len(self._places)))
         x, n_u = z[: self.n_x], self.n_u
         commands = jnp.concatenate([u, z[self.n_x :]])
         samples = [commands[place * n_u : (place + 1) * n_u] for place in self._places]
         kept = commands[: self.previous * n_u]
-        return jnp.concatenate([self._step(x, jnp.concatenate(samples)), kept])
+        return jnp.concatenate([step(x, jnp.concatenate(samples)), kept])
+
+    @cached_property
+    def _values(self) -> dict[str, float]:
+        """The physical parameters by name."""
+        return {name: value for name, _, value in physical_parameters(self.model)}
+
+    @cached_property
+    def _formula_of_values(self) -> Formula:
+        """The step at many points [z, u, values of the parameters]."""
+        size, end, names = self.size, self.size + self.n_u, tuple(self._values)
+
+        def step(point: Array) -> Array:
+            values = dict(zip(names, point[end:], strict=True))
+            return self.function(point[:size], point[size:end], values)
+
+        return Formula(step, end + len(names), where=self.where)
 
     @cached_property
     def _slope(self) -> Callable[[Array], Array] | None:
@@ -151,6 +171,7 @@ class ControlledModel:
         x: Float[np.ndarray, " n_x"],
         u: Float[np.ndarray, " n_u"],
         speeds: Float[np.ndarray, " n_q"] | None = None,
+        values: Mapping[str, float] | None = None,
     ) -> tuple[Float[np.ndarray, "n_z n_z"], Float[np.ndarray, "n_z n_u"]]:
         """The linear model of the step about a point, by the state and by the command: `A`, `B`.
 
@@ -164,6 +185,7 @@ class ControlledModel:
             u: the inputs, (n_u,).
             speeds: usual speeds about the point [rad/s or m/s], (n_q,), 0 of a coordinate for the
                 slope at the point; by default all are 0.
+            values: other values of physical parameters by name; None for those of the model.
 
         Raises:
             InputError: derivatives are not finite there.
@@ -180,9 +202,20 @@ class ControlledModel:
         z = np.tile(self.augment(x, u), (2, len(signs), 1))
         z[:, :, columns] += np.multiply.outer((1, 2), signs * usual[moved])
         inputs = np.tile(u, (len(signs), 1))
-        slow, fast = (self.derivatives(rows, inputs).mean(axis=0) for rows in z)
+        formula, more = self.step_formula, np.zeros((len(signs), 0))
+        if values is not None:
+            formula = self._formula_of_values
+            own = [values.get(name, value) for name, value in self._values.items()]
+            more = np.tile(own, (len(signs), 1))
+        points = [np.hstack([rows, inputs, more]) for rows in z]
+        slow, fast = (
+            evaluate(formula, each, derivatives=True)
+            .reshape(len(signs), self.size, -1)[:, :, : self.size + self.n_u]
+            .mean(axis=0)
+            for each in points
+        )
         jacobian = slow + (slow - fast) / 3
-        slopes = self.steps(z[0], inputs).T @ signs / len(signs)
+        slopes = evaluate(formula, points[0]).T @ signs / len(signs)
         jacobian[:, columns] = slopes / usual[moved]
         if not np.isfinite(jacobian).all():
             raise InputError(

@@ -337,7 +337,16 @@ def loop_matrices(
     integral: Sequence[int] = (),
 ) -> LoopMatrices:
     """The linearised model with integrals of errors, in the order of `Feedback`."""
-    a, b = system.tangent(x, u, speeds)
+    return in_order(system, *system.tangent(x, u, speeds), integral)
+
+
+def in_order(
+    system: ControlledModel,
+    a: Float[np.ndarray, "n n"],
+    b: Float[np.ndarray, "n n_u"],
+    integral: Sequence[int] = (),
+) -> LoopMatrices:
+    """Matrices of a linear model with integrals of errors, in the order of `Feedback`."""
     n_x, n_i = system.n_x, len(integral)
     sums = np.zeros((n_i, len(a)))
     sums[np.arange(n_i), list(integral)] = system.dt

@@ -16,7 +16,7 @@ Numbers = Float[np.ndarray, " n"]
 Matrix = Float[np.ndarray, "n m"]
 
 # frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
-_FREQUENCIES, _LOWEST = 2000, 1e-5
+FREQUENCIES, LOWEST = 2000, 1e-5
 
 
 @dataclass(frozen=True)
@@ -81,20 +81,20 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             "below 1",
             "design the feedback on this model",
         )
-    frequencies = np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
+    frequencies = np.geomspace(LOWEST, 1.0, FREQUENCIES) * np.pi / dt
     inputs = []
     for j, channel in enumerate(model.channels.inputs):
         others = [i for i in range(system.n_u) if i != j]
-        loop = _Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
+        loop = Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
         inputs.append(_input_margins(channel.name, loop, frequencies))
     # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
-    sensitivity = np.eye(system.n_u) - _Response(a - b @ gain, b, gain, dt).at(frequencies)
+    sensitivity = np.eye(system.n_u) - Response(a - b @ gain, b, gain, dt).at(frequencies)
     peaks = np.linalg.norm(sensitivity, 2, axis=(1, 2))
     highest = int(np.argmax(peaks))
     return Margins(tuple(inputs), float(peaks[highest]), float(frequencies[highest]))
 
 
-class _Response(NamedTuple):
+class Response(NamedTuple):
     """The frequency response `c (z - a)^-1 b`."""
 
     a: Matrix
@@ -111,7 +111,7 @@ class _Response(NamedTuple):
             return np.full((len(z), len(self.c), self.b.shape[1]), np.inf + 0j)
 
 
-def _input_margins(name: str, loop: _Response, frequencies: Numbers) -> InputMargins:
+def _input_margins(name: str, loop: Response, frequencies: Numbers) -> InputMargins:
     """Margins of a loop that is broken at one input, crossings found between frequencies."""
 
     def respond(w: Numbers) -> Complex[np.ndarray, " n"]:

@@ -145,11 +145,9 @@ def _physical_kinds(
         return VariantKind(name, help, tuple(ModelPlant(stepped, v, options) for v in values))
 
     kinds = []
-    if EULER_LAGRANGE.owns(model):
-        drawn = draw_values(model, dict(header), count, int(generator.integers(2**31)))  # pyright: ignore[reportArgumentType]
-        if drawn:
-            about = "parameters drawn from their errors"
-            kinds.append(replace(kind("parameters", about, drawn), allowed=True))
+    if drawn := allowed_values(model, header, count, int(generator.integers(2**31))):
+        about = "parameters drawn from their errors"
+        kinds.append(replace(kind("parameters", about, drawn), allowed=True))
     for share in _MOVED:
         moved = [moved_values(stepped.nominal, share, generator) for _ in range(count)]
         percent = f"{100 * share:.0f} %"
@@ -171,6 +169,15 @@ def _physical_kinds(
             kind("heavier", f"masses and inertias up to {100 * _HEAVIER:.0f} % larger", heavier)
         )
     return kinds
+
+
+def allowed_values(
+    model: Model, header: Mapping[str, Any], count: int, seed: int = 0
+) -> list[dict[str, float]]:
+    """Parameters drawn from the errors of their identification; none where these are unknown."""
+    if not EULER_LAGRANGE.owns(model):
+        return []
+    return draw_values(model, dict(header), count, seed)  # pyright: ignore[reportArgumentType]
 
 
 def moved_values(

@@ -6,12 +6,15 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
 from tustinnet.control.closed_loop import ClosedLoopResult
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.export.write import ControllerExport
+from tustinnet.control.frequency import LoopResponses
 from tustinnet.control.robustness import Robustness
 from tustinnet.control.trial import Trial
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
@@ -152,6 +155,60 @@ def closed_loop_figure(design: ControlDesign, runs: Mapping[str, ClosedLoopResul
         panels[0].legend(ncols=4, fontsize=7.5, loc="upper right")
         panels[-1].set_xlabel("time [s]")
         return figure
+
+
+def frequency_figure(responses: LoopResponses, channels: Channels) -> Figure:
+    """Bode and Nyquist plots of the loop, its sensitivity, and steps of the goals.
+
+    Bands are of the loops with other values of the parameters.
+
+    Args:
+        responses: of the model, and of others.
+        channels: the model's.
+    """
+    hertz = responses.frequencies / (2 * np.pi)
+    with figure_style(), np.errstate(all="ignore"):
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        (gain, nyquist), (phase, steps) = figure.subplots(2, 2)
+        for j, channel in enumerate(channels.inputs):
+            loops, colour = responses.loops[:, :, j], COLOURS[j % len(COLOURS)]
+            angles = np.unwrap(np.angle(-loops), axis=1) - np.pi
+            _banded(gain, hertz, _decibel(np.abs(loops)), colour, channel.name)
+            _banded(phase, hertz, np.degrees(angles), colour, channel.name)
+            for loop in loops[1:]:
+                nyquist.plot(loop.real, loop.imag, color=colour, alpha=0.25, linewidth=0.6)
+            nyquist.plot(loops[0].real, loops[0].imag, color=colour)
+        _banded(gain, hertz, _decibel(responses.sensitivity), MEASURED, "sensitivity")
+        for j, c in enumerate(channels.coordinates):
+            rows = responses.steps[:, :, j]
+            _banded(steps, responses.times, rows, COLOURS[j % len(COLOURS)], c.name)
+        shown = responses.steps[0]
+        nyquist.plot([-1], [0], "+", color=MEASURED)
+        nyquist.set(xlim=(-3, 1), ylim=(-2, 2), title="Nyquist plot of the loop, and -1")
+        gain.set(title="gain of the loop, and its sensitivity [dB]", ylim=(-40, 40), xscale="log")
+        phase.set(title="phase of the loop [deg]", xlabel="frequency [Hz]", xscale="log")
+        ends = shown.min() - 0.2, shown.max() + 0.2
+        steps.set(title="after a step of its goal by 1", xlabel="time [s]", ylim=ends)
+        gain.legend(fontsize=7.5)
+        steps.legend(fontsize=7.5)
+        return figure
+
+
+def _decibel(size: Float[np.ndarray, "models n"]) -> Float[np.ndarray, "models n"]:
+    return 20 * np.log10(size)
+
+
+def _banded(
+    axes: Axes,
+    x: Float[np.ndarray, " n"],
+    rows: Float[np.ndarray, "models n"],
+    colour: str,
+    label: str,
+) -> None:
+    """The first row as a line, all of them as a band."""
+    axes.plot(x, rows[0], color=colour, label=label)
+    if len(rows) > 1:
+        axes.fill_between(x, rows.min(axis=0), rows.max(axis=0), color=colour, alpha=0.2)
 
 
 def robustness_figure(robustness: Robustness) -> Figure:

@@ -1,0 +1,89 @@
+"""Frequency responses and steps of feedback loops, with bands of what records allow."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from tustinnet.control.dynamics import ControlledModel, controlled
+from tustinnet.control.lqr import Feedback, LoopMatrices, in_order
+from tustinnet.control.margins import FREQUENCIES, LOWEST, Response
+from tustinnet.models.contract import Model
+
+_SECONDS = 10.0  # times the time constant of the slowest mode that a step is shown, at most 5 s
+_LONGEST = 5.0  # s
+
+
+@dataclass(frozen=True)
+class LoopResponses:
+    """Responses of loops of one feedback: the first is that of the model, then those of others.
+
+    Attributes:
+        frequencies: (n_w,) [rad/s].
+        loops: gains of the loop that is broken at an input, the others closed,
+            (models, n_w, n_u).
+        sensitivity: largest singular value of the sensitivity at the inputs, (models, n_w).
+        times: (n_t,) [s].
+        steps: each coordinate after a step of its own goal by 1, (models, n_t, n_q); not finite
+            where the loop is unstable.
+    """
+
+    frequencies: Float[np.ndarray, " n_w"]
+    loops: Complex[np.ndarray, "models n_w n_u"]
+    sensitivity: Float[np.ndarray, "models n_w"]
+    times: Float[np.ndarray, " n_t"]
+    steps: Float[np.ndarray, "models n_t n_q"]
+
+
+def loop_responses(
+    model: Model, feedback: Feedback, values: Sequence[Mapping[str, float]] = ()
+) -> LoopResponses:
+    """Responses of linear feedback about its operating point, all states known.
+
+    Args:
+        model: the model.
+        feedback: the feedback.
+        values: values of the model's parameters for further loops, as they are drawn from the
+            errors of the identification.
+    """
+    system = controlled(model, feedback.delay)
+    loops = [_loop(system, feedback, each) for each in (None, *values)]
+    gain, dt, n_u = feedback.gain, feedback.dt, system.n_u
+    frequencies = np.geomspace(LOWEST, 1.0, FREQUENCIES) * np.pi / dt
+    rows, peaks, steps = [], [], []
+    slowest = np.abs(np.linalg.eigvals(loops[0].a - loops[0].b @ gain))
+    seconds = min(_LONGEST, -_SECONDS * dt / np.log(min(slowest.max(), 1 - 1e-9)))
+    times = dt * np.arange(round(seconds / dt) + 1)
+    for a, b in loops:
+        columns = []
+        for j in range(n_u):
+            others = [i for i in range(n_u) if i != j]
+            open_loop = Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
+            columns.append(open_loop.at(frequencies)[:, 0, 0])
+        rows.append(np.stack(columns, axis=1))
+        closed = a - b @ gain
+        sensitivity = np.eye(n_u) - Response(closed, b, gain, dt).at(frequencies)
+        peaks.append(np.linalg.norm(sensitivity, 2, axis=(1, 2)))
+        steps.append(_steps(closed, system.model.channels.n_q, len(times)))
+    return LoopResponses(frequencies, np.stack(rows), np.stack(peaks), times, np.stack(steps))
+
+
+def _loop(
+    system: ControlledModel, feedback: Feedback, values: Mapping[str, float] | None
+) -> LoopMatrices:
+    a, b = system.tangent(feedback.x0, feedback.u0, feedback.speeds, values)
+    return in_order(system, a, b, feedback.integral)
+
+
+def _steps(
+    closed: Float[np.ndarray, "n_z n_z"], n_q: int, count: int
+) -> Float[np.ndarray, "count n_q"]:
+    """Positions after a step of each goal: errors of -1 that go back to 0."""
+    z = -np.eye(len(closed))[:, :n_q]
+    rows = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(count):
+            rows.append(1 + np.diag(z[:n_q]))
+            z = closed @ z
+    return np.stack(rows)
