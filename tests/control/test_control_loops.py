@@ -272,6 +272,8 @@ def test_what_holds_its_own_model_alone_is_no_promise():
     """Beside another candidate whose gravity pulls the other way."""
     model = grey_box()
     turned = with_values(model, {"pendulum_centre": -0.06})
+    by_records = make_variants(model, NOISE, count=1, has_records=True)
+    assert [kind.name for kind in by_records if kind.allowed] == ["disturbance"]
     kinds = make_variants(model, NOISE, count=4, candidates=[turned])
     estimator, starts = ExtendedKalmanFilter(model, NOISE), draw_starts([0.0, 0.0], [0.2, 0.1], 4)
 

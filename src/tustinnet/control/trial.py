@@ -72,6 +72,7 @@ def try_design(
             seed=seed,
             options=PlantOptions(delay=design.task.delay),
             candidates=candidates,
+            has_records=design.consistency is not None,
         )
         if variants
         else ()

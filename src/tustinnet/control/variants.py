@@ -55,6 +55,7 @@ def make_variants(
     seed: int = 0,
     options: PlantOptions = USUAL,
     candidates: Sequence[Model] = (),
+    has_records: bool = False,
 ) -> tuple[VariantKind, ...]:
     """Plants that differ from a model in what it does not know, kind by kind.
 
@@ -81,6 +82,7 @@ def make_variants(
         options: of encoders and inputs of all plants. Where neither these nor the model have counts
             of the encoders, the filter's noise is taken for their rounding.
         candidates: other models of the same records, as with equations of motion beside a network.
+        has_records: whether the noise was found by records, which allow its disturbances then.
     """
     generator = np.random.default_rng(seed)
     if options.counts is None:
@@ -125,7 +127,8 @@ def make_variants(
     kinds.append(VariantKind("noise", "noise of one count on the encoders", same(noisy)))
     missed = np.asarray(noise.process, np.float64)[model.channels.velocity]
     disturbed = replace(options, disturbance=np.hypot(options.disturbance, missed))
-    kinds.append(VariantKind("disturbance", "what the model misses in a step", same(disturbed)))
+    about = "velocities disturbed by what the model misses in a step"
+    kinds.append(VariantKind("disturbance", about, same(disturbed), allowed=has_records))
     return tuple(kinds)
 
 
