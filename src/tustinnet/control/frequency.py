@@ -8,11 +8,12 @@ from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import ControlledModel, controlled
 from tustinnet.control.lqr import Feedback, LoopMatrices, in_order
-from tustinnet.control.margins import FREQUENCIES, LOWEST, Response
+from tustinnet.control.margins import open_loop, sensitivity, usual_frequencies
 from tustinnet.models.contract import Model
 
 _SECONDS = 10.0  # times the time constant of the slowest mode that a step is shown, at most 5 s
 _LONGEST = 5.0  # s
+_UNIT = 1e-9  # by which the slowest mode is below 1 at least
 
 
 @dataclass(frozen=True)
@@ -49,24 +50,19 @@ def loop_responses(
     """
     system = controlled(model, feedback.delay)
     loops = [_loop(system, feedback, each) for each in (None, *values)]
-    gain, dt, n_u = feedback.gain, feedback.dt, system.n_u
-    frequencies = np.geomspace(LOWEST, 1.0, FREQUENCIES) * np.pi / dt
-    rows, peaks, steps = [], [], []
-    slowest = np.abs(np.linalg.eigvals(loops[0].a - loops[0].b @ gain))
-    seconds = min(_LONGEST, -_SECONDS * dt / np.log(min(slowest.max(), 1 - 1e-9)))
-    times = dt * np.arange(round(seconds / dt) + 1)
-    for a, b in loops:
-        columns = []
-        for j in range(n_u):
-            others = [i for i in range(n_u) if i != j]
-            open_loop = Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
-            columns.append(open_loop.at(frequencies)[:, 0, 0])
-        rows.append(np.stack(columns, axis=1))
-        closed = a - b @ gain
-        sensitivity = np.eye(n_u) - Response(closed, b, gain, dt).at(frequencies)
-        peaks.append(np.linalg.norm(sensitivity, 2, axis=(1, 2)))
-        steps.append(_steps(closed, system.model.channels.n_q, len(times)))
-    return LoopResponses(frequencies, np.stack(rows), np.stack(peaks), times, np.stack(steps))
+    closed, dt = [a - b @ feedback.gain for a, b in loops], feedback.dt
+    slowest = min(np.abs(np.linalg.eigvals(closed[0])).max(), 1 - _UNIT)
+    seconds = min(_LONGEST, -_SECONDS * dt / np.log(slowest))
+    times, frequencies = dt * np.arange(round(seconds / dt) + 1), usual_frequencies(dt)
+    broken = [[open_loop(loop, feedback, j) for j in range(system.n_u)] for loop in loops]
+    n_q = system.model.channels.n_q
+    return LoopResponses(
+        frequencies,
+        np.array([[one.at(frequencies)[:, 0, 0] for one in row] for row in broken]).swapaxes(1, 2),
+        np.stack([sensitivity(loop, feedback, frequencies) for loop in loops]),
+        times,
+        np.stack([_steps(one, n_q, len(times)) for one in closed]),
+    )
 
 
 def _loop(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.lqr import Feedback, loop_matrices
+from tustinnet.control.lqr import Feedback, LoopMatrices, loop_matrices
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 
@@ -16,7 +16,7 @@ Numbers = Float[np.ndarray, " n"]
 Matrix = Float[np.ndarray, "n m"]
 
 # frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
-FREQUENCIES, LOWEST = 2000, 1e-5
+_FREQUENCIES, _LOWEST = 2000, 1e-5
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,8 @@ def margins(model: Model, feedback: Feedback) -> Margins:
         InputError: the loop is unstable without limits.
     """
     system = controlled(model, feedback.delay)
-    a, b = loop_matrices(system, feedback.x0, feedback.u0, feedback.speeds, feedback.integral)
-    gain, dt = feedback.gain, feedback.dt
-    largest = np.abs(np.linalg.eigvals(a - b @ gain)).max()
+    loop = loop_matrices(system, feedback.x0, feedback.u0, feedback.speeds, feedback.integral)
+    largest = np.abs(np.linalg.eigvals(loop.a - loop.b @ feedback.gain)).max()
     if largest >= 1:
         raise InputError(
             "margins",
@@ -81,17 +80,36 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             "below 1",
             "design the feedback on this model",
         )
-    frequencies = np.geomspace(LOWEST, 1.0, FREQUENCIES) * np.pi / dt
-    inputs = []
-    for j, channel in enumerate(model.channels.inputs):
-        others = [i for i in range(system.n_u) if i != j]
-        loop = Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], dt)
-        inputs.append(_input_margins(channel.name, loop, frequencies))
-    # S = (1 + K (z - A)^-1 B)^-1, from a disturbance at the inputs to the inputs
-    sensitivity = np.eye(system.n_u) - Response(a - b @ gain, b, gain, dt).at(frequencies)
-    peaks = np.linalg.norm(sensitivity, 2, axis=(1, 2))
+    frequencies = usual_frequencies(feedback.dt)
+    inputs = tuple(
+        _input_margins(channel.name, open_loop(loop, feedback, j), frequencies)
+        for j, channel in enumerate(model.channels.inputs)
+    )
+    peaks = sensitivity(loop, feedback, frequencies)
     highest = int(np.argmax(peaks))
-    return Margins(tuple(inputs), float(peaks[highest]), float(frequencies[highest]))
+    return Margins(inputs, float(peaks[highest]), float(frequencies[highest]))
+
+
+def usual_frequencies(dt: float) -> Numbers:
+    """Frequencies up to half of the sampling rate at which loops are computed [rad/s]."""
+    return np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
+
+
+def open_loop(loop: LoopMatrices, feedback: Feedback, j: int) -> "Response":
+    """The loop that is broken at an input, the others closed."""
+    (a, b), gain = loop, feedback.gain
+    others = [i for i in range(len(gain)) if i != j]
+    return Response(a - b[:, others] @ gain[others], b[:, [j]], gain[[j]], feedback.dt)
+
+
+def sensitivity(loop: LoopMatrices, feedback: Feedback, frequencies: Numbers) -> Numbers:
+    """The largest singular value of the sensitivity at the inputs, (n,).
+
+    `S = (1 + K (z - A)^-1 B)^-1`, from a disturbance at the inputs to the inputs.
+    """
+    (a, b), gain = loop, feedback.gain
+    closed = Response(a - b @ gain, b, gain, feedback.dt).at(frequencies)
+    return np.linalg.norm(np.eye(len(gain)) - closed, 2, axis=(1, 2))
 
 
 class Response(NamedTuple):
