@@ -40,7 +40,9 @@ def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> st
     else:
         steps.append(f"tustinnet export {model} --to c --out model-c (use it elsewhere)")
         if has_inputs:
-            steps.append(f"tustinnet control {model} --at NAME=VALUE --out controller (control it)")
+            steps.append(
+                f"tustinnet control {model} --data {data} --at NAME=VALUE --out controller"
+            )
     return ", ".join(steps)
 
 
