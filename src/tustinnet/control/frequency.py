@@ -55,13 +55,12 @@ def loop_responses(
     seconds = min(_LONGEST, -_SECONDS * dt / np.log(slowest))
     times, frequencies = dt * np.arange(round(seconds / dt) + 1), usual_frequencies(dt)
     broken = [[open_loop(loop, feedback, j) for j in range(system.n_u)] for loop in loops]
-    n_q = system.model.channels.n_q
     return LoopResponses(
         frequencies,
         np.array([[one.at(frequencies)[:, 0, 0] for one in row] for row in broken]).swapaxes(1, 2),
         np.stack([sensitivity(loop, feedback, frequencies) for loop in loops]),
         times,
-        np.stack([_steps(one, n_q, len(times)) for one in closed]),
+        np.stack([_steps(one, model.channels.position, len(times)) for one in closed]),
     )
 
 
@@ -73,13 +72,13 @@ def _loop(
 
 
 def _steps(
-    closed: Float[np.ndarray, "n_z n_z"], n_q: int, count: int
+    closed: Float[np.ndarray, "n_z n_z"], position: slice, count: int
 ) -> Float[np.ndarray, "count n_q"]:
     """Positions after a step of each goal: errors of -1 that go back to 0."""
-    z = -np.eye(len(closed))[:, :n_q]
+    z = -np.eye(len(closed))[:, position]
     rows = []
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(count):
-            rows.append(1 + np.diag(z[:n_q]))
+            rows.append(1 + np.diag(z[position]))
             z = closed @ z
     return np.stack(rows)
