@@ -137,7 +137,7 @@ def control(
     replay: Annotated[
         str | None,
         typer.Option(
-            metavar="DATA",
+            metavar="LOGS",
             help="Instead of designing: logs of the machine, and what a controller (its folder in "
             "the place of MODEL) would have commanded, estimated and missed.",
         ),
