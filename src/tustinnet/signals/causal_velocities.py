@@ -24,7 +24,7 @@ def low_pass_velocities(q: Positions, dt: float) -> Iterator[Positions]:
     differences = np.diff(q, axis=0, prepend=q[:1]) / dt
     for samples in _SAMPLES:
         kept = np.exp(-1 / samples)
-        yield scipy.signal.lfilter([1 - kept], [1, -kept], differences, axis=0)
+        yield np.asarray(scipy.signal.lfilter([1 - kept], [1, -kept], differences, axis=0))
 
 
 def polynomial_velocities(q: Positions, dt: float) -> Iterator[Positions]:
@@ -39,4 +39,4 @@ def polynomial_velocities(q: Positions, dt: float) -> Iterator[Positions]:
     """
     for samples in _SAMPLES[1:]:
         slope = np.linalg.pinv(np.vander(-dt * np.arange(samples), 3))[1]
-        yield scipy.signal.lfilter(slope, [1.0], q - q[0], axis=0)
+        yield np.asarray(scipy.signal.lfilter(slope, [1.0], q - q[0], axis=0))
