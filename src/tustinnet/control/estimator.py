@@ -361,11 +361,12 @@ def _velocity_errors(
 ) -> Float[np.ndarray, "3 n_q"]:
     """Errors of the filter's velocities, and of what is computed without a model; see there."""
     channels = parts[0].channels
+    smoothed = [smooth_velocities(e) for e in parts]
 
     def error(velocities: Sequence[np.ndarray]) -> np.ndarray:
         squares = [
-            (v - smooth_velocities(e))[_SETTLING:] ** 2
-            for v, e in zip(velocities, parts, strict=True)
+            (v - expected)[_SETTLING:] ** 2
+            for v, expected in zip(velocities, smoothed, strict=True)
         ]
         return np.sqrt(np.mean(np.concatenate(squares), axis=0))
 

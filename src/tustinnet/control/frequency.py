@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from tustinnet.control.dynamics import ControlledModel, controlled
-from tustinnet.control.lqr import Feedback, LoopMatrices, in_order
+from tustinnet.control.dynamics import controlled
+from tustinnet.control.lqr import Feedback, loop_matrices
 from tustinnet.control.margins import open_loop, sensitivity, usual_frequencies
 from tustinnet.models.contract import Model
 
@@ -49,7 +49,8 @@ def loop_responses(
             errors of the identification.
     """
     system = controlled(model, feedback.delay)
-    loops = [_loop(system, feedback, each) for each in (None, *values)]
+    point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
+    loops = [loop_matrices(system, *point, each) for each in (None, *values)]
     closed, dt = [a - b @ feedback.gain for a, b in loops], feedback.dt
     slowest = min(np.abs(np.linalg.eigvals(closed[0])).max(), 1 - _UNIT)
     seconds = min(_LONGEST, -_SECONDS * dt / np.log(slowest))
@@ -62,13 +63,6 @@ def loop_responses(
         times,
         np.stack([_steps(one, model.channels.position, len(times)) for one in closed]),
     )
-
-
-def _loop(
-    system: ControlledModel, feedback: Feedback, values: Mapping[str, float] | None
-) -> LoopMatrices:
-    a, b = system.tangent(feedback.x0, feedback.u0, feedback.speeds, values)
-    return in_order(system, a, b, feedback.integral)
 
 
 def _steps(

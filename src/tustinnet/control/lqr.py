@@ -308,25 +308,28 @@ def hold(
         value = _riccati_solution(system, matrices, weights, sums)
         return Holding(speeds, matrices, value, _feedback_gain(matrices, value, weights))
 
+    def mean_cost(value: Float[np.ndarray, "n_z n_z"]) -> float:
+        """The mean cost from states that are as far away as is acceptable."""
+        has_weight = weights.states > 0
+        own = np.diag(value)[: system.n_x][has_weight]
+        return float(np.mean(own / weights.states[has_weight]))
+
     def cost(loop: LoopMatrices, gain: Float[np.ndarray, "n_u n_z"]) -> float:
-        """The mean cost from states that are as far away as is acceptable, inf if it grows."""
+        """The mean cost by a gain, inf if errors grow."""
         closed = loop.a - loop.b @ gain
         if np.abs(np.linalg.eigvals(closed)).max() >= 1:
             return np.inf
         price = np.diag(_prices(system, len(closed), weights, sums))
         price += gain.T @ np.diag(weights.inputs) @ gain
-        value = scipy.linalg.solve_discrete_lyapunov(closed.T, price)
-        has_weight = weights.states > 0
-        own = np.diag(value)[: system.n_x][has_weight]
-        return float(np.mean(own / weights.states[has_weight]))
+        return mean_cost(scipy.linalg.solve_discrete_lyapunov(closed.T, price))
 
-    held = solve(weights.usual_speeds(system.model.channels))
+    holding = solve(weights.usual_speeds(system.model.channels))
     for _ in range(_DOUBLINGS):
-        faster = solve(2 * held.speeds)
-        if cost(faster.matrices, held.gain) <= _DEARER * cost(faster.matrices, faster.gain):
+        faster = solve(2 * holding.speeds)
+        if cost(faster.matrices, holding.gain) <= _DEARER * mean_cost(faster.value):
             break
-        held = faster
-    return held
+        holding = faster
+    return holding
 
 
 def loop_matrices(
@@ -335,18 +338,13 @@ def loop_matrices(
     u: Float[np.ndarray, " n_u"],
     speeds: Float[np.ndarray, " n_q"],
     integral: Sequence[int] = (),
+    values: Mapping[str, float] | None = None,
 ) -> LoopMatrices:
-    """The linearised model with integrals of errors, in the order of `Feedback`."""
-    return in_order(system, *system.tangent(x, u, speeds), integral)
+    """The linearised model with integrals of errors, in the order of `Feedback`.
 
-
-def in_order(
-    system: ControlledModel,
-    a: Float[np.ndarray, "n n"],
-    b: Float[np.ndarray, "n n_u"],
-    integral: Sequence[int] = (),
-) -> LoopMatrices:
-    """Matrices of a linear model with integrals of errors, in the order of `Feedback`."""
+    With other values of physical parameters, see `ControlledModel.tangent`.
+    """
+    a, b = system.tangent(x, u, speeds, values)
     n_x, n_i = system.n_x, len(integral)
     sums = np.zeros((n_i, len(a)))
     sums[np.arange(n_i), list(integral)] = system.dt
