@@ -134,6 +134,11 @@ class TrackingFeedback:
                 self.phase, self._begin = "plan", k
 
 
+def feedback_controller(gains: Feedback | Tracking) -> LinearFeedback | TrackingFeedback:
+    """A controller by feedback about a point, or along a plan."""
+    return TrackingFeedback(gains) if isinstance(gains, Tracking) else LinearFeedback(gains)
+
+
 def replace_latest(
     previous: Float[np.ndarray, " previous"], command: Float[np.ndarray, " n_u"]
 ) -> Float[np.ndarray, " previous"]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.computed_torque import computed_torque, smooth_motion
 from tustinnet.control.controller import Controller
-from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
@@ -145,7 +145,7 @@ class ControlDesign:
     @property
     def feedback(self) -> Feedback:
         """The feedback about the equilibrium."""
-        return self.gains.final if isinstance(self.gains, Tracking) else self.gains
+        return self.gains.final
 
     @property
     def own_feedback(self) -> Feedback:
@@ -170,11 +170,7 @@ class ControlDesign:
 
     def make_controller(self) -> Controller:
         """The controller; one by linear feedback is a new one."""
-        if self.mpc is not None:
-            return self.mpc
-        if isinstance(self.gains, Tracking):
-            return TrackingFeedback(self.gains)
-        return LinearFeedback(self.gains)
+        return feedback_controller(self.gains) if self.mpc is None else self.mpc
 
 
 def design_controller(

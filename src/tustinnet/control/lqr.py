@@ -86,6 +86,11 @@ class Feedback:
     safe: Float[np.ndarray, " n_u"] | float = 0.0
 
     @property
+    def final(self) -> "Feedback":
+        """Itself: what holds the goal, as `Tracking.final` does after its plan."""
+        return self
+
+    @property
     def previous(self) -> int:
         """Number of samples of previous commands that `z` has."""
         n_u, n_z = self.gain.shape

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import DisturbedModel, observe_disturbances
 from tustinnet.control.dynamics import InputLimits
 from tustinnet.control.estimator import ExtendedKalmanFilter
@@ -65,12 +65,12 @@ def replay(
         InputError: a record of other coordinates, inputs or period, or gains of another model.
     """
     require_fit(model, record)
-    final = gains.final if isinstance(gains, Tracking) else gains
+    final = gains.final
     if len(final.x0) != model.state_size:
         raise InputError(
             "replay", f"gains of {len(final.x0)} states", f"{model.state_size} as the model has"
         )
-    controller = TrackingFeedback(gains) if isinstance(gains, Tracking) else LinearFeedback(gains)
+    controller = feedback_controller(gains)
     estimator = ExtendedKalmanFilter(model, noise, delay=final.delay)
     estimates = _estimates(estimator, record)
     computed = np.stack([controller.inputs(k, x) for k, x in enumerate(estimates)])
@@ -97,7 +97,7 @@ def replay(
 
 def model_of(gains: Feedback | Tracking, model: Model) -> Model:
     """The model of the estimator of a controller: with disturbances where its gains have them."""
-    final = gains.final if isinstance(gains, Tracking) else gains
+    final = gains.final
     if len(final.x0) == model.state_size + len(final.u0):
         return observe_disturbances(model, InputLimits(final.lower, final.upper))
     return model

@@ -86,7 +86,7 @@ def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> F
     """`controller.h` and `controller.c`."""
     gains = gains_of(controller)
     tracking = gains if isinstance(gains, Tracking) else None
-    final = gains if isinstance(gains, Feedback) else gains.final
+    final = gains.final
     recovery = tracking.recovery if tracking else None
     settle = recovery.feedback if recovery else None
     own = tracking.by_acceleration if tracking else None
@@ -230,7 +230,7 @@ def make_readme(
         notes: remarks.
     """
     gains = gains_of(controller)
-    final = gains if isinstance(gains, Feedback) else gains.final
+    final = gains.final
     kind = "linear feedback about the goal"
     if isinstance(gains, Tracking):
         law = "computed torque" if gains.by_acceleration else "feedback"

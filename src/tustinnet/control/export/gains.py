@@ -26,7 +26,7 @@ def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
     return to_json(
         {
             "form": _FORM,
-            "period": _feedback(controller).dt,
+            "period": controller.final.dt,
             "coordinates": [c.name for c in channels.coordinates],
             "inputs": [i.name for i in channels.inputs],
             **_to_lists(_content(controller)),
@@ -42,7 +42,7 @@ def controller_mat(controller: Feedback | Tracking, channels: Channels) -> bytes
     return mat_file(
         {
             "form": _FORM,
-            "period": _feedback(controller).dt,
+            "period": controller.final.dt,
             "coordinates": mat_cells([c.name for c in channels.coordinates]),
             "inputs": mat_cells([i.name for i in channels.inputs]),
             **_to_columns(_content(controller)),
@@ -123,14 +123,9 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     return Tracking(motion, gains, final, recovery, own)
 
 
-def _feedback(controller: Feedback | Tracking) -> Feedback:
-    """The feedback about the equilibrium: all of it, or what follows a plan."""
-    return controller.final if isinstance(controller, Tracking) else controller
-
-
 def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     """The numbers of a controller by name, as arrays."""
-    feedback = _feedback_content(_feedback(controller))
+    feedback = _feedback_content(controller.final)
     if isinstance(controller, Feedback):
         return {"feedback": feedback}
     p, recovery = controller.plan, controller.recovery

@@ -37,7 +37,7 @@ def make_scripts(
         start: the state from which the motion begins, (n_x,).
     """
     n_x = source.n_x
-    final = controller.final if isinstance(controller, Tracking) else controller
+    final = controller.final
     if isinstance(controller, Tracking):
         start, steps = controller.plan.x[0], len(controller.plan.u)
         goal, played = controller.plan.goal, steps + _AFTER

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
+from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import DisturbedModel
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
@@ -106,7 +106,7 @@ def export_controller(
     if isinstance(model, DisturbedModel) and known is not None:
         known = model.extend_range(known)
     source = make_source(model, known, groups, header)
-    final = gains.final if isinstance(gains, Tracking) else gains
+    final = gains.final
     source = replace(source, layout=find_causal_layout(source.model, final.delay))
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
     _require_fit(gains, source)
@@ -116,13 +116,7 @@ def export_controller(
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
     steps = _AFTER + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
-    own = (
-        controller
-        if isinstance(controller, Mpc)
-        else TrackingFeedback(controller)
-        if isinstance(controller, Tracking)
-        else LinearFeedback(controller)
-    )
+    own = controller if isinstance(controller, Mpc) else feedback_controller(controller)
     check = check_loop(code, own, source, noise, start, steps, _fall(gains), lost_after)
     notes, scripts = [*source.notes], {}
     if check.note:
@@ -193,7 +187,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
     Raises:
         InputError: other sizes or another period, a plan that does not reach its goal.
     """
-    final = controller.final if isinstance(controller, Tracking) else controller
+    final = controller.final
     n_x, n_u = source.n_x, source.channels.n_u
     shapes = {"x0": (n_x,), "u0": (n_u,), "lower": (n_u,), "upper": (n_u,)}
     for name, shape in shapes.items():
