@@ -270,6 +270,28 @@ def test_a_second_one_of_a_kind_and_what_is_rarely_the_best_come_later():
     ]
 
 
+def test_what_is_ahead_on_few_records_is_fitted_to_more_before_others_of_its_kind_are_tried():
+    errors = {"linear": (0.09, 0.09), "grey": (0.3, 0.3), "another network": (0.2, 0.2)}
+    errors["network"] = (0.01, 0.088)  # on two records no clear difference
+    seconds = {"linear": 1.0, "grey": 15.0, "network": 35.0, "another network": 25.0}
+
+    def of(job: Job) -> JobResult:
+        pair = errors[job.candidate]
+        rmse = {f"r{job.fold}{i}": error for i, error in enumerate(pair)}
+        models = (FitScore(0, "finished", "m", None, {"model-20": rmse}),)
+        return JobResult(job.candidate, job.fold, seconds[job.candidate], "done", models)
+
+    other = {"name": "another network", "recipe": "best-tustin"}
+    candidates = [*PLAN["candidates"][:3], other]
+    rounds = [{"folds": 1, "keep": 1.0}, {"folds": 3}]
+    found = tried({**PLAN, "candidates": candidates, "rounds": rounds})
+    found.run(executor := Pretended(of=of))
+    order = names(executor)
+    assert order[:5] == ["linear", "grey", "network", "linear", "linear"]
+    assert order[5] == "network"
+    assert order.index("another network") > 5
+
+
 def test_what_fails_is_left_and_told_and_the_others_go_on():
     def of(job: Job) -> JobResult | None:
         if job.candidate == "grey":

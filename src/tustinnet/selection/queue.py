@@ -3,7 +3,8 @@
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
 more folds and with more seeds. Next is what could change the ranking soonest: first fits of every
 kind, the quickest first; then what takes least of further fits of those that are among the best,
-and of first fits of second ones of a kind.
+and of first fits of second ones of a kind. What is ahead of the best on the records that both have,
+and was scored on too few of them to be sure, is one fit from changing the ranking.
 """
 
 import math
@@ -17,7 +18,7 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
-from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
+from tustinnet.selection.ranking import CandidateResult, find_simplest, paired_difference, rank
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.run_folder import SCORES
 from tustinnet.wording import counted, percent
@@ -138,12 +139,13 @@ class CandidateQueue:
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
-        steps, rounds, places = [], self._climb(), self._places()
+        steps, rounds, places, ahead = [], self._climb(), self._places(), self._find_ahead()
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
                     if c.name in names:
-                        weight = self._weight(c, jobs[0], number + places.get(c.name, 0))
+                        behind = 0 if c.name in ahead else number + places.get(c.name, 0)
+                        weight = self._weight(c, jobs[0], behind)
                         steps.append((weight, c, jobs))
                     break
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
@@ -212,6 +214,18 @@ class CandidateQueue:
                     places[name] = min(places[c.name], places.get(name, len(kinds)))
         return places
 
+    def _find_ahead(self) -> set[str]:
+        """The candidates that are ahead of the best where both were scored, by name.
+
+        With what these correct or begin with.
+        """
+        best, *others = rank([*self.results.values()]) or [None]
+        ahead = {r.name for r in others if best and paired_difference(r, best).mean < 0}
+        for c in self._candidates:
+            if c.name in ahead:
+                ahead |= self._needed(c)
+        return ahead
+
     def _needed(self, candidate: Candidate) -> set[str]:
         """The best that a candidate corrects and begins with, by name."""
         needed = (self._best_of(candidate.corrects), self._best_of(candidate.begins_with))
@@ -251,14 +265,15 @@ class CandidateQueue:
         Args:
             candidate: the candidate.
             job: its next job.
-            behind: rounds that it has behind it, and kinds that are better.
+            behind: rounds that it has behind it, and kinds that are better; 0 of what is ahead.
         """
-        power = behind
-        if candidate.name not in {*self._seconds, *self._promising}:
+        power, is_further = behind, candidate.name in self._seconds
+        if not is_further and candidate.name not in self._promising:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = max(len(self.results[candidate.name].fits_by_fold), 1)
-        return power > 0, folds * self._expected(job) * self._options.rarely**power
+        cost = folds * self._expected(job) * self._options.rarely**power
+        return is_further or power > 0, cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
