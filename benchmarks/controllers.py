@@ -159,7 +159,7 @@ def measure_mpc() -> None:
     model = grey_box(SYSTEM, 1)
     step, goal = tn.compiled_step(model), np.zeros(4)
     limits = input_limits(model, LIMITS)
-    cost = make_cost(
+    cost, _ = make_cost(
         controlled(model), limits, goal, np.zeros(1), deviations=None, range=None, within=None
     )
     feedback = lqr(model, goal, np.zeros(1), limits=LIMITS)

@@ -1,5 +1,6 @@
 """Disturbances that an observer finds, and inputs that take them away."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,6 +8,8 @@ import pytest
 import tustinnet as tn
 from tustinnet.control.closed_loop import closed_loop
 from tustinnet.control.design import ControlTask, design_controller
+from tustinnet.control.disturbances import observe_disturbances
+from tustinnet.control.dynamics import input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.write import export_controller
 from tustinnet.control.plants import ModelPlant
@@ -84,3 +87,14 @@ def test_inputs_that_act_late_are_disturbed_late():
     # the estimator knows how late: what it expects of velocities is right
     np.testing.assert_allclose(run.estimates[50:, 1], run.states[50:, 1], atol=0.01)
     assert np.abs(run.states[-50:, 0]).max() < 3 * COUNT
+
+
+def test_derivatives_of_the_disturbed_model_are_those_of_its_step():
+    model = observe_disturbances(level_slide(), input_limits(level_slide()))
+    x, u = jnp.array([0.1, -0.3, 0.7]), jnp.array([2.0])
+    dx, du = np.split(np.eye(4), [3])
+    assert model.step_along is not None
+    columns = model.step_along(x, u, dx, du)
+    by_x, by_u = jax.jacfwd(model.step, argnums=(0, 1))(x, u)
+    np.testing.assert_allclose(columns[:, 0], model.step(x, u), rtol=1e-12)
+    np.testing.assert_allclose(columns[:, 1:], np.hstack([by_x, by_u]), atol=1e-12)

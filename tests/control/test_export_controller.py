@@ -116,9 +116,10 @@ def swing_up() -> Tracking:
 
 def cost() -> Cost:
     """What the motion's plan minimises."""
-    return make_cost(
+    cost, _ = make_cost(
         controlled(pendulum()), input_limits(pendulum()), UPRIGHT, np.zeros(1), range=None, **COST
     )
+    return cost
 
 
 def some_feedback(model: tn.Model, integral: tuple[int, ...] = ()) -> Feedback:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from tustinnet.channels import Channels
 from tustinnet.control.dynamics import InputLimits
 from tustinnet.control.lqr import Feedback, Recovery, Tracking
-from tustinnet.models.contract import Internal, Model, State
+from tustinnet.models.contract import Directions, Internal, Model, State, StepAlong
 from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.simulate.range import Range
 
@@ -68,6 +68,21 @@ class DisturbedModel(Model):
         is_polynomial = self.step_layout.polynomial and u.ndim > 1
         u = u.at[0].add(disturbance) if is_polynomial else u + disturbance
         return jnp.concatenate([self.inner.step(own, u), disturbance])
+
+    @property
+    def step_along(self) -> StepAlong | None:
+        """The step with derivatives, where the inner model has it: disturbances are inputs."""
+        inner, n_x = self.inner.step_along, self.inner.state_size
+        if inner is None:
+            return None
+
+        def step(x: State, u: Array, dx: Directions, du: Directions) -> Array:
+            own, disturbance = jnp.split(x, [n_x])
+            columns = inner(own, u + disturbance, dx[:n_x], du + dx[n_x:])
+            kept = jnp.concatenate([disturbance[:, None], dx[n_x:]], axis=1)
+            return jnp.concatenate([columns, kept])
+
+        return step
 
     def extend_range(self, inner: Range) -> Range:
         """A range of the inner model with that of the expected disturbances."""

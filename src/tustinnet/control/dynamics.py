@@ -1,6 +1,7 @@
 """A model as it is controlled: its step by the latest command, earlier commands in the state."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from math import ceil, log2
 from typing import Any, NamedTuple
@@ -10,10 +11,11 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
+from tustinnet.control.input_history import find_causal_layout
 from tustinnet.engine.engines import compile_formula, evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.export.source import find_input_layout, make_source, step_by_samples
+from tustinnet.export.source import make_source, step_by_samples
 from tustinnet.models.contract import Model
 from tustinnet.models.physical_values import physical_parameters, with_values
 
@@ -65,12 +67,9 @@ class ControlledModel:
         self.model, self.delay = source.model, delay
         self.n_x, self.n_u, self.names = source.n_x, channels.n_u, source.states
         self.dt = float(model.dt)
-        late = [(i.delay or 0.0) / self.dt for i in channels.inputs]
-        self._layout = find_input_layout(self.model, late)
-        # of each sample of the layout the place in [command now, previous commands]
-        self._places = [delay + max(0, -offset) for offset in self._layout.offsets]
-        self.previous = max(self._places)
-        self._step = step_by_samples(self.model, self._layout)
+        # a step takes the command of now, then the previous ones
+        self._source = replace(source, layout=find_causal_layout(source.model, delay))
+        self.previous = len(self._source.input_layout.offsets) - 1
 
     @property
     def size(self) -> int:
@@ -84,16 +83,12 @@ class ControlledModel:
 
     def function(self, z: Array, u: Array, values: Mapping[str, Any] | None = None) -> Array:
         """The next state after a command, written with JAX; with other values of parameters."""
-        step = self._step
+        step = self._source.function
         if values is not None:
-            step = step_by_samples(with_values(self.model, values), self._layout)
-        if not self.previous:
-            return step(z, jnp.concatenate([u] * len(self._places)))
-        x, n_u = z[: self.n_x], self.n_u
+            step = step_by_samples(with_values(self.model, values), self._source.input_layout)
         commands = jnp.concatenate([u, z[self.n_x :]])
-        samples = [commands[place * n_u : (place + 1) * n_u] for place in self._places]
-        kept = commands[: self.previous * n_u]
-        return jnp.concatenate([step(x, jnp.concatenate(samples)), kept])
+        kept = commands[: self.previous * self.n_u]
+        return jnp.concatenate([step(z[: self.n_x], commands), kept])
 
     @cached_property
     def _values(self) -> dict[str, float]:
@@ -114,18 +109,17 @@ class ControlledModel:
     @cached_property
     def _slope(self) -> Callable[[Array], Array] | None:
         """The derivatives by [z, u], (n_z, n_z + n_u), where they have equations of their own."""
-        step_along, layout = self.model.step_along, self._layout
-        if step_along is None or layout.shape != (self.n_u,):
+        along = self._source.along
+        if along is None:
             return None
-        n_x, n_u, along = self.n_x, self.n_u, step_along
-        state, previous, command = np.split(np.eye(self.size + n_u), [n_x, self.size])
-        commands = np.concatenate([command, previous])
-        samples = np.concatenate([commands[p * n_u : (p + 1) * n_u] for p in self._places])
-        inputs, kept = layout.matrix @ samples, commands[: self.previous * n_u]
+        n_x, size, n_u = self.n_x, self.size, self.n_u
+        order = np.r_[:n_x, size : size + n_u, n_x:size]  # state, command of now, previous ones
+        kept = np.eye(size + n_u)[order[n_x : n_x + self.previous * n_u]]
+        back = np.argsort(order)
 
         def slope(point: Array) -> Array:
-            columns = along(point[:n_x], jnp.asarray(inputs) @ point, state, inputs)
-            return jnp.concatenate([columns[:, 1:], kept])
+            columns = along(point[:n_x], point[order[n_x:]])
+            return jnp.concatenate([columns[:, 1 + back], kept])
 
         return slope
 
@@ -159,9 +153,9 @@ class ControlledModel:
     @cached_property
     def held_formula(self) -> Formula:
         """The step of the model's own state at points [x, u], where all commands were `u`."""
-        n_x, count = self.n_x, len(self._places)
+        n_x, count = self.n_x, 1 + self.previous
         return Formula(
-            lambda point: self._step(point[:n_x], jnp.concatenate([point[n_x:]] * count)),
+            lambda point: self._source.function(point[:n_x], jnp.tile(point[n_x:], count)),
             n_x + self.n_u,
             where=self.where,
         )

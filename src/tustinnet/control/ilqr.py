@@ -20,7 +20,7 @@ from tustinnet.control.dynamics import (
     require_known,
     require_vector,
 )
-from tustinnet.control.lqr import gains_along, hold
+from tustinnet.control.lqr import Holding, gains_along, hold
 from tustinnet.control.plan import Plan
 from tustinnet.control.riccati import Policy, backward_pass
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
@@ -279,7 +279,7 @@ def ilqr(
     x_end = require_vector(goal, system.n_x, "ilqr, goal")
     u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
     u_end = bounds.clip(require_vector(u_end, system.n_u, "ilqr, goal_inputs"))
-    cost = make_cost(
+    cost, holding = make_cost(
         system,
         bounds,
         x_end,
@@ -306,7 +306,6 @@ def ilqr(
             "plan fewer steps, or give guesses",
         )
     finite.sort(key=lambda search: search[1].cost)
-    holding = hold(system, x_end, u_end, bryson_weights(system, bounds, deviations, range)).gain
     plans: list[Plan] = []
     for solver, motion, is_converged, count in finite:
         if not is_converged and count < iterations:
@@ -356,7 +355,7 @@ def follow(
         raise InputError("follow", f"a reference of shape {x.shape}", f"(samples, {system.n_x})")
     u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
     u_end = bounds.clip(require_vector(u_end, system.n_u, "follow, goal_inputs"))
-    cost = make_cost(
+    cost, holding = make_cost(
         system, bounds, x[-1], u_end, deviations=deviations, range=range, within=within
     )
     solver, before = Solver(system, bounds, replace(cost, x=x)), bounds.clip(np.zeros(system.n_u))
@@ -373,7 +372,6 @@ def follow(
             "a slower one",
         )
     motion, is_converged, count = solver.minimise(motion, iterations)
-    holding = hold(system, x[-1], u_end, bryson_weights(system, bounds, deviations, range)).gain
     return _make_plan(solver, motion, is_converged, count, holding, before)
 
 
@@ -382,16 +380,16 @@ def _make_plan(
     motion: Motion,
     is_converged: bool,
     iterations: int,
-    holding: Float[np.ndarray, "n_u n_z"],
+    holding: Holding,
     before: Float[np.ndarray, " n_u"],
 ) -> Plan:
-    """The plan of a motion that a solver came to; `holding` is the gain that holds its goal."""
+    """The plan of a motion that a solver came to; `holding` is the feedback about its goal."""
     return Plan(
         x=motion.z[:, : solver.system.n_x],
         u=motion.u,
         cost=motion.cost,
         converged=is_converged,
-        reached=_is_held(holding, motion.z[-1], solver.cost, solver.limits),
+        reached=_is_held(holding.gain, motion.z[-1], solver.cost, solver.limits),
         iterations=iterations,
         dt=solver.system.dt,
         goal=solver.cost.goal,
@@ -422,8 +420,10 @@ def make_cost(
     range: Range | None,
     within: Limits | None,
     end_weight: float = 1.0,
-) -> Cost:
-    """The cost of motions to a goal, whose end costs what feedback needs to hold it ever after.
+) -> tuple[Cost, Holding]:
+    """The cost of motions to a goal, and the feedback that holds it.
+
+    The end costs what this feedback needs to hold the goal ever after.
 
     Args:
         system: the model.
@@ -447,8 +447,9 @@ def make_cost(
         half = (high - low) / 2
         own = 1 / half**2 if np.isfinite(half) else 0.0
         penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
-    end = end_weight * hold(system, x, u, weights).value
-    return Cost(x, u, weights.states, weights.inputs, end, lower, upper, penalty)
+    holding = hold(system, x, u, weights)
+    end = end_weight * holding.value
+    return Cost(x, u, weights.states, weights.inputs, end, lower, upper, penalty), holding
 
 
 def _targets(

@@ -93,7 +93,7 @@ class Mpc:
         self.gains, self.final, self.steps, self.iterations = gains, final, steps, iterations
         self.goal = final.x0 + turns_to(system, final.x0, plan.goal)
         limits = InputLimits(final.lower, final.upper)
-        self.cost = make_cost(
+        self.cost, _ = make_cost(
             system,
             limits,
             self.goal,

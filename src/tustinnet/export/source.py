@@ -117,10 +117,10 @@ class Source:
     @cached_property
     def equations(self) -> Equations:
         """The step for the engine, one state at a time."""
-        return replace(step_equations(self.model, (self.n_w,), self.function), along=self._along)
+        return replace(step_equations(self.model, (self.n_w,), self.function), along=self.along)
 
     @cached_property
-    def _along(self) -> StepFunction | None:
+    def along(self) -> StepFunction | None:
         """The step with derivatives by state and inputs behind it, where these have equations."""
         step_along, layout = self.model.step_along, self.input_layout
         if step_along is None or layout.shape != (self.channels.n_u,):
@@ -169,9 +169,9 @@ class Source:
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
-        if self._along is None:
+        if self.along is None:
             return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
-        return read_linearised(self._along, self.step.inputs)
+        return read_linearised(self.along, self.step.inputs)
 
     @cached_property
     def rest(self) -> Program:

@@ -130,7 +130,7 @@ def export_controller(
         )
     else:
         limits = InputLimits(final.lower, final.upper)
-        cost = make_cost(
+        cost, _ = make_cost(
             controlled(source.model if groups else model, final.delay),
             limits,
             final.x0,
