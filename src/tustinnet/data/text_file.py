@@ -48,6 +48,7 @@ _PREAMBLE = 300  # lines above a table, at most
 _LAST = 5  # lines at the end, which are samples
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
 _OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
+_COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _AT_ONCE = 10**5  # lines that are checked at once
 _SAMPLE = 60  # first lines, and lines throughout the file, from which the marks are found
 
@@ -217,7 +218,7 @@ class _FoundRows:
     Attributes:
         lines: the rows and their text; of plain rows only the first.
         rows: the rows in the file, counted from 1.
-        comment: the last comment before them, without its marks.
+        comment: the last comment with a text before them, without its marks.
         dialect: the marks of the file.
         remark: on its encoding.
         skipped: number of rows above a header.
@@ -309,7 +310,7 @@ class _PlainRows:
     Attributes:
         text: the rows, without blank lines and comments.
         rows: their rows in the file, counted from 1.
-        comment: the last comment before them, without its marks.
+        comment: the last comment with a text before them, without its marks.
         dialect: the marks of the file.
     """
 
@@ -394,8 +395,8 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
         if (counts[is_row[some]] != cells).any():
             return None
     comments = np.flatnonzero((starts < ends) & (first == ord("#")))
-    before = comments[comments < rows[0]]
-    comment = comment_text(line(int(before[-1]))) if len(before) else ""
+    before = (comment_text(line(int(k))) for k in comments[comments < rows[0]][::-1])
+    comment = next(filter(None, before), "")
     if not is_row.all():
         runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         content = b"\n".join(content[starts[run[0]] : ends[run[-1]]] for run in runs)
@@ -410,7 +411,7 @@ def _lines(text: str) -> tuple[Lines, str]:
     comment = ""
     for row, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
         if is_comment(line):
-            comment = comment if lines else comment_text(line)
+            comment = comment if lines else comment_text(line) or comment
         elif line.strip() or "\t" in line:
             lines.append((row, line))
     return lines, comment
@@ -462,12 +463,20 @@ def _texts(table: "pl.DataFrame", row: int) -> list[str]:
 
 
 def _names_in(comment: str, dialect: Dialect, width: int) -> list[str] | None:
-    """The names of the columns in a comment above the first sample, None where it has none."""
-    names = dialect.split(comment)
-    if dialect.delimiter == BLANKS and len(names) != width:
-        names = re.split(r"\s{2,}", comment)  # names of several words
-    is_header = len(names) == width > 1 and all(names) and len({*names}) == width
-    return names if is_header and not any(dialect.is_number(name) for name in names) else None
+    """The names of the columns in a comment above the first sample, None where it has none.
+
+    Also behind a word for them and a colon, as in `# Columns: t y u`.
+    """
+    ways = [dialect.split(comment)]
+    if said := _COLUMNS_ARE.match(comment):
+        ways.append(re.split(r"[\s,;]+", comment[said.end() :].strip()))
+    if dialect.delimiter == BLANKS:
+        ways.insert(1, re.split(r"\s{2,}", comment))  # names of several words
+    for names in ways:
+        is_header = len(names) == width > 1 and all(names) and len({*names}) == width
+        if is_header and not any(dialect.is_number(name) for name in names):
+            return names
+    return None
 
 
 def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":

@@ -121,6 +121,8 @@ class Assignment:
             if name in table.names
         }
         self.prices = _Prices(table)
+        says_command = [table.says(i, "input") for i in range(len(table.names))]
+        self.is_command = np.array(says_command) & (np.array(table.stage) == "command")
         self.cache: dict[bytes, float] = {}
         self.roles, self.margins, self.rivals = self._find_best()
 
@@ -135,7 +137,7 @@ class Assignment:
 
     def _score(self, roles: Roles) -> float:
         t, w = self.table, WEIGHTS
-        positions, velocities, accelerations, inputs, set_points, _ = (
+        positions, velocities, accelerations, inputs, set_points, others = (
             _columns(roles, role) for role in range(len(ROLES))
         )
         total = float(t.points[np.arange(len(roles)), roles].sum())
@@ -151,7 +153,7 @@ class Assignment:
         total += sum(
             max(t.follow[r, motion].tolist(), default=-0.5 * w.no_follow) for r in set_points
         )
-        total += self._input_points(inputs, positions or orphans)
+        total += self._input_points(inputs, positions or orphans, others)
         total -= _sum(self.prices.positions, positions, positions) / 2
         total -= _sum(self.prices.velocities, velocities, velocities) / 2
         total -= _sum(self.prices.motion, inputs, motion)
@@ -169,12 +171,18 @@ class Assignment:
                 pairs[rates[j]] = columns[i]
         return pairs
 
-    def _input_points(self, inputs: Sequence[int], moved: Sequence[int]) -> float:
+    def _input_points(
+        self, inputs: Sequence[int], moved: Sequence[int], others: Sequence[int]
+    ) -> float:
         """Points of what inputs move, and the prices of several inputs of one machine."""
         if not inputs:
             return 0.0
         t, w = self.table, WEIGHTS
         causes = t.cause[np.ix_(inputs, moved)].max(axis=1, initial=-9.0 if moved else -1.0)
+        # what is named a command may also move a later stage of its drive, as a current
+        effects = [k for k in others if t.stage[k] != "command"]
+        later = t.cause[np.ix_(inputs, effects)].max(axis=1, initial=-9.0)
+        causes = np.maximum(causes, np.where(self.is_command[inputs], later, -9.0))
         order = np.argsort(-causes, kind="stable")
         ranked = [inputs[k] for k in order]
         again = self.prices.inputs[np.ix_(ranked, ranked)]

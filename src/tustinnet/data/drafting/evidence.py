@@ -15,6 +15,7 @@ from tustinnet.data.drafting.relations import (
     Slopes,
     Table,
     find_causes,
+    find_errors,
     find_followers,
 )
 from tustinnet.data.drafting.vocabulary import DISTURBANCES, QUALIFIERS, STRONG, WEAK
@@ -101,7 +102,8 @@ class Weights:
         copy: price of a second column of the same values.
         no_velocity: price of a position without a velocity, where others have one.
         alone: price of a velocity that is the slope of no position.
-        useless: for leaving out what no card uses: a supply's voltage, a direction of a circle.
+        useless: for leaving out what no card uses: a supply's voltage, a direction of a circle, a
+            control error.
         no_slope: price of a velocity of a position of which it is not the slope.
         no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
@@ -168,8 +170,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         if is_stated and len(word) == 1:
             continue  # `acc_x` is no position x
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
-        if word == "[us]":  # of pulses that drive a servo, as it is no clock
-            role, weight = "input", w.letter
+        if word == "[us]" and not reading.stated(q for q in reading.quantities if q != "time"):
+            role, weight = "input", w.letter  # of pulses that drive a servo, as it is no clock
         spoken.add(role)
         if is_command and role in ("position", "velocity", "acceleration"):
             role = "set point"
@@ -202,8 +204,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
 def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     """Evidence in the numbers of a column alone."""
     w = WEIGHTS
-    if reading.stated(["voltage"]) and numbers.is_nearly_constant:
-        return [Evidence("other", 2 * w.useless, "nearly constant, as the voltage of a supply")]
+    if reading.stated(["voltage", "pressure"]) and numbers.is_nearly_constant:
+        return [Evidence("other", 2 * w.useless, "nearly constant, as a supply or the air")]
     if numbers.binary:
         return [
             Evidence("other", 0.5 * w.held, "only two values"),
@@ -269,6 +271,7 @@ class EvidenceTable:
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
         self._add_circles(records)
+        self._add_errors(records)
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
@@ -306,6 +309,19 @@ class EvidenceTable:
                 if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 1 - w.circle / 6:
                     text = f"of a circle on which '{self.names[k]}' is the angle"
                     self.own[i].append(Evidence("other", w.useless, text))
+
+    def _add_errors(self, records: Sequence[Table]) -> None:
+        """Evidence on control errors, on what is controlled, and on its set point."""
+        w = WEIGHTS
+        for error, controlled, goal in find_errors(records):
+            text = f"'{self.names[controlled]}' and it add up to a set point: a control error"
+            self.own[error].append(Evidence("other", w.useless, text))
+            text = f"less than its set point by '{self.names[error]}'"
+            role: Role = "velocity" if self.says(controlled, "velocity") else "position"
+            self.own[controlled].append(Evidence(role, w.useless, text))
+            if goal is not None:
+                text = f"the sum of '{self.names[controlled]}' and its error"
+                self.own[goal].append(Evidence("set point", w.useless, text))
 
     def _slope_points(
         self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool

@@ -22,6 +22,8 @@ from tustinnet.wording import counted
 
 _MOST_COLUMNS = 60  # that are examined
 _REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
+_JITTER = 1e-3  # relative deviation of intervals, from which on it says something of their kind
+_SLOWLY = 0.7  # steps of intervals over their deviation; of jitter it is the root of 2
 _ROUND = 5e-4  # relative; a period this near to one of two digits is that
 _GAP = 10.0  # periods; a longer interval ends a record
 _SHORTEST = 20  # samples of a record
@@ -381,10 +383,14 @@ def find_clock_of(columns: Columns) -> Clock | None:
 
 
 def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Clock:
-    """The column of times: it rises in every record, and has such a name or does so regularly."""
+    """The column of times: it rises in every record, and has such a name or does so regularly.
+
+    One without a name stands before all others, or is regular to a thousandth: motions rise, too.
+    """
     candidates: list[tuple[float, str]] = []
     others: dict[str, str] = {}
     own_times = logs[0].clocks
+    is_first = True  # but for counters and what never changes
     others |= dict.fromkeys(own_times[1:], "times of other columns")
     for name, reading in readings.items():
         if own_times and name != own_times[0]:
@@ -392,6 +398,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         columns = [log.values[name] for log in logs]
         intervals = _intervals(columns)
         if intervals is None:
+            is_first &= not any(map(np.ptp, columns))
             continue
         spread = float(np.std(intervals) / np.mean(intervals))
         weight = reading.quantities.get("time", 0.0)
@@ -400,11 +407,16 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         ):
             others[name] = "counts the samples"
             continue
-        if weight == 0 and (spread > _REGULAR or _speaks_of_motion(reading)):
+        is_irregular = spread > (_REGULAR if is_first else _JITTER) or _change_slowly(intervals)
+        if weight == 0 and (is_irregular or _speaks_of_motion(reading)):
+            is_first = False
             continue
-        # of two clocks the regular one; of two regular ones that which begins near 0
+        # of two clocks the regular one; of two regular ones that which begins near 0, and none
+        # before another one that may only count the samples
         begins_late = abs(columns[0][0]) > 1e8
-        candidates.append((weight - 2 * min(spread, 1.0) - 0.1 * begins_late, name))
+        may_count = weight == 0 and spread < 1e-9 and intervals[0] == 1
+        points = weight - 2 * min(spread, 1.0) - 0.1 * begins_late - may_count
+        candidates.append((points, name))
     if not candidates:
         return _find_rounded_clock(logs, readings, others)
     # the first of equal ones
@@ -459,6 +471,13 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
     if (~rising).any() and max(map(len, columns)) < _SHORTEST:
         return None
     return steps[rising]
+
+
+def _change_slowly(intervals: Values) -> bool:
+    """Whether intervals change as slowly as a motion does; those of a clock jitter."""
+    steps, spread = np.diff(intervals), float(np.std(intervals))
+    varies = spread > _JITTER * float(np.mean(intervals))
+    return bool(varies and np.sqrt(np.mean(steps**2)) < _SLOWLY * spread)
 
 
 def _period(intervals: Values) -> tuple[float, float]:

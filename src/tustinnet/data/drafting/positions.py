@@ -438,7 +438,9 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
     if key in findings.answers:
         unit = findings.answers[key]
     elif not unit:
-        unit = "m/s" if reading.kind == "linear" else "rpm" if numbers.largest > 300 else "rad/s"
+        # speeds of one machine are in one unit
+        largest = max(findings.numbers[name].largest for name in findings.columns("velocity"))
+        unit = "m/s" if reading.kind == "linear" else "rpm" if largest > 300 else "rad/s"
         doubts, assumed = (
             [*doubts, f"the unit: {unit} by its range {range_text(numbers)}"],
             ("unit",),

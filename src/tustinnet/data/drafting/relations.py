@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,9 @@ _BLOCKS = (1, 4, 12)  # samples over which causes are averaged: fast ones, and s
 _OWN_LAGS = 12  # at most, of which an order selection takes as many as a column needs
 _FEWEST_BLOCKS = 25  # in a record
 _COPY = 2e-5  # share of the variance in which copies differ, rounding aside
+_SUM = 0.02  # of the smaller deviation, in which a sum may differ: columns are rounded
+_SMALL = 0.5  # of the size of what is controlled, a control error in the last quarter of a record
+_ONE = 0.98  # squared correlation of columns that are one signal: their sums say nothing
 _CIRCLE = 1.05  # no cosine is larger
 _ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
 _OF_ANGLE = 0.3  # range of a cosine or sine, at least
@@ -119,6 +123,40 @@ def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
         better = 1 - fit < 0.9 * (1 - best)
         best, lags = np.where(better, fit, best), np.where(better, late, lags)
     return best, lags
+
+
+def find_errors(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
+    """Control errors: columns that add up with another one to a third, or to a constant.
+
+    Of both the error is the one that a controller makes small.
+
+    Args:
+        records: the columns of each record.
+
+    Returns:
+        The error, what is controlled, and its set point, None of one that is constant.
+    """
+    ends = np.concatenate([record[3 * len(record) // 4 :] for record in records])
+    size = np.sqrt(np.mean(ends**2, axis=0))
+    deviations = np.concatenate([record - record.mean(axis=0) for record in records])
+    products = deviations.T @ deviations / len(deviations)
+    squares = np.diag(products)
+    found: list[tuple[int, int, int | None]] = []
+    for i, j in permutations(range(len(size)), 2):
+        limit = _SUM**2 * min(squares[i], squares[j])
+        if not (size[i] < _SMALL * size[j] and limit > 0):
+            continue
+        are_one = products[i, j] ** 2 > _ONE * squares[i] * squares[j]
+        total = squares[i] + squares[j] + 2 * products[i, j]
+        # mean squares of the sum of both less each other column
+        left = total + squares - 2 * (products[i] + products[j])
+        left[[i, j]] = np.inf
+        goal = int(np.argmin(left))
+        if total < limit:
+            found.append((i, j, None))
+        elif left[goal] < limit and not are_one:
+            found.append((i, j, goal))
+    return found
 
 
 @np.errstate(all="ignore")

@@ -60,7 +60,7 @@ _STRONG: dict[Quantity, str] = {
     "erreur errore erro uchyb 误差 誤差 偏差",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed "
-    "etat estado stato",
+    "etat estado stato loop",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
     "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
     "temperatura frottement 温度 reward",
