@@ -19,6 +19,7 @@ jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np
+from draws import Draw, DrawFitter, DrawResult, make_points
 from rich.console import Console
 
 import tustinnet as tn
@@ -29,14 +30,7 @@ from tustinnet.selection.cross_validation import (
     CrossValidationOptions,
     make_cross_validation_options,
 )
-from tustinnet.selection.learning import (
-    ENOUGH,
-    Draw,
-    DrawFitter,
-    DrawResult,
-    LearningCurve,
-    make_points,
-)
+from tustinnet.selection.learning import ENOUGH, LearningCurve
 from tustinnet.systems.qube_servo2_twin import TWIN_VALUES, twin
 
 Results = dict[str, list[DrawResult]]

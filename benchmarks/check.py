@@ -18,7 +18,7 @@ import numpy as np
 from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
 
 import tustinnet as tn
-from tustinnet.check.check import check_records
+from tustinnet.check.check import check
 from tustinnet.check.draft_scales import find_scales
 from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
@@ -48,7 +48,7 @@ def check_folder(folder: Path, card: Path | None = None) -> tuple[tuple[Finding,
 
 def _timed(records: tn.DataSet, card: object = None) -> tuple[tuple[Finding, ...], float]:
     begun = time.perf_counter()
-    findings = check_records(records, card)  # pyright: ignore[reportArgumentType]
+    findings = check(records, card)  # pyright: ignore[reportArgumentType]
     return findings, time.perf_counter() - begun
 
 

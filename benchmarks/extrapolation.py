@@ -25,6 +25,7 @@ jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np
+from draws import Draw, DrawFitter, DrawResult
 from rich.console import Console
 
 import tustinnet as tn
@@ -32,7 +33,6 @@ from tustinnet.fitting.roles import records_without_test
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
 from tustinnet.selection.cross_validation import make_cross_validation_options
-from tustinnet.selection.learning import Draw, DrawFitter, DrawResult
 
 RECIPES = Path(__file__).parent / "recipes"
 KINDS = {"noise 3.5 V": "wN_3_5V", "higher falls": "fall"}

@@ -274,12 +274,12 @@ Image("network/figures/training.png")
 # ## Compare with something simple
 #
 # Is a network needed at all? To find out, we fit a linear state-space model to the same records.
-# Then `compare` shows both. What the first command prints goes to the file `linear.txt`; we do not
+# Then `evaluate` compares both. What the first command prints goes to the file `linear.txt`; we do not
 # need it here.
 
 # %% language="bash"
 # tustinnet fit LOGS --recipe linear --out linear --quiet > linear.txt
-# tustinnet compare network/model.safetensors linear/model.safetensors LOGS \
+# tustinnet evaluate network/model.safetensors linear/model.safetensors LOGS \
 #     --split validation --figures compared
 
 # %% alt="The network's free run lies on the measurement, the linear model swings too far"
@@ -298,10 +298,11 @@ Image("compared/steps4.png")
 # [white](../reference/glossary.md#whiteness): not correlated from sample to sample.
 
 # %% language="bash"
-# tustinnet residuals network/model.safetensors LOGS --split validation --figure residuals.png
+# tustinnet evaluate network/model.safetensors LOGS --split validation --residuals \
+#     --figures tested | tail -n 9
 
 # %% alt="Autocorrelation of the residuals and their correlation with the motor voltage"
-Image("residuals.png")
+Image("tested/residuals.png")
 
 # %% [markdown]
 # The residuals are not white: the model still lacks something. That is usual for free runs,

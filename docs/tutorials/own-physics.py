@@ -371,7 +371,7 @@ for e in account["estimates"]:
 # Two records, `check1` and `check2`, were not used so far. The card has them in the split `test`.
 
 # %% language="bash"
-# tustinnet compare weighed/model.safetensors rubbing/model.safetensors LOGS \
+# tustinnet evaluate weighed/model.safetensors rubbing/model.safetensors LOGS \
 #     --split test --figures compared
 
 # %% alt="Cart and angle in check2: the model with dry friction lies on the measurement"

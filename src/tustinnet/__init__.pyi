@@ -2,6 +2,7 @@ from . import control as control
 from .channels import Channels as Channels
 from .channels import Coordinate as Coordinate
 from .channels import Input as Input
+from .check.check import check as check
 from .check.drafting import draft as draft
 from .check.report import inspect_experiment as inspect_experiment
 from .data.catalog import load as load
@@ -70,3 +71,4 @@ from .store.model_file import save as save
 from .store.robot_files import write_robot as write_robot
 from .systems.loading import load_system as load_system
 from .systems.robots import load_robot as load_robot
+from .version import __version__ as __version__

@@ -3,10 +3,12 @@
 import ast
 import sys
 from importlib import import_module
+from inspect import isfunction
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from tustinnet.argument_types import check_arguments
 from tustinnet.old_names import NAMES, attribute_error
 
 
@@ -23,7 +25,10 @@ class LazyPackage(ModuleType):
         if name not in self.places:
             raise attribute_error(f"module '{self.__name__}'", name, NAMES)
         module = import_module(f"{self.__name__}.{self.places[name] or name}")
-        vars(self)[name] = value = getattr(module, name) if self.places[name] else module
+        value = getattr(module, name) if self.places[name] else module
+        if isfunction(value):
+            value = check_arguments(value)
+        vars(self)[name] = value
         return value
 
     def __setattr__(self, name: str, value: object) -> None:

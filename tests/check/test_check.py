@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from simulated.faults import FAULTS, Fault, logs_of
 
 import tustinnet as tn
-from tustinnet.check.check import check_record, check_records
+from tustinnet.check.check import check, check_record
 from tustinnet.check.draft_scales import find_scales
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
 from tustinnet.data.catalog import locate
@@ -28,7 +28,7 @@ QUICK = [f for f in FAULTS if f.machine in ("unbalanced-disc", "positioning-axis
 
 def check_folder(folder: Path) -> tuple[Finding, ...]:
     place, card = locate(folder)
-    return check_records(load_folder(place, card), card)
+    return check(load_folder(place, card), card)
 
 
 def serious(findings: tuple[Finding, ...]) -> list[str]:
@@ -155,7 +155,7 @@ def driven(force: Callable[[float], float], seed: int, size: float = 20.0) -> tn
 
 
 def test_a_position_that_a_spring_holds_over_many_turns_is_not_in_another_unit() -> None:
-    found = check_records([driven(lambda q: 6.0 * q, k, 150.0) for k in range(4)])
+    found = check([driven(lambda q: 6.0 * q, k, 150.0) for k in range(4)])
     assert max(np.ptp(driven(lambda q: 6.0 * q, k, 150.0).q) for k in range(4)) > 20
     assert not [f.text for f in found if f.severity == "severe"]
 
@@ -177,7 +177,7 @@ def test_a_slower_machine_is_no_other_period_for_sure(late: float) -> None:
         return arm(np.array(angles), name=f"r{k}")
 
     records = [pendulum(6.0 * (late if k == 2 else 1.0), k) for k in range(5)]
-    found = [f for f in check_records(records) if f.is_serious]
+    found = [f for f in check(records) if f.is_serious]
     assert found, "it is not like the others"
     assert {f.severity for f in found} == {"warning"}
 
@@ -228,9 +228,9 @@ def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
         replace(arm(whole[first : first + 125], name=f"run1_{first}"), source="run1.csv")
         for first in range(0, 500, 125)
     ]
-    assert not [f.text for f in check_records(parts) if f.check == "sign"]
+    assert not [f.text for f in check(parts) if f.check == "sign"]
     apart = [replace(e, source=f"{e.name}.csv") for e in parts]
-    assert [f.check for f in check_records(apart) if f.is_serious] == ["sign"]
+    assert [f.check for f in check(apart) if f.is_serious] == ["sign"]
 
 
 # --- findings ---
@@ -246,26 +246,26 @@ def test_findings_are_sorted_by_severity_and_equal_ones_are_merged() -> None:
 
 
 def test_no_records_have_no_findings() -> None:
-    assert check_records([]) == ()
+    assert check([]) == ()
 
 
 @pytest.mark.real
 def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> None:
     records = list(tn.load(real_data))
-    assert serious(check_records(records)) == []
+    assert serious(check(records)) == []
     k = next(k for k, e in enumerate(records) if e.name == "wN_3V_1")
-    for check, channel, changed in (
+    for name, channel, changed in (
         ("sign", "voltage", replace(records[k], u=-records[k].u)),
         ("lag", "voltage", replace(records[k], u=np.roll(records[k].u, 6, axis=0))),
         ("gain", "voltage", replace(records[k], u=2.0 * records[k].u)),
         ("swap", "alpha", replace(records[k], q=records[k].q[:, ::-1])),
     ):
-        found = check_records([*records[:k], changed, *records[k + 1 :]])
-        named = [f for f in found if f.check == check and f.records == ("wN_3V_1",)]
-        assert named, (check, [f.text for f in found])
+        found = check([*records[:k], changed, *records[k + 1 :]])
+        named = [f for f in found if f.check == name and f.records == ("wN_3V_1",)]
+        assert named, (name, [f.text for f in found])
         assert named[0].channel == channel
     copy = replace(records[0], name="fresh", split="test", sha256="")
-    (found_copy,) = [f for f in check_records([*records, copy]) if f.is_serious]
+    (found_copy,) = [f for f in check([*records, copy]) if f.is_serious]
     assert (found_copy.check, found_copy.severity) == ("copy", "severe")
 
 
@@ -280,7 +280,7 @@ def test_measured_records_have_no_severe_finding(real_data: Path) -> None:
     for folder, card in folders:
         if folder.is_dir():
             place, content = locate(folder, card)
-            found = check_records(load_folder(place, content), content)
+            found = check(load_folder(place, content), content)
             assert not [f.text for f in found if f.severity == "severe"], folder.name
 
 
@@ -311,7 +311,7 @@ def poor_records() -> list[tuple[str, list[tn.Experiment]]]:
 def test_records_that_hold_little_are_checked_without_an_error(
     what: str, records: list[tn.Experiment]
 ) -> None:
-    for finding in check_records(records):
+    for finding in check(records):
         assert finding.text
         assert "nan" not in finding.text, what
     for e in records:

@@ -57,7 +57,7 @@ def test_the_package_runs_as_the_command():
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [
-        ("tustinnet le", "learning-curve"),
+        ("tustinnet cr", "cross-validate"),
         ("tustinnet fit LOGS --recipe best-h", "best-hybrid"),
         ("tustinnet fit LOGS --plan q", "quick"),
         ("tustinnet fit LOGS --system me", "mechanism"),

@@ -68,7 +68,7 @@ def test_a_calibrated_model_simulates_and_is_judged_with_bands(place, tmp_path, 
     code, out, _ = tustinnet(capsys, *asked)
     assert code == 0
     assert "Bands of 60 % of the time" in out
-    drawn = ("compare", banded, folder, *given, "--band", 0.6)
+    drawn = ("evaluate", banded, banded, folder, *given, "--band", 0.6)
     assert tustinnet(capsys, *drawn, "--figures", tmp_path / "compared")[0] == 0
 
 
@@ -155,8 +155,7 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     refused("simulate", net, folder, *sim, "--band", 0.6, names="nothing says how sure it is")
     refused("simulate", banded, folder, *given, *sim, "--whole-records", names="add --band")
     refused("evaluate", banded, folder, *given, "--whole-records", names="add --band")
-    refused("compare", banded, folder, *given, "--band", 0.6, names="--figures DIR")
-    refused("compare", banded, folder, *given, "--whole-records", names="add --band")
+    refused("evaluate", banded, banded, folder, *given, "--band", 0.6, names="--figures DIR")
     assert not (tmp_path / "sim").exists()
     asked = ("calibrate", plain, folder, *given, "--out", banded, "--split", "validation")
     code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)

@@ -21,13 +21,12 @@ def model(run_folder) -> Path:
 
 def with_data(verb: str, model: Path, data: Path, out: Path) -> list[object]:
     """A verb that reads records."""
-    models = {"compare": [model, model.parent / "seed-1" / "model.safetensors"]}
-    reads_model = verb in ("simulate", "evaluate", "compare", "residuals", "report", "calibrate")
+    reads_model = verb in ("simulate", "evaluate", "report", "calibrate")
     ending = {"report": ".html", "calibrate": ".safetensors"}.get(verb, "")
-    writes = verb not in ("inspect", "evaluate", "compare", "residuals")
+    writes = verb not in ("inspect", "evaluate")
     return [
         verb,
-        *(models.get(verb, [model]) if reads_model else []),
+        *([model] if reads_model else []),
         data,
         *(["--out", out.with_suffix(ending)] if writes else []),
     ]
@@ -37,11 +36,8 @@ READING = (
     "inspect",
     "fit",
     "cross-validate",
-    "learning-curve",
     "simulate",
     "evaluate",
-    "compare",
-    "residuals",
     "report",
     "calibrate",
 )
@@ -51,8 +47,8 @@ READING = (
 def test_links_out_of_the_folder_are_followed_where_that_is_asked_for(
     verb, model, folder, tmp_path, refused, capsys
 ):
-    """`--follow-links` of inspect, fit, cross-validate, learning-curve, simulate, evaluate,
-    compare, residuals, report, calibrate."""
+    """`--follow-links` of inspect, fit, cross-validate, simulate, evaluate,
+    report, calibrate."""
     elsewhere = tmp_path / "elsewhere.csv"
     shutil.move(folder / "fall3.csv", elsewhere)
     (folder / "fall3.csv").symlink_to(elsewhere)

@@ -67,9 +67,8 @@ def test_the_command_chooses_and_judges_on_them(tmp_path, capsys):
     assert all(len(c["folds"]) == 2 for c in found), err
     model = out / "model.safetensors"
     for more in (
-        ("evaluate", model, logs, "--ahead", "3"),
-        ("residuals", model, logs),
-        ("compare", model, model, logs),
+        ("evaluate", model, logs, "--ahead", "3", "--residuals"),
+        ("evaluate", model, model, logs),
         ("show", model),
         ("simulate", model, logs, "--out", tmp_path / "simulated"),
         ("report", model, logs, "--out", tmp_path / "page.html"),

@@ -66,12 +66,13 @@ def test_residuals_show_the_stretches_that_weighed_little(
     model = run_fit(prepare(request), tmp_path / "run").folder / "model.safetensors"
     told = read_header(model)["identification"]["downweighted"]
     name = told[0]["record"]
-    arguments = ["residuals", model, folder, "--system", system, "--split", "train"]
+    arguments = ["evaluate", model, folder, "--system", system, "--split", "train"]
+    arguments.append("--residuals")
     code, out, _ = tustinnet(capsys, *arguments)
     assert code == 0
     assert "Down-weighted in identification" in out
     code, out, _ = tustinnet(capsys, *arguments, "--json")
-    assert name in {s["record"] for s in json.loads(out)["downweighted"]}
+    assert name in {s["record"] for s in json.loads(out)["residuals"]["downweighted"]}
 
 
 def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
@@ -179,7 +180,7 @@ def test_the_kept_copy_runs_only_where_it_is_trusted(
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     assert tustinnet(capsys, *evaluate)[0] == 0
     assert marker.exists()
-    code, _, err = tustinnet(capsys, "compare", identified / "model.safetensors", folder)
+    code, _, err = tustinnet(capsys, *evaluate)
     assert code == 0
     assert "[y/N]" not in err  # asked once
 
@@ -245,13 +246,13 @@ def test_a_function_that_the_energies_call_may_move_but_not_change(
     assert "has changed since the model was identified" in err
 
 
-def test_compare_puts_families_side_by_side(
+def test_several_models_stand_side_by_side(
     identified, run_folder, folder, system, tmp_path, capsys
 ):
     models = [identified / "model.safetensors", run_folder / "model.safetensors"]
     code, out, _ = tustinnet(
         capsys,
-        "compare",
+        "evaluate",
         *models,
         folder,
         "--system",
@@ -264,15 +265,17 @@ def test_compare_puts_families_side_by_side(
     assert code == 0
     assert "grey/model" in out
     assert "run/model" in out
+    assert "(standing still)" in out or "(constant speed)" in out
     assert {p.name for p in (tmp_path / "overlay").iterdir()} == {"fall3.png", "noise2.png"}
-    code, out, _ = tustinnet(capsys, "compare", *models, folder, "--system", system, "--json")
+    code, out, _ = tustinnet(capsys, "evaluate", *models, folder, "--system", system, "--json")
     means = {label: m["mean"] for label, m in json.loads(out)["models"].items()}
     assert means["grey/model"] < means["run/model"]
 
 
-@pytest.mark.parametrize("verb", ["evaluate", "compare", "residuals"])
-def test_a_horizon_is_told_with_scores_and_residuals(verb, run_folder, folder, capsys):
-    asked = (verb, run_folder / "model.safetensors", folder, "--split", "validation")
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_horizon_is_told_with_scores(count, run_folder, folder, capsys):
+    models = [run_folder / f"seed-{i}" / "model.safetensors" for i in range(count)]
+    asked = ("evaluate", *models, folder, "--split", "validation")
     code, out, _ = tustinnet(capsys, *asked, "--horizon", 1.2)
     assert code == 0
     assert "start 'derived-6', over segments of 1.2 s" in out
@@ -282,35 +285,34 @@ def test_a_horizon_is_told_with_scores_and_residuals(verb, run_folder, folder, c
     for wrong in (0.05, 100):
         code, out, err = tustinnet(capsys, *asked, "--horizon", wrong)
         assert (code, out) == (1, "")
-        named = f"{asked[1]}: " if verb == "compare" else ""  # one of several models
+        named = f"{asked[1]}: " if count > 1 else ""  # one of several models
         assert err.startswith(f"error: {named}horizon: ")
 
 
 def test_residuals_tell_a_good_model_from_a_poor_one(
     identified, run_folder, folder, system, tmp_path, capsys
 ):
-    figure = tmp_path / "residuals.png"
-    code, out, _ = tustinnet(
-        capsys, "residuals", run_folder / "model.safetensors", folder, "--figure", figure
-    )
+    asked = ("evaluate", run_folder / "model.safetensors", folder, "--residuals")
+    code, out, _ = tustinnet(capsys, *asked, "--figures", tmp_path)
     assert code == 0
     assert "not white" in out
-    assert figure.stat().st_size > 5000
+    assert (tmp_path / "residuals.png").stat().st_size > 5000
     code, out, _ = tustinnet(
         capsys,
-        "residuals",
+        "evaluate",
         identified / "model.safetensors",
         folder,
         "--system",
         system,
         "--split",
         "validation",
+        "--residuals",
         "--lags",
         20,
         "--json",
     )
     assert code == 0
-    (angle,) = json.loads(out)["coordinates"]
+    (angle,) = json.loads(out)["residuals"]["coordinates"]
     assert len(angle["autocorrelation"]) == 21
     assert len(angle["cross"][0]) == 41
     assert angle["rms"] < 0.02
@@ -445,7 +447,7 @@ def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
     model = identified / "model.safetensors"
     for arguments in (
         ["evaluate", model, folder],
-        ["compare", model, folder],
+        ["evaluate", model, model, folder],
         ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", "--quiet"],
     ):
         code, out, err = tustinnet(capsys, *arguments, "--system", system)
@@ -547,7 +549,7 @@ def test_variants_of_a_system_are_compared(identified, folder, system, tmp_path,
 
     def compare(models, files):
         named = [part for file in files for part in ("--system", file)]
-        return tustinnet(capsys, "compare", *models, folder, *named, "--json")
+        return tustinnet(capsys, "evaluate", *models, folder, *named, "--json")
 
     code, out, _ = compare(models, files)
     assert code == 0
@@ -698,8 +700,5 @@ def test_a_twin_written_and_read_again_is_the_same(tmp_path):
 def test_a_system_that_no_model_is_of_is_refused(run_folder, folder, system, capsys):
     model = run_folder / "model.safetensors"
     code, _, err = tustinnet(capsys, "evaluate", model, folder, "--system", system)
-    assert code == 1
-    assert "not applicable to a model of kind 'tustin-net'" in err
-    code, _, err = tustinnet(capsys, "compare", model, folder, "--system", system)
     assert code == 1
     assert "'small-pendulum', which no model is of" in err

@@ -6,7 +6,6 @@ import pytest
 import typer
 
 from tustinnet.cli import completion, export
-from tustinnet.cli.learning_curve import Values
 from tustinnet.cli.main import app
 from tustinnet.cli.reproduce import Keep
 from tustinnet.data.catalog import QUBE_SERVO2
@@ -17,7 +16,6 @@ from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import default_recipe_name
 from tustinnet.registry import SYSTEMS, TARGETS
 from tustinnet.reproduce.entries import ALL_MODELS, DEFAULT_MODELS, ENTRIES
-from tustinnet.selection.learning import Twin
 from tustinnet.selection.plan import USUAL
 from tustinnet.simulate.start_rules import STARTS, start_named
 
@@ -35,7 +33,7 @@ def with_option(option: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "verb", sorted(set(with_option("--system")) - {"compare", "report"})
+    "verb", sorted(set(with_option("--system")) - {"evaluate", "report"})
 )  # these take files or drawings of other models
 def test_every_system_is_in_the_help(verb):
     listed = help_of(verb, "--system").split(": ")[1].split(", a Python")[0]
@@ -79,14 +77,8 @@ def test_the_recipes_and_plans_in_the_help_are_defaults():
     assert f"with --physics: {default_recipe_name(system=False, physics=True)}" in text
     assert f"Default: {USUAL}." in help_of("fit", "--plan")
     assert USUAL in list_packaged(["tustinnet.selection"], "plan")
-    for verb, option in (
-        ("cross-validate", "--physics"),
-        ("learning-curve", "--recipe"),
-        ("learning-curve", "--physics"),
-        ("learning-curve", "--hybrid"),
-    ):
-        default = help_of(verb, option).split("Default: ")[1].rstrip(".")
-        assert default in packaged_recipes(), (verb, option)
+    default = help_of("cross-validate", "--physics").split("Default: ")[1].rstrip(".")
+    assert default in packaged_recipes()
 
 
 def test_the_models_of_the_publication_are_in_the_help_of_reproduce():
@@ -102,7 +94,6 @@ def test_the_models_of_the_publication_are_in_the_help_of_reproduce():
 
 def test_choices_are_those_of_the_package():
     assert {choice.value for choice in Keep} == set(get_args(Criterion))
-    assert {choice.value for choice in Values} == set(get_args(Twin))
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_a_copy_of_a_fitted_record_in_another_file_is_named(model, folder, capsy
 def test_a_test_split_comes_first(model, folder, capsys):
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace("validation = [", "test = ["))
-    told, err = printed(capsys, "residuals", model, folder, "--lags", 5)
+    told, err = printed(capsys, "evaluate", model, folder)
     assert told["split"] == "test"
     assert "default: test records" in err
 
@@ -94,8 +94,6 @@ def test_start_and_horizon_are_those_of_the_file_unless_told_otherwise(
     sim = ("--out", tmp_path / "sim", "--overwrite")
     for verb, *more in (
         ("evaluate",),
-        ("compare",),
-        ("residuals", "--lags", 5),
         ("simulate", *sim),
     ):
         asked = (verb, file, folder, *more)
@@ -116,7 +114,7 @@ def test_start_and_horizon_are_those_of_the_file_unless_told_otherwise(
 
 def test_files_that_disagree_or_cannot_apply_leave_the_usual_start(model, folder, capsys):
     other = judged(model, "other", start="derived-8", horizon=1.0)
-    told, err = printed(capsys, "compare", model, other, folder)
+    told, err = printed(capsys, "evaluate", model, other, folder)
     assert (told["start"], told["horizon"]) == ("derived-6", None)
     assert "as in the model's file" not in err
     for name, changes in {

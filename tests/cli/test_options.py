@@ -69,7 +69,7 @@ def of(verb: str, model: Path, folder: Path, tmp_path: Path) -> list[object]:
     return first + (["--out", out] if verb in WRITING else [])
 
 
-JUDGING = ("simulate", "evaluate", "compare", "residuals", "report")
+JUDGING = ("simulate", "evaluate", "report")
 WRITING = ("simulate", "fit", "cross-validate", "report")
 
 
@@ -77,9 +77,7 @@ WRITING = ("simulate", "fit", "cross-validate", "report")
     ("verb", "option"),
     [
         ("inspect", "--split"),
-        *product(
-            ["simulate", "evaluate", "compare", "residuals", "report"], ["--split", "--start"]
-        ),
+        *product(["simulate", "evaluate", "report"], ["--split", "--start"]),
     ],
 )
 def test_names_that_are_none_are_refused_by_their_option(
@@ -93,7 +91,7 @@ def test_names_that_are_none_are_refused_by_their_option(
 
 @pytest.mark.parametrize("verb", ["inspect", "fit", "cross-validate", *JUDGING])
 def test_a_card_is_read(verb, model, folder, tmp_path, refused):
-    """Given to inspect, fit, cross-validate, simulate, evaluate, compare, residuals, report."""
+    """Given to inspect, fit, cross-validate, simulate, evaluate, report."""
     card = tmp_path / "nowhere.toml"
     refused(*of(verb, model, folder, tmp_path), "--card", card, names=("nowhere.toml",))
 

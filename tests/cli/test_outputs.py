@@ -42,7 +42,6 @@ Verb = Callable[[Place, Path], tuple[object, ...]]
 # verbs whose file the user names: how it ends, and how it is asked for
 FILES: dict[str, tuple[str, Verb]] = {
     "inspect": (".png", lambda p, out: ("inspect", p.logs, "--figure", out)),
-    "residuals": (".svg", lambda p, out: ("residuals", p.model, p.logs, "--figure", out)),
     "report": (".html", lambda p, out: ("report", p.model, p.logs, "--out", out)),
     "calibrate": (".safetensors", lambda p, out: ("calibrate", p.model, p.logs, "--out", out)),
     "committee": (".safetensors", lambda p, out: ("committee", p.model, p.other, "--out", out)),
@@ -62,7 +61,16 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
         ["folds.json", "folds.md"],
     ),
     "learning-curve": (
-        lambda p, out: ("learning-curve", p.logs, "--recipe", p.recipe, "--out", out),
+        lambda p, out: (
+            "cross-validate",
+            p.logs,
+            "--records",
+            "all",
+            "--recipe",
+            p.recipe,
+            "--out",
+            out,
+        ),
         [f"learning-curve.{ending}" for ending in ("json", "md", "png")],
     ),
     "simulate": (
@@ -72,10 +80,6 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
     "evaluate": (
         lambda p, out: ("evaluate", p.model, p.logs, "--figures", out, "--ahead", 2),
         ["fall3.png", "ahead.png"],
-    ),
-    "compare": (
-        lambda p, out: ("compare", p.model, p.other, p.logs, "--figures", out),
-        ["fall3.png", "noise2.png"],
     ),
     "next-record": (
         lambda p, out: (
@@ -189,7 +193,7 @@ def test_a_file_has_the_ending_of_its_kind_and_replaces_nothing_unasked(
     verb, place, refused, tmp_path
 ):
     ending, asked = FILES[verb]
-    first = ".png" if verb in ("inspect", "residuals") else ending
+    first = ".png" if verb == "inspect" else ending
     for name in ("notes.txt", "notes", "notes.csv", f"notes{ending}.toml"):
         refused(*asked(place, tmp_path / name), names=f"expected a file that ends in {first}")
         (tmp_path / name).write_text("mine")
@@ -225,7 +229,7 @@ def test_nothing_is_written_among_the_records(verb, place, refused):
 
 
 @pytest.mark.parametrize(
-    "verb", [verb for verb in FOLDERS if verb not in ("evaluate", "compare", "fit by a plan")]
+    "verb", [verb for verb in FOLDERS if verb not in ("evaluate", "fit by a plan")]
 )
 def test_a_folder_that_another_run_has_is_left_to_it(verb, place, refused):
     asked, _ = FOLDERS[verb]
@@ -289,9 +293,8 @@ def test_figures_are_replaced_where_that_is_asked_for(place, capsys, refused, tm
     drawn = tmp_path / "drawn"
     for verb, asked in (
         ("inspect", ("inspect", place.logs, "--figure", drawn / "a.png")),
-        ("residuals", ("residuals", place.model, place.logs, "--figure", drawn / "b.png")),
         ("evaluate", ("evaluate", place.model, place.logs, "--figures", drawn / "c")),
-        ("compare", ("compare", place.model, place.other, place.logs, "--figures", drawn / "d")),
+        ("several", ("evaluate", place.model, place.other, place.logs, "--figures", drawn / "d")),
     ):
         assert tustinnet(capsys, *asked)[0] == 0
         refused(*asked, names="add --overwrite")

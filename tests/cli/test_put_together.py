@@ -43,11 +43,11 @@ def test_models_are_put_together_and_used_as_one(models, folder, tmp_path, capsy
     both = tn.committee([tn.load_model(path) for path in models], [3, 1])
     expected = tn.evaluate(both, list(tn.load(folder).split("validation")), "derived-6")
     assert json.loads(out)["mean"] == pytest.approx(tn.mean_rmse(expected), rel=1e-9)
-    code, out, _ = tustinnet(capsys, "compare", file, models[0], folder, "--json")
+    code, out, _ = tustinnet(capsys, "evaluate", file, models[0], folder, "--json")
     assert code == 0
     assert len(json.loads(out)["models"]) == 2
     assert tustinnet(capsys, "simulate", file, folder, "--out", tmp_path / "sim")[0] == 0
-    assert tustinnet(capsys, "residuals", file, folder, "--lags", 5)[0] == 0
+    assert tustinnet(capsys, "evaluate", file, folder, "--residuals", "--lags", 5)[0] == 0
     code, out, _ = tustinnet(capsys, "show", file)
     assert code == 0
     assert "tustin-net: 1, 2; weight 0.75, 0.25" in out

@@ -44,12 +44,9 @@ def test_help_names_every_verb_and_loads_no_jax():
         "inspect",
         "fit",
         "cross-validate",
-        "learning-curve",
         "next-record",
         "simulate",
         "evaluate",
-        "compare",
-        "residuals",
         "committee",
         "export",
         "show",
@@ -64,6 +61,13 @@ def test_wrong_usage_exits_with_2(capsys):
     assert tustinnet(capsys, "inspect", "--nonsense")[0] == 2
     assert tustinnet(capsys, "simulate", "m", "x")[0] == 2
     assert tustinnet(capsys, "cross-validate", "x", "--out", "y", "--folds", "2")[0] == 2
+
+
+@pytest.mark.parametrize("verb", ["compare", "residuals", "learning-curve"])
+def test_a_verb_of_before_says_what_to_write_instead(verb, capsys):
+    code, out, err = tustinnet(capsys, verb, "x", "y")
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert f"error: '{verb}': a verb of an earlier version; expected tustinnet " in err
 
 
 def test_version(capsys):
@@ -304,7 +308,7 @@ def test_verbs_leave_out_what_a_fit_leaves_out(folder, model, tmp_path, capsys):
     )
     for verb in (
         ("evaluate", model, folder, "--start", "derived-6"),
-        ("residuals", model, folder, "--start", "derived-6"),
+        ("evaluate", model, model, folder, "--start", "derived-6"),
         ("simulate", model, folder, "--out", tmp_path / "runs"),
         ("report", model, folder, "--out", tmp_path / "report.html"),
     ):

@@ -9,7 +9,7 @@ from held_swings import KD, KP, LIMIT, card, held_swings, table
 
 import tustinnet as tn
 from tustinnet.channels import Channels
-from tustinnet.check.check import check_records
+from tustinnet.check.check import check
 from tustinnet.data.card import Card
 from tustinnet.data.declaration import declare, read_declaration
 from tustinnet.data.loading import from_frame, load_folder
@@ -95,13 +95,13 @@ def test_inputs_need_no_column_where_the_gains_are_known(columns):
     e = read(columns, without)
     assert e.outputs is None
     assert not e.without_controller().u.any()
-    assert check_records([e]) == check_records([e])  # of the set points
+    assert check([e]) == check([e])  # of the set points
 
 
 def test_checks_see_the_system_alone():
     records = list(held_swings(2))
-    findings = check_records(records)
-    assert findings == check_records([e.without_controller() for e in records])
+    findings = check(records)
+    assert findings == check([e.without_controller() for e in records])
 
 
 def test_channels_in_files_are_those_of_the_records(columns):

@@ -73,6 +73,19 @@ def test_a_system_is_written_and_tested(place, capsys):
     assert [link.coordinate for link in system.links] == ["elbow"]
 
 
+@pytest.mark.parametrize(
+    ("tool", "told"),
+    [
+        ("MATLAB's System Identification Toolbox", "N m/V"),
+        ("scikit-learn", "standard_error"),
+        ("PySINDy", "elbow''"),
+    ],
+)
+def test_programs_for_users_of_other_tools_run(tool, told, place, capsys):
+    text, _ = typed(written("other-tools", tool, "python"), capsys)
+    assert told in text
+
+
 def test_a_family_is_written_registered_and_fitted(place, capsys):
     (place / "drag.py").write_text(written("add-a-family", "Write the family", "python"))
     (place / "drag.toml").write_text(written("add-a-family", "Write the family", "toml"))

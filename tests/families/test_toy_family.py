@@ -192,7 +192,7 @@ def test_it_is_saved_loaded_shown_compared_and_simulated(place, pendulum, tmp_pa
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
     command("show", file)
     assert "4 weights" in capsys.readouterr().out
-    command("compare", file, tmp_path / "again.safetensors", place / "logs", "--json")
+    command("evaluate", file, tmp_path / "again.safetensors", place / "logs", "--json")
     means = [m["mean"] for m in json.loads(capsys.readouterr().out)["models"].values()]
     assert means[0] == means[1]
     command("simulate", file, place / "logs", "--out", tmp_path / "sim")

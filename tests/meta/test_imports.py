@@ -86,12 +86,11 @@ def test_a_header_is_shown_by_its_family_and_without_what_reads_records_and_draw
     assert heavy_after(command("show", model)) == {"jax", "equinox"}
 
 
-@pytest.mark.parametrize("verb", ["evaluate", "compare", "fit"])
+@pytest.mark.parametrize("verb", ["evaluate", "fit"])
 def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tmp_path):
     figures = tmp_path / "figures"
     given = {
         "evaluate": (model, folder, "--figures", figures),
-        "compare": (model, folder, "--figures", figures),
         "fit": (
             folder,
             "--recipe",

@@ -10,7 +10,7 @@ import tustinnet as tn
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.selection.cross_validation import make_cross_validation_options
-from tustinnet.selection.learning import learning_curve, make_learning_curve_options
+from tustinnet.selection.learning import learning_curve
 
 RECIPE = tomllib.loads(SMALL_RECIPE)
 
@@ -23,7 +23,7 @@ RECIPE = tomllib.loads(SMALL_RECIPE)
             data, make_cross_validation_options(RECIPE), folder=out
         ),
         "learning_curve": lambda data, out: learning_curve(
-            data, make_learning_curve_options(RECIPE)
+            data, make_cross_validation_options(RECIPE)
         ),
         "run_fit": lambda data, out: run_fit(prepare(FitRequest(data, RECIPE)), out),
     }.items(),

@@ -145,7 +145,11 @@ def others(place: Path) -> list[Job]:
         Job("selection", selection, ("--resume",)),
         Job("selection-from-the-start", selection, _REPLACE),
         *(on_cluster if has_ray else []),
-        Job("learning-curve", ("learning-curve", logs, *table, "--out", _OUT), _REPLACE),
+        Job(
+            "learning-curve",
+            ("cross-validate", logs, *table, "--records", "all", "--out", _OUT),
+            _REPLACE,
+        ),
         Job("reproduce", ("reproduce", "--data", published, "--models", "linear", *_TO_FOLDER), ()),
         Job("init", ("init", _OUT, "--yes"), _REPLACE, beside=bare),
         replacing("report", "page.html", "report", logs),
@@ -164,9 +168,10 @@ def others(place: Path) -> list[Job]:
             _REPLACE,
         ),
         replacing("simulate", "", "simulate", logs),
-        replacing("residuals", "figures.png", "residuals", logs, "--lags", "20"),
-        replacing("evaluate", "figures", "evaluate", logs),
-        Job("compare", ("compare", network, other, logs, "--figures", f"{_OUT}/figures"), _REPLACE),
+        replacing("evaluate", "figures", "evaluate", logs, "--residuals"),
+        Job(
+            "several", ("evaluate", network, other, logs, "--figures", f"{_OUT}/figures"), _REPLACE
+        ),
         Job("inspect", ("inspect", logs, "--figure", f"{_OUT}/figure.png"), _REPLACE),
     ]
 

@@ -17,7 +17,7 @@ from tustinnet.data.experiment import Experiment
 _EXPLAINS = {"angle unit", "counter", "dead sensor"}
 
 
-def check_records(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
+def check(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
     """Finds what is wrong with records before a model is fitted to them.
 
     Args:
@@ -55,14 +55,14 @@ def check_record(experiment: Experiment, card: Card | None = None) -> tuple[Find
 @np.errstate(all="ignore")  # numbers of damaged records overflow; they are findings, too
 def check_view(view: RecordView) -> list[Finding]:
     """Runs the checks of a single record."""
-    return [finding for check in in_record.CHECKS for finding in check(view)]
+    return [finding for look in in_record.CHECKS for finding in look(view)]
 
 
 def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> Iterator[Finding]:
     """Runs the checks that need several records, or all of them."""
-    for check in between_splits.CHECKS:
-        yield from check(views)
-    excited = [f for check in excitation.CHECKS for f in check(views)]
+    for look in between_splits.CHECKS:
+        yield from look(views)
+    excited = [f for look in excitation.CHECKS for f in look(views)]
     yield from excited
     broken = {(f.channel, name) for f in alone if f.check in _EXPLAINS for name in f.records}
     sound = [v for v in views if not any(name == v.experiment.name for _, name in broken)]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.channels import Hold
-from tustinnet.check.check import check_records
+from tustinnet.check.check import check
 from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
 from tustinnet.data.experiment import Experiment
@@ -137,7 +137,7 @@ def inspect_records(records: Iterable[Experiment], card: Card | None = None) -> 
         card: their data card, which the findings name lines of.
     """
     records = tuple(records)
-    findings = check_records(records, card)
+    findings = check(records, card)
     return Inspection(
         tuple(_report(e, [f for f in findings if e.name in f.records]) for e in records), findings
     )

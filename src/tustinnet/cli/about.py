@@ -34,7 +34,7 @@ def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> st
             there is nothing to use it for.
         has_inputs: whether it has inputs, by which it can be controlled.
     """
-    steps = [f"tustinnet residuals {model} {data} (test its errors)"]
+    steps = [f"tustinnet evaluate {model} {data} --residuals (test its errors)"]
     if not follows:
         steps.append(f"tustinnet inspect {data} (look at the records)")
     else:

@@ -9,8 +9,12 @@ from tustinnet.cli import completion, options, terminal
 from tustinnet.cli.files import list_input_files
 from tustinnet.cli.fit_options import choose_recipe, open_cluster, parse_seeds, require_cores
 from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
+from tustinnet.cli.verb import refuse_options
+from tustinnet.errors import InputError
 
 _FILE, _TABLE = "folds.json", "folds.md"
+_CURVE_FILES = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
+_ALL = "all"
 
 _Physics = Annotated[
     str | None,
@@ -19,6 +23,26 @@ _Physics = Annotated[
         autocompletion=completion.recipe,
         help="For a hybrid: recipe that identifies the physics, again in every fold. Default: "
         "best-grey.",
+    ),
+]
+
+
+_Records = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,B,..|all",
+        help="A learning curve: fit to so many records, drawn at random. all: 2,4,8,.. and all.",
+    ),
+]
+
+
+_Draws = Annotated[
+    int | None,
+    typer.Option(
+        min=2,
+        max=100,
+        metavar="K",
+        help="With --records: number of random draws of the records. Default: 3.",
     ),
 ]
 
@@ -36,7 +60,7 @@ _Starts = Annotated[
 
 def cross_validate(
     data: options.Data,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for folds.json and folds.md.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the scores.")],
     recipe: Annotated[
         str | None,
         options.recipe("standard; with --system: grey; with --physics: best-hybrid"),
@@ -45,6 +69,8 @@ def cross_validate(
     system: options.System = None,
     physics: _Physics = None,
     folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
+    records: _Records = None,
+    draws: _Draws = None,
     seeds: options.Seeds = None,
     start: _Starts = None,
     cluster: Annotated[str | None, options.cluster("Fit each fold as a job of its own on")] = None,
@@ -59,18 +85,27 @@ def cross_validate(
     """Score a recipe by cross-validation over the records.
 
     Every record is scored by models that were fitted without it. Records of the split test are
-    left out.
+    left out. With --records: how many records are enough.
     """
+    if records is None:
+        refuse_options({"--draws": draws}, "without --records", "--records", "add --records all")
+    else:
+        needless = {"--seeds": seeds, "--cluster": cluster, "--start": (start or [])[1:] or None}
+        refuse_options(needless, "to a learning curve", "one start, a seed for each draw")
+    sizes = _read_sizes(records)
     require_cores(cluster, device)
     terminal.prepare_jax(device)
     from tustinnet.fitting.roles import records_without_test
+    from tustinnet.report.drawing import write_figure
     from tustinnet.report.fits import folds_table
+    from tustinnet.report.learning import learning_figure, learning_table
     from tustinnet.report.progress import FitProgress
     from tustinnet.selection.cross_validation import (
         cross_validate,
         make_cross_validation_options,
         remove_results,
     )
+    from tustinnet.selection.learning import DRAWS, learning_curve
     from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
     from tustinnet.systems.files import find_system
 
@@ -84,11 +119,12 @@ def cross_validate(
     )
     console = terminal.messages()
     inputs = list_input_files(data, card, system)
-    require_outputs([out / _FILE, out / _TABLE], overwrite=overwrite, read=inputs)
-    records = load_records_to_fit(
+    names = [_FILE, _TABLE] if sizes is None else _CURVE_FILES
+    require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
+    data_set = load_records_to_fit(
         data, card, out, console, strict=strict, follow_links=follow_links
     )
-    print_still_coordinates(records_without_test(records), console)
+    print_still_coordinates(records_without_test(data_set), console)
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
         terminal.interruptible("" if cluster is None else remedy),
@@ -97,21 +133,52 @@ def cross_validate(
         FitProgress(console, quiet=quiet) as progress,
     ):
         if executor is not None:
-            remove_results(out, (_FILE, _TABLE), jobs=overwrite)
-        result = cross_validate(
-            records,
-            validation,
-            progress.follow,
-            folder=out,
-            executor=executor,
-            system=system and find_system(system),
-            on_message=terminal.make_printer(quiet=quiet),
-        )
-        table = folds_table(result)
-        write_into(out, _FILE, to_json(result.as_plain()))
-        write_into(out, _TABLE, table.markdown())
+            remove_results(out, names, jobs=overwrite)
+        if sizes is not None:
+            curve = learning_curve(
+                data_set,
+                validation,
+                sizes,
+                DRAWS if draws is None else draws,
+                progress.follow,
+                terminal.make_printer(quiet=quiet),
+            )
+            table, plain = learning_table(curve), curve.as_plain()
+            sentences = [curve.sentence(approach) for approach in curve.approaches]
+            write_figure(learning_figure(curve), out, names[2])
+        else:
+            result = cross_validate(
+                data_set,
+                validation,
+                progress.follow,
+                folder=out,
+                executor=executor,
+                system=system and find_system(system),
+                on_message=terminal.make_printer(quiet=quiet),
+            )
+            table, plain, sentences = folds_table(result), result.as_plain(), []
+        lines = "".join(f"\n* {sentence}." for sentence in sentences)
+        write_into(out, names[0], to_json(plain))
+        write_into(out, names[1], table.markdown() + (f"{lines}\n" if lines else ""))
     if json:
-        terminal.print_json(result.as_plain())
+        terminal.print_json(plain)
     else:
         terminal.print_tables(table)
-    console.print(f"written: {out / _FILE}, {out / _TABLE}")
+        for sentence in sentences:
+            terminal.echo(f"* {sentence}")
+    console.print(f"written: {', '.join(str(out / name) for name in names)}")
+
+
+def _read_sizes(text: str | None) -> list[int] | None:
+    """Numbers of records from `--records`, none for all that doubling gives; None without it."""
+    if text is None:
+        return None
+    try:
+        return [] if text == _ALL else [int(x) for x in text.split(",") if x.strip()]
+    except ValueError:
+        raise InputError(
+            "--records",
+            f"'{text}'",
+            f"numbers, separated by commas, or {_ALL}",
+            "for instance --records 2,4,8",
+        ) from None

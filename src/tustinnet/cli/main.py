@@ -1,14 +1,14 @@
 """The verbs of the command, and errors as one line."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from tustinnet.cli import about, terminal
 from tustinnet.cli.calibrate import calibrate
 from tustinnet.cli.committee import committee
-from tustinnet.cli.compare import compare
 from tustinnet.cli.control import control
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
@@ -17,18 +17,38 @@ from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.init import init
 from tustinnet.cli.inspect import inspect
-from tustinnet.cli.learning_curve import learning_curve
 from tustinnet.cli.next_record import next_record
 from tustinnet.cli.report import report
 from tustinnet.cli.reproduce import reproduce
-from tustinnet.cli.residuals import residuals
 from tustinnet.cli.show import show
 from tustinnet.cli.simulate import simulate
 from tustinnet.cli.verb import Verb
 from tustinnet.errors import InputError
 
+_EARLIER = {
+    "compare": "tustinnet evaluate MODEL MODEL ... DATA",
+    "learning-curve": "tustinnet cross-validate DATA --records all",
+    "residuals": "tustinnet evaluate MODEL DATA --residuals",
+}  # verbs of an earlier version, and what to write instead
+
+
+class _Verbs(TyperGroup):
+    """The verbs; of one of before it says what to write instead."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The verb that was typed.
+
+        Raises:
+            InputError: a verb of before.
+        """
+        if args and (instead := _EARLIER.get(args[0])):
+            raise InputError(f"'{args[0]}'", "a verb of an earlier version", instead)
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
     name="tustinnet",
+    cls=_Verbs,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # loading rich would double the time that --help takes
 )
@@ -38,12 +58,9 @@ _VERBS = (
     inspect,
     fit,
     cross_validate,
-    learning_curve,
     next_record,
     simulate,
     evaluate,
-    compare,
-    residuals,
     committee,
     calibrate,
     control,

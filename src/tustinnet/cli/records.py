@@ -28,7 +28,7 @@ def load_records_to_fit(
     follow_links: bool,
 ) -> "DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.check.check import check_records
+    from tustinnet.check.check import check
     from tustinnet.data.catalog import locate
     from tustinnet.data.inspection import held_equilibrium
     from tustinnet.data.loading import load_folder
@@ -49,7 +49,7 @@ def load_records_to_fit(
     if not strict:
         kept = leave_out_short([*records], DerivedStart.usual_name(), ())
         records = replace(records, experiments=tuple(kept))
-    findings = check_records(records, located_card)
+    findings = check(records, located_card)
     if strict:
         require_sound(findings)
     lines = [*warning_lines(findings, len(records), data, card), *assumed_lines(findings)]

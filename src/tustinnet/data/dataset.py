@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 from tustinnet.channels import Channels, Coordinate, HasChannels, Input, Kind
 from tustinnet.data.experiment import Experiment, begin_near_zero, unwrap_angles
 from tustinnet.errors import InputError, require_text
+from tustinnet.shown import Plotted
 from tustinnet.signals.resampling import wraps_within_turn
 
 _OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
 
 
 @dataclass(frozen=True)
-class DataSet(HasChannels):
+class DataSet(HasChannels, Plotted):
     """Records of one system, of any lengths, with the same coordinates, inputs and period.
 
     Encoder counts and limits of inputs that some records do not declare are taken from the first
@@ -33,6 +34,8 @@ class DataSet(HasChannels):
     experiments: tuple[Experiment, ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.experiments, Iterable):
+            raise InputError(str(self.name), f"experiments of {self.experiments!r}", "records")
         object.__setattr__(self, "experiments", tuple(self.experiments))
         require_text(self.name, "data set")
         if not self.experiments:

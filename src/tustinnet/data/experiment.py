@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Channels, HasChannels, Input, merge_timing
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.errors import InputError, require_name
+from tustinnet.shown import Plotted
 from tustinnet.signals import resampling, transients
 from tustinnet.signals.derivatives import VelocityMethod, differentiate
 from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitation
@@ -83,7 +84,7 @@ def with_near_set_points(experiment: "Experiment") -> "Experiment":
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(HasChannels):
+class Experiment(HasChannels, Plotted):
     """One frozen record of one run. SI units, angles in radians and not wrapped.
 
     Attributes:

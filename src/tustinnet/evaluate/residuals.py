@@ -1,8 +1,9 @@
 """Residuals of a simulation: whiteness, correlation with the inputs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -66,6 +67,11 @@ class ResidualReport:
                 "its effect is not all modelled"
             )
         return sentence
+
+    def as_plain(self) -> dict[str, Any]:
+        """The residuals as plain values, for JSON."""
+        content = {**asdict(self), "white": self.is_white}
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in content.items()}
 
 
 def residual_reports(

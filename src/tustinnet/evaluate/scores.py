@@ -1,6 +1,6 @@
 """Free runs of a model over records, and their scores."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.horizon import horizon_samples, pieces
 from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.simulation import simulate_runs
-from tustinnet.simulate.starts import Start, start_named, start_states
+from tustinnet.simulate.starts import Start, default_start, start_named, start_states
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Score:
 
 def free_run(
     model: Model,
-    experiments: Sequence[Experiment] | Experiment,
-    start: str | Start,
+    experiments: Iterable[Experiment] | Experiment,
+    start: str | Start | None = None,
     *,
     horizon: float | None = None,
 ) -> list[Float[np.ndarray, "n n_x"]]:
@@ -74,8 +74,9 @@ def free_run(
 
     Args:
         model: the model.
-        experiments: records of any lengths, or one.
-        start: where the free runs start, as `start_states` takes it.
+        experiments: records of any lengths, a data set of them, or one.
+        start: where the free runs start, as `start_states` takes it; by default as
+            `default_start` has it.
         horizon: how long a free run lasts at most [s]; the state is estimated anew at the
             beginning of every such segment. None for whole records.
 
@@ -89,10 +90,10 @@ def free_run(
             float64 is off.
     """
     require_float64("free_run")
-    experiments = [experiments] if isinstance(experiments, Experiment) else experiments
-    rule = start_named(start) if isinstance(start, str) else start
+    experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
     for experiment in experiments:
         require_fit(model, experiment)
+    rule = _find_start(start, experiments, model)
     simulator = with_dtype(model, np.float64).simplify()
     samples = horizon_samples(horizon, experiments, rule)
 
@@ -116,8 +117,8 @@ def free_run(
 
 def evaluate(
     model: Model,
-    experiments: Sequence[Experiment] | Experiment,
-    start: str | Start,
+    experiments: Iterable[Experiment] | Experiment,
+    start: str | Start | None = None,
     *,
     horizon: float | None = None,
 ) -> list[Score]:
@@ -125,8 +126,9 @@ def evaluate(
 
     Args:
         model: the model.
-        experiments: records of any lengths, or one.
-        start: where the free runs start, as `start_states` takes it.
+        experiments: records of any lengths, a data set of them, or one.
+        start: where the free runs start, as `start_states` takes it; by default as
+            `default_start` has it.
         horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
             all its segments. None for whole records.
 
@@ -137,8 +139,8 @@ def evaluate(
     Raises:
         InputError: see `free_run`.
     """
-    experiments = [experiments] if isinstance(experiments, Experiment) else experiments
-    rule, scores = start_named(start) if isinstance(start, str) else start, []
+    experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
+    rule, scores = _find_start(start, experiments, model), []
     samples = horizon_samples(horizon, experiments, rule)
     runs = free_run(model, experiments, rule, horizon=horizon)
     for e, x in zip(experiments, runs, strict=True):
@@ -165,6 +167,15 @@ def evaluate(
                 )
             )
     return scores
+
+
+def _find_start(
+    start: str | Start | None, experiments: Sequence[Experiment], model: Model
+) -> Start:
+    """A start as a rule: of a name, or the default one."""
+    if start is None:
+        start = default_start(experiments, model)
+    return start_named(start) if isinstance(start, str) else start
 
 
 def mean_rmse(scores: Sequence[Score]) -> float:

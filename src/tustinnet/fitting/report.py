@@ -15,6 +15,7 @@ from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.shown import Shown
 
 FINISHED = "finished"
 OUT_OF_TIME = "out of time"  # how the outcome of a fit that was stopped begins
@@ -186,7 +187,7 @@ class BaseParameterEstimate:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Shown):
     """The result of an identification.
 
     Attributes:
@@ -301,7 +302,7 @@ class Identification:
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(Shown):
     """A fitted model and how it came about.
 
     Attributes:

@@ -8,7 +8,7 @@ import numpy as np
 from tustinnet.channels import Channels
 from tustinnet.evaluate.residuals import CONFIDENCE, ResidualReport
 from tustinnet.fitting.report import Stretch
-from tustinnet.report.tables import Table
+from tustinnet.report.tables import Table, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,6 +53,25 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
         shaded = f"shaded: {100 * CONFIDENCE:.0f} % of the lags of residuals with nothing left"
         figure.suptitle(f"{title}; {shaded}", fontsize=8)
         return figure
+
+
+def residual_table(reports: Sequence[ResidualReport], channels: Channels) -> Table:
+    """Table of size, whiteness and correlation with the inputs, a row for each coordinate."""
+    rows = [
+        [
+            r.coordinate,
+            number(r.rms),
+            number(r.mean),
+            number(float(r.autocorrelation[1])),
+            number(r.white_bound),
+            f"{100 * r.outside:.0f} %",
+            *[f"{100 * share:.0f} %" for share in r.cross_outside],
+        ]
+        for r in reports
+    ]
+    crossed = [f"outside, {i.name}" for i in channels.inputs[: len(reports[0].cross)]]
+    columns = ["coordinate", "RMS", "mean", "lag 1", "99 % bound", "outside, own", *crossed]
+    return Table(columns, rows, title="Residuals of the free runs")
 
 
 def downweighted_table(stretches: Sequence[Stretch]) -> Table:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -52,6 +53,16 @@ class Table:
         rule = ["---", *["---:"] * (len(self.columns) - 1)]
         lines = ["| " + " | ".join(row) + " |" for row in (self.columns, rule, *self.rows)]
         return (f"{self.title}\n\n" if self.title else "") + "\n".join(lines) + "\n"
+
+    def html(self) -> str:
+        """The table in HTML."""
+
+        def line(cells: Sequence[str], tag: str) -> str:
+            return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+        caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        rows = "".join(line(row, "td") for row in self.rows)
+        return f"<table>{caption}{line(self.columns, 'th')}{rows}</table>"
 
     def latex(self) -> str:
         """The table as a LaTeX tabular (package booktabs)."""

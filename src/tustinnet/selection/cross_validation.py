@@ -32,7 +32,7 @@ from tustinnet.systems.files import AnySystem, SystemTemplate
 from tustinnet.systems.loading import load_system_or_template
 
 DEFAULT_PHYSICS = "best-grey"  # identifies the physics of a hybrid where nothing else is given
-_PHYSICS, _RECIPE = "physics", "recipe"  # names of the candidates, and of their jobs' folders
+PHYSICS, RECIPE = "physics", "recipe"  # names of the candidates, and of their jobs' folders
 
 
 @dataclass(frozen=True)
@@ -127,6 +127,11 @@ class CrossValidationOptions:
     folds: int = FOLDS
     seeds: tuple[int, ...] = (0,)
     starts: tuple[str, ...] = ()
+
+    @property
+    def own_seeds(self) -> tuple[int, ...]:
+        """The seeds of every fit, 0 of one that is no training."""
+        return self.recipe.family.select_seeds(self.seeds)
 
 
 def make_cross_validation_options(
@@ -227,18 +232,12 @@ def cross_validate(
             long; see also `fit`.
     """
     require_float64("cross_validate")
-    recipe = options.recipe
-    require_feedback(options.physics or recipe, data)
-    # for all folds at once, those inputs included whose timing the data card calls `unknown`
-    preparation = PreparationOptions(
-        system=options.system, finds_timing=not is_published(recipe), on_message=on_message
-    )
-    data = prepare_records(data, preparation).data
+    data = prepare_for_validation(data, options, on_message)
     records = records_without_test(data)
     folds = len(split_into_folds(data, options.folds))
     starts = options.starts or default_and_fitted_starts(records)
     for start in starts:
-        horizon_samples(recipe.longest_run, records, start_named(start))
+        horizon_samples(options.recipe.longest_run, records, start_named(start))
     context = RunContext(
         data,
         RecipeScorer(folds, starts[0], names=options.starts),
@@ -247,42 +246,12 @@ def cross_validate(
         # in this process the system is loaded already; a worker loads its file
         system=options.system if executor is None else system or options.system,
     )
-    waiting, results, physics = list[Job](), list[JobResult](), dict[int, str]()
-    if options.physics is not None:
-        waiting += [Job(_PHYSICS, options.physics, fold) for fold in range(folds)]
-    seeds = recipe.family.select_seeds(options.seeds)
-    waiting += [Job(_RECIPE, recipe, fold, seeds) for fold in range(folds)]
-
-    def choose() -> list[Job]:
-        """The next job; in this process with all others of its kind, which train together."""
-        has_physics = options.physics is None
-        ready = [
-            job
-            for job in waiting
-            if job.candidate == _PHYSICS or has_physics or job.fold in physics
-        ]
-        if executor is None:
-            ready = [job for job in ready if job.candidate == ready[0].candidate]
-        chosen = ready if executor is None else ready[:1]
-        for job in chosen:
-            waiting.remove(job)
-        return [
-            replace(job, physics=physics.get(job.fold)) if job.candidate == _RECIPE else job
-            for job in chosen
-        ]
-
-    def on_result(result: JobResult) -> None:
-        if result.ended != "done":
-            raise InputError(f"fold {result.fold}", result.why)
-        if result.candidate == _PHYSICS:
-            physics[result.fold] = result.scores[0].model
-        results.append(result)
-
     workplace = Workplace(executor, lambda job: make_listener, on_message, raises=True)
-    run_jobs(choose, on_result, lambda: context, workplace)
-    fits = sorted((r for r in results if r.candidate == _RECIPE), key=lambda r: r.fold)
+    jobs = [Job(RECIPE, options.recipe, fold, options.own_seeds) for fold in range(folds)]
+    results = fit_splits(options, jobs, context, workplace)
+    fits = sorted((r for r in results if r.candidate == RECIPE), key=lambda r: r.fold)
     return CrossValidationResult(
-        recipe=recipe.name,
+        recipe=options.recipe.name,
         unit=data.channels.unit,
         scores=tuple(
             FoldScore(e.name, r.fold, s.seed, {start: s.rmse[start][e.name] for start in s.rmse})
@@ -295,6 +264,72 @@ def cross_validate(
     )
 
 
+def prepare_for_validation(
+    data: DataSet, options: CrossValidationOptions, on_message: Callable[[str], None]
+) -> DataSet:
+    """Records as all fits of a validation take them.
+
+    Those inputs included whose timing the data card calls `unknown`: it is found once.
+
+    Args:
+        data: the records.
+        options: the recipe, the system.
+        on_message: called with sentences on the holds and delays of inputs.
+    """
+    require_feedback(options.physics or options.recipe, data)
+    preparation = PreparationOptions(
+        system=options.system, finds_timing=not is_published(options.recipe), on_message=on_message
+    )
+    return prepare_records(data, preparation).data
+
+
+def fit_splits(
+    options: CrossValidationOptions,
+    jobs: Sequence[Job],
+    context: RunContext,
+    workplace: Workplace,
+) -> list[JobResult]:
+    """Fits a recipe to splits of records, the physics that it corrects before.
+
+    Args:
+        options: the recipes.
+        jobs: the recipe's, one for each split.
+        context: the splits, and how the records are scored that they leave out.
+        workplace: where jobs are done; where it raises no errors, they are results.
+
+    Returns:
+        The results of all jobs, in the order in which they ended. Where the physics of a split
+        could not be identified, there is none of its recipe.
+    """
+    waiting, results, physics = list[Job](), list[JobResult](), dict[int, str]()
+    if options.physics is not None:
+        waiting += [Job(PHYSICS, options.physics, job.fold) for job in jobs]
+    waiting += jobs
+
+    def choose() -> list[Job]:
+        """The next job; in this process with all others that train together with it."""
+        has_physics = options.physics is None
+        ready = [
+            job for job in waiting if job.candidate == PHYSICS or has_physics or job.fold in physics
+        ]
+        chosen = ready[:1]
+        if chosen and workplace.executor is None and chosen[0].recipe.family.has_seeds:
+            chosen = [job for job in ready if job.candidate == chosen[0].candidate]
+        for job in chosen:
+            waiting.remove(job)
+        return [replace(job, physics=physics.get(job.fold)) for job in chosen]
+
+    def on_result(result: JobResult) -> None:
+        if result.ended == "done" and result.candidate == PHYSICS:
+            physics[result.fold] = result.scores[0].model
+        elif result.ended != "done" and workplace.raises:
+            raise InputError(f"fold {result.fold}", result.why)
+        results.append(result)
+
+    run_jobs(choose, on_result, lambda: context, workplace)
+    return results
+
+
 def remove_results(folder: Path, files: Sequence[str], *, jobs: bool) -> None:
     """Removes the results of an earlier validation by name, and perhaps the scores of its jobs.
 
@@ -302,6 +337,6 @@ def remove_results(folder: Path, files: Sequence[str], *, jobs: bool) -> None:
     """
     for name in files:
         (folder / name).unlink(missing_ok=True)
-    for name in (_PHYSICS, _RECIPE) if jobs else ():
+    for name in (PHYSICS, RECIPE) if jobs else ():
         for path in (folder / CANDIDATES / name).glob(f"*/{SCORES}"):
             path.unlink()

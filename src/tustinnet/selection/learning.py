@@ -1,121 +1,39 @@
 """Learning curves: accuracy on records left out, against the number of those fitted to.
 
 In every draw one fold is left out and scored; of the other records, in an order drawn at random,
-the first 2, 4, 8, ... are all that anything is made from: the model, the physics that a network
-corrects, and the twin that a network is pre-trained on.
+the first 2, 4, 8, ... are all that anything is made from: the model, and the physics that it
+corrects.
 """
 
 import statistics
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.listener import SILENT
-from tustinnet.fitting.recipe import Recipe
-from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.roles import Roles, records_without_test
-from tustinnet.fitting.task import AnyRecipe
-from tustinnet.models.contract import Model, require_float64
-from tustinnet.models.integrate import Discretised, discretise
-from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.models.contract import require_float64
 from tustinnet.selection.cross_validation import (
+    RECIPE,
     CrossValidationOptions,
-    make_cross_validation_options,
+    fit_splits,
+    prepare_for_validation,
 )
-from tustinnet.selection.folds import FOLDS, FoldSplit, split_into_folds
-from tustinnet.selection.jobs import Job, JobResult, RunContext, perform_jobs
+from tustinnet.selection.folds import FoldSplit, split_into_folds
+from tustinnet.selection.jobs import Job, RunContext
+from tustinnet.selection.runner import Workplace
 from tustinnet.selection.scoring import RecipeScorer
-from tustinnet.simulate.starts import default_start, start_named
-from tustinnet.systems.files import AnySystem, SystemTemplate
-from tustinnet.systems.twin import imitate_records
+from tustinnet.simulate.starts import default_start
 
 ENOUGH = 1.1  # times the error that the most records leave
 FEWEST = 2  # records: one may have to choose the epoch that is kept
 _CHOOSING = 4  # one in so many records chooses, where a recipe asks for that
-_SIMULATED = 16  # records of a twin
-_SUBSTEPS = 10  # integration steps in a period of a twin with nominal values
-NETWORK, PHYSICS, HYBRID, PRETRAINED = "network", "grey box", "hybrid", "pre-trained"
-
-Twin = Literal["identified", "nominal"]
-
-
-@dataclass(frozen=True)
-class LearningCurveOptions:
-    """Recipes, numbers of records and draws of a learning curve.
-
-    Attributes:
-        network: the recipe of a network by itself.
-        hybrid: the recipe of a network that corrects physics, with the recipe that identifies
-            this and its system; None where no system is given.
-        sizes: numbers of records, rising; () for 2, 4, 8, ... and all there are.
-        draws: how often records are drawn; each has a seed of its own.
-        twin: the values of the twin that networks are pre-trained on: those identified from the
-            same records, or the system's nominal ones.
-        start: where free runs start, None for the default start.
-    """
-
-    network: Recipe
-    hybrid: CrossValidationOptions | None = None
-    sizes: tuple[int, ...] = ()
-    draws: int = 3
-    twin: Twin = "identified"
-    start: str | None = None
-
-
-def make_learning_curve_options(
-    network: AnyRecipe,
-    hybrid: CrossValidationOptions | None = None,
-    sizes: Sequence[int] = (),
-    *,
-    draws: int = 3,
-    twin: Twin = "identified",
-    start: str | None = None,
-) -> LearningCurveOptions:
-    """Options of a learning curve, checked.
-
-    Args:
-        network: the recipe of a network by itself.
-        hybrid: the recipes of a hybrid and its physics, and the system.
-        sizes: numbers of records.
-        draws: how often records are drawn.
-        twin: the values of the twin that networks are pre-trained on.
-        start: where free runs start.
-
-    Raises:
-        InputError: a recipe that is no network's, sizes that do not rise, an unknown start.
-    """
-    network = read_recipe(network)
-    if network.family.needs:
-        raise InputError(
-            f"recipe '{network.name}'",
-            f"kind '{network.family.kind}'",
-            "the recipe of a network by itself",
-            "physics are drawn with `system=`",
-        )
-    make_cross_validation_options(network)  # checks its rates
-    if sizes and (len(sizes) < 2 or sorted(set(sizes)) != list(sizes) or sizes[0] < FEWEST):
-        raise InputError(
-            "`records=`",
-            ",".join(map(str, sizes)),
-            f"two or more rising numbers from {FEWEST} on",
-            "for instance `records=` 2,4,8",
-        )
-    if start is not None:
-        start_named(start)
-    if twin == "nominal" and hybrid and isinstance(hybrid.system, SystemTemplate):
-        raise InputError(
-            "`twin=`", f"'nominal', of which '{hybrid.system.name}' has none", "'identified'"
-        )
-    return LearningCurveOptions(network, hybrid, tuple(sizes), draws, twin, start)
+DRAWS = 3  # by default
 
 
 @dataclass(frozen=True)
@@ -125,20 +43,13 @@ class Draw:
     Attributes:
         number: which draw, from 0; also the seed.
         size: how many records.
-        records: the records.
-        scored: the records that are left out.
+        split: the records, and those that are left out. Where a recipe has validation choose, one
+            record in four does.
     """
 
     number: int
     size: int
-    records: tuple[Experiment, ...]
-    scored: tuple[Experiment, ...]
-
-    @property
-    def split(self) -> FoldSplit:
-        """The split of the records: where a recipe has validation choose, one in four does."""
-        chooses = max(1, self.size // _CHOOSING)
-        return FoldSplit(self.scored, Roles(self.records[:-chooses], self.records[-chooses:]))
+    split: FoldSplit
 
 
 @dataclass(frozen=True)
@@ -244,21 +155,33 @@ class LearningCurve:
         }
 
 
-def draw_records(data: DataSet, options: LearningCurveOptions) -> list[Draw]:
-    """Every draw with every number of records; records of the split `test` take part in nothing.
+def draw_records(data: DataSet, sizes: Sequence[int], draws: int, folds: int) -> list[list[Draw]]:
+    """The draws of every number of records; records of the split `test` take part in nothing.
+
+    Args:
+        data: the records.
+        sizes: numbers of records, rising; none for 2, 4, 8, ... and all there are.
+        draws: how often records are drawn.
+        folds: of which each draw leaves one out.
 
     Raises:
-        InputError: too few records.
+        InputError: numbers that do not rise, or too few records.
     """
+    if sizes and (len(sizes) < 2 or sorted(set(sizes)) != list(sizes) or sizes[0] < FEWEST):
+        raise InputError(
+            "`records=`",
+            ",".join(map(str, sizes)),
+            f"two or more rising numbers from {FEWEST} on",
+            "for instance `records=` 2,4,8",
+        )
     count = len(records_without_test(data))
-    splits = split_into_folds(data, FOLDS) if count >= FOLDS else []
+    splits = split_into_folds(data, folds) if count >= folds else []
     most = min((len(s.roles.all) for s in splits), default=0)
-    sizes = options.sizes
-    if not sizes and most >= FEWEST:  # 2, 4, 8, ... and all there are
+    if not sizes and most >= FEWEST:
         doubled = [FEWEST]
         while 2 * doubled[-1] <= most:
             doubled.append(2 * doubled[-1])
-        sizes = tuple(dict.fromkeys([*doubled, most]))
+        sizes = list(dict.fromkeys([*doubled, most]))
     if len(sizes) < 2 or sizes[-1] > most:
         needed = sizes[-1] if len(sizes) > 1 else 2 * FEWEST
         raise InputError(
@@ -267,238 +190,74 @@ def draw_records(data: DataSet, options: LearningCurveOptions) -> list[Draw]:
             f"{needed} that remain",
             "record more, or request fewer: `records=` 2,4",
         )
-    draws = []
-    for number in range(options.draws):
+    drawn: list[list[Draw]] = [[] for _ in sizes]
+    for number in range(draws):
         split = splits[number % len(splits)]
         order = np.random.default_rng(number).permutation(len(split.roles.all))
         records = [split.roles.all[i] for i in order]
-        draws += [Draw(number, n, tuple(records[:n]), split.scored) for n in sizes]
-    return draws
-
-
-@dataclass(frozen=True)
-class DrawResult:
-    """The model of a draw.
-
-    Attributes:
-        model: the model, None where there is none.
-        outcome: why the fit ended, or why there is no model.
-        rmse: RMSE of the free run of each record that was left out [rad or m].
-    """
-
-    model: Model | None
-    outcome: str
-    rmse: dict[str, float]
-
-
-class DrawFitter:
-    """Fits recipes to draws of records, and scores the records that were left out.
-
-    Args:
-        data: the records.
-        start: where free runs start; a model with a warm-up starts with its own.
-        make_listener: given the plan of trainings that run together, or the task of an
-            identification, returns the listener of its progress.
-    """
-
-    def __init__(
-        self,
-        data: DataSet,
-        start: str,
-        make_listener: MakeListener = lambda prepared: SILENT,
-    ) -> None:
-        self._data, self._make_listener = data, make_listener
-        self._scoring = RecipeScorer(0, start, names=(start,), warm_up=True)
-
-    def train(
-        self,
-        draws: Sequence[Draw],
-        recipe: Recipe,
-        *,
-        physics: Sequence[Model | None] | None = None,
-        origins: Sequence[Model | None] | None = None,
-    ) -> list[DrawResult]:
-        """Trains a network for every draw, those of as many records together where they can be.
-
-        Those of fewer records have fewer windows, and what trains together has as many windows as
-        the one with the fewest.
-
-        Args:
-            draws: the records of each.
-            recipe: the recipe.
-            physics: the model that each corrects; a draw without has no model, where others have
-                one.
-            origins: the model that each begins with, likewise.
-        """
-        results = [DrawResult(None, "no physics to begin with", {})] * len(draws)
-        for size in dict.fromkeys(draw.size for draw in draws):
-            rows = [
-                i
-                for i, draw in enumerate(draws)
-                if draw.size == size
-                and all(models is None or models[i] is not None for models in (physics, origins))
-            ]
-            part = self._fit(
-                [draws[i] for i in rows],
-                recipe,
-                together=True,
-                physics=None if physics is None else [physics[i] for i in rows],
-                origins=None if origins is None else [origins[i] for i in rows],
-            )
-            for i, result in zip(rows, part, strict=True):
-                results[i] = result
-        return results
-
-    def identify(
-        self, draws: Sequence[Draw], recipe: Recipe, system: AnySystem | SystemTemplate | None
-    ) -> list[DrawResult]:
-        """Identifies the physics of every draw, by itself: where one fails, others need not."""
-        return self._fit(draws, recipe, together=False, system=system)
-
-    def _fit(
-        self,
-        draws: Sequence[Draw],
-        recipe: Recipe,
-        *,
-        together: bool,
-        physics: Sequence[Model | None] | None = None,
-        origins: Sequence[Model | None] | None = None,
-        system: AnySystem | SystemTemplate | None = None,
-    ) -> list[DrawResult]:
-        models: dict[str, Model] = {}
-        jobs = []
-        for i, draw in enumerate(draws):
-            names: dict[str, str] = {}
-            for role, given in (("physics", physics), ("origin", origins)):
-                model = None if given is None else given[i]
-                if model is not None:
-                    names[role] = f"{role} {i}"
-                    models[names[role]] = model
-            seeds = (draw.number,) if together else (0,)
-            jobs.append(
-                Job(
-                    recipe.name,
-                    recipe,
-                    i,
-                    seeds,
-                    physics=names.get("physics"),
-                    origin=names.get("origin"),
-                )
-            )
-        context = RunContext(
-            self._data,
-            self._scoring,
-            models=models,
-            system=system,
-            drawn=tuple(draw.split for draw in draws),
-        )
-
-        def perform(jobs: Sequence[Job]) -> list[JobResult]:
-            return perform_jobs(jobs, context, self._make_listener, raises=together)
-
-        done = perform(jobs) if together and jobs else [r for job in jobs for r in perform([job])]
-        results = []
-        for result in done:
-            if not result.scores:
-                results.append(DrawResult(None, result.why, {}))
-                continue
-            (score,) = result.scores
-            rmse = next(iter(score.rmse.values()), {})
-            results.append(DrawResult(models[score.model], score.outcome, rmse))
-        return results
+        for size, of_size in zip(sizes, drawn, strict=True):
+            first = tuple(records[: size - max(1, size // _CHOOSING)])
+            roles = Roles(first, tuple(records[len(first) : size]))
+            of_size.append(Draw(number, size, FoldSplit(split.scored, roles)))
+    return drawn
 
 
 def learning_curve(
     data: DataSet,
-    options: LearningCurveOptions,
+    options: CrossValidationOptions,
+    sizes: Sequence[int] = (),
+    draws: int = DRAWS,
     make_listener: MakeListener = lambda prepared: SILENT,
     on_message: Callable[[str], None] = lambda sentence: None,
 ) -> LearningCurve:
-    """Fits models to more and more records and scores records that none of them has seen.
+    """Fits a recipe to more and more records and scores records that no model has seen.
+
+    Models of as many records train together. The seed is that of the draw.
 
     Args:
         data: the records.
-        options: the recipes, the draws.
+        options: the recipe, the folds of which one is left out, and where free runs start.
+        sizes: numbers of records; by default 2, 4, 8, ... and all there are.
+        draws: how often records are drawn.
         make_listener: given the plan of trainings that run together, or the task of an
             identification, returns the listener of its progress.
         on_message: called with sentences on the holds and delays of inputs, which are searched for
             once where the data card does not declare them.
 
     Raises:
-        InputError: too few records; see also `fit`. A single identification that cannot be done
-            with so few records is a point without a model, and its outcome says why.
+        InputError: too few records, or no fit has a model. A single one that cannot be done with
+            so few records is a point without a model, and its outcome says why.
     """
     require_float64("learning_curve")
-    draw_records(data, options)  # raises before time is spent on the preparation
-    preparation = PreparationOptions(
-        system=None if options.hybrid is None else options.hybrid.system,
-        finds_timing=not is_published(options.network),
-        on_message=on_message,
-    )
-    data = prepare_records(data, preparation).data
-    draws = draw_records(data, options)
-    start = options.start or default_start(list(data))
-    fitter = DrawFitter(data, start, make_listener)
-    points = make_points(NETWORK, draws, fitter.train(draws, options.network))
-    if options.hybrid is not None:
-        assert options.hybrid.physics is not None
-        results = fitter.identify(draws, options.hybrid.physics, options.hybrid.system)
-        points += make_points(PHYSICS, draws, results)
-        physics = [result.model for result in results]
-        hybrids = fitter.train(draws, options.hybrid.recipe, physics=physics)
-        points += make_points(HYBRID, draws, hybrids)
-        twins = _simulate_twins(draws, physics, options)
-        pretrained = fitter.train([t for t in twins if t is not None], options.network)
-        models = iter(pretrained)
-        origins = [None if twin is None else next(models).model for twin in twins]
-        results = fitter.train(draws, options.network, origins=origins)
-        points += make_points(PRETRAINED, draws, results)
-    sizes = tuple(dict.fromkeys(draw.size for draw in draws))
-    scored = tuple(len(draw.scored) for draw in draws if draw.size == sizes[0])
-    return LearningCurve(data.channels.unit, start, sizes, tuple(points), scored)
-
-
-def _simulate_twins(
-    draws: Sequence[Draw], physics: Sequence[Model | None], options: LearningCurveOptions
-) -> list[Draw | None]:
-    """Records that the physics of every draw simulates, in place of the draw's own."""
-    twins: list[Draw | None] = []
-    for draw, identified in zip(draws, physics, strict=True):
-        model = identified
-        if options.twin == "nominal":
-            assert options.hybrid is not None
-            system, like = options.hybrid.system, draw.records[0]
-            assert isinstance(system, LagrangianSystem)  # others were refused
-            values = {name: jnp.asarray(x, jnp.float64) for name, x in system.nominal().items()}
-            model = discretise(system.model(values), like.dt, _SUBSTEPS, inputs=like.inputs)
-        generator = np.random.default_rng([draw.number, draw.size])
-        records: tuple[Experiment, ...] = ()
-        if model is not None:
-            assert isinstance(model, Discretised)
-            with suppress(InputError):  # a simulation that diverges
-                records = imitate_records(model, draw.records, _SIMULATED, generator)
-        enough = len(records) >= FEWEST
-        twins.append(Draw(draw.number, len(records), records, ()) if enough else None)
-    return twins
-
-
-def make_points(
-    approach: str, draws: Sequence[Draw], results: Sequence[DrawResult]
-) -> list[LearningPoint]:
-    """The points of an approach.
-
-    Args:
-        approach: its name.
-        draws: the records of each point.
-        results: the model of each point.
-    """
-    return [
-        LearningPoint(
-            approach,
-            draw.number,
-            draw.size,
-            float(np.mean(list(result.rmse.values()))) if result.model is not None else np.inf,
-            result.outcome,
+    draw_records(data, sizes, draws, options.folds)  # raises before time is spent
+    data = prepare_for_validation(data, options, on_message)
+    start = next(iter(options.starts), None) or default_start(list(data))
+    recipe, points = options.recipe, list[LearningPoint]()
+    drawn = draw_records(data, sizes, draws, options.folds)
+    for of_size in drawn:
+        context = RunContext(
+            data,
+            RecipeScorer(0, start, names=(start,), warm_up=True),
+            models={},
+            system=options.system,
+            drawn=tuple(draw.split for draw in of_size),
         )
-        for draw, result in zip(draws, results, strict=True)
-    ]
+        jobs = [
+            Job(RECIPE, recipe, i, recipe.family.select_seeds([draw.number]))
+            for i, draw in enumerate(of_size)
+        ]
+        results = fit_splits(options, jobs, context, Workplace(None, lambda job: make_listener))
+        for i, draw in enumerate(of_size):
+            result = [r for r in results if r.fold == i][-1]  # of the physics where that failed
+            rmse, outcome = np.inf, result.why
+            if result.scores and result.candidate == RECIPE:
+                (score,) = result.scores
+                (by_record,) = score.rmse.values()
+                rmse, outcome = float(np.mean([*by_record.values()])), score.outcome
+            points.append(LearningPoint(recipe.name, draw.number, draw.size, rmse, outcome))
+    if not any(point.rmse < np.inf for point in points):
+        raise InputError(recipe.name, f"no model of any draw: {points[-1].outcome}", "a fit")
+    scored = tuple(len(draw.split.scored) for draw in drawn[0])
+    return LearningCurve(
+        data.channels.unit, start, tuple(of[0].size for of in drawn), tuple(points), scored
+    )

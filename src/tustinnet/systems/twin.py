@@ -13,7 +13,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.models.contract import ContinuousModel, Model
-from tustinnet.models.integrate import Discretised, discretise
+from tustinnet.models.integrate import discretise
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.derivatives import five_point_stencil
 from tustinnet.signals.stacking import stack_padded
@@ -21,9 +21,6 @@ from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import rollout
 
 _LEAD, _TRAIL = 3, 2  # rows at a record's ends whose velocities are stored as 0, as in real logs
-
-_SPREAD = 0.1  # standard deviation of initial states about recorded ones, relative to theirs
-_FAR = 10  # times the recorded range, which a simulated record must not leave
 
 
 @dataclass(frozen=True)
@@ -168,46 +165,6 @@ def simulate_twin(
     inputs = tuple(replace(i, hold="zero-order") for i in system.inputs)
     model = system.model({n: jnp.asarray(value, jnp.float64) for n, value in values.items()})
     return DataSet(name, log_runs(model, Channels(coordinates, inputs), runs, logger, generator))
-
-
-def imitate_records(
-    model: Discretised,
-    records: Sequence[Experiment],
-    count: int,
-    generator: np.random.Generator,
-) -> tuple[Experiment, ...]:
-    """Simulated records in the range of recorded ones.
-
-    Each begins near a state of one of them, internal states as the model expects, and has the
-    inputs of one of them, shifted in time. Runs that leave ten times the recorded range are left
-    out.
-
-    Args:
-        model: the model, discretised: its period and integration steps are taken.
-        records: the recorded ones.
-        count: how many to make, at most.
-        generator: the source of choices, of the encoders' offsets and of the initial states.
-
-    Raises:
-        InputError: a run that is not finite.
-    """
-    channels = replace(records[0].channels, dt=model.dt)
-    q = np.concatenate([e.q for e in records])
-    v = np.concatenate([e.velocities() for e in records])
-    runs = []
-    for i in range(count):
-        start, drive = (records[int(generator.integers(len(records)))] for _ in range(2))
-        row = int(generator.integers(_LEAD, max(len(start) - _TRAIL, _LEAD + 1)))
-        spread_q = _SPREAD * q.std(axis=0) * generator.normal(size=channels.n_q)
-        spread_v = _SPREAD * v.std(axis=0) * generator.normal(size=channels.n_q)
-        measured = np.concatenate([start.q[row] + spread_q, start.velocities()[row] + spread_v])
-        u = np.roll(drive.u, int(generator.integers(len(drive))), axis=0)
-        x0 = np.asarray(model.initial_state(jnp.asarray(measured), jnp.asarray(u[0])))
-        runs.append(TwinRun(f"simulated{i + 1}", "train", x0, u))
-    logger = Logger(model.dt, 0.0, counts=bool(channels.resolution.all()), substeps=model.substeps)
-    simulated = log_runs(model.continuous, channels, runs, logger, generator)
-    middle, reach = (q.max(axis=0) + q.min(axis=0)) / 2, _FAR * np.ptp(q, axis=0) + 1e-12
-    return tuple(e for e in simulated if (np.abs(e.q - middle) < reach).all())
 
 
 def log_runs(

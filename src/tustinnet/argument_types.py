@@ -1,0 +1,87 @@
+"""Types of the arguments of public functions: another one is said in a line, as other bad input is.
+
+Annotations are what is checked, as far as a class decides: shapes of arrays, literal texts and
+protocols are left to the function.
+"""
+
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, wraps
+from inspect import signature
+from numbers import Integral, Real
+from typing import Any
+
+from tustinnet.errors import InputError
+
+_NUMBERS: dict[Any, type] = {float: Real, int: Integral}  # those of NumPy, too
+
+
+def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that raises an `InputError` for an argument of another type than it declares.
+
+    Args:
+        function: a function whose arguments have annotations.
+    """
+
+    @wraps(function)
+    def call(*args: Any, **named: Any) -> Any:
+        try:
+            given = signature(function).bind_partial(*args, **named).arguments
+        except TypeError:
+            return function(*args, **named)  # which says what there is too much
+        for name, hint in _hints(function).items():
+            if name in given and not _fits(given[name], hint):
+                found = type(given[name]).__name__.replace("NoneType", "None")
+                raise InputError(f"{function.__name__}, {name}", found, " or ".join(_words(hint)))
+        return function(*args, **named)
+
+    return call
+
+
+@cache
+def _hints(function: Callable[..., Any]) -> dict[str, Any]:
+    """The annotations of the arguments that have one each; none where names are not at hand."""
+    try:
+        hints = typing.get_type_hints(function)
+    except NameError:
+        return {}
+    kinds = signature(function).parameters
+    several = [n for n, p in kinds.items() if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+    return {name: hint for name, hint in hints.items() if name not in ("return", *several)}
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value can be of a type; so it is where no class decides."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, part) for part in inner)
+    if origin is not None:
+        if not isinstance(origin, type):
+            return True
+        if not issubclass(origin, Iterable):
+            return isinstance(value, origin)
+        is_whole = not isinstance(value, str) and isinstance(value, Iterable)
+        if issubclass(origin, Mapping):
+            return isinstance(value, Mapping)
+        elements = value if isinstance(value, list | tuple) and inner else ()
+        return is_whole and all(_fits(element, inner[0]) for element in elements)
+    is_class = (
+        isinstance(hint, type)
+        and hint is not Any
+        and hint.__module__.partition(".")[0] != "jaxtyping"
+    )
+    if not is_class or getattr(hint, "_is_protocol", False):
+        return True
+    return isinstance(value, _NUMBERS.get(hint, hint))
+
+
+def _words(hint: Any) -> list[str]:
+    """The types that are taken, for a message."""
+    inner = typing.get_args(hint)
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return list(dict.fromkeys(word for part in inner for word in _words(part)))
+    name = getattr(hint, "__name__", str(hint))
+    if inner and (parts := [word for part in inner[:1] for word in _words(part)]):
+        return [f"{name} of {' or '.join(parts)}"]
+    return ["None" if hint is type(None) else name]

@@ -1,0 +1,185 @@
+"""Records and results as notebooks show them: tables of HTML, frames, pictures."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import singledispatch
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tustinnet.channels import Channels
+from tustinnet.data.dataset import DataSet
+from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
+from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
+from tustinnet.report.fits import parameter_table
+from tustinnet.report.tables import Table, number
+
+_MOST_DRAWN = 6  # records of a set that one picture has room for
+_PANEL = (6.0, 1.3)  # inches
+
+
+# --- tables ---
+
+
+@singledispatch
+def to_html(shown: Any) -> str:
+    """What a notebook shows of an object."""
+    raise NotImplementedError(type(shown).__name__)
+
+
+@to_html.register
+def _(shown: Experiment) -> str:
+    return _record_table([shown], shown.name).html() + _picture(shown)
+
+
+@to_html.register
+def _(shown: DataSet) -> str:
+    return _record_table(list(shown), shown.name).html() + _picture(shown[0])
+
+
+@to_html.register
+def _(shown: Identification) -> str:
+    return parameter_table(shown).html() + _sentences(shown.findings)
+
+
+@to_html.register
+def _(shown: FitResult) -> str:
+    rmse = number(shown.validation_rmse)
+    rows = [[shown.recipe.name, str(shown.seed), rmse, shown.outcome, f"{shown.seconds:.1f}"]]
+    columns = ["recipe", "seed", "validation RMSE", "outcome", "seconds"]
+    table = Table(columns, rows, f"start '{shown.start}'").html()
+    if shown.identification is not None:
+        return table + to_html(shown.identification)
+    return table + _sentences(shown.findings)
+
+
+def _record_table(records: Sequence[Experiment], title: str) -> Table:
+    rows = [[e.name, e.split or "", str(len(e)), f"{e.seconds:.4g}"] for e in records]
+    channels = records[0].channels
+    names = [f"{c.name} [{c.unit}]" for c in (*channels.coordinates, *channels.inputs)]
+    title = f"{title}: {', '.join(names)}, {1e3 * channels.dt:.4g} ms a sample"
+    return Table(["record", "split", "samples", "seconds"], rows, title)
+
+
+def _sentences(findings: Sequence[str]) -> str:
+    return Table(["findings"], [[text] for text in findings]).html() if findings else ""
+
+
+def _picture(e: Experiment) -> str:
+    """A record as a picture in HTML."""
+    with figure_style():
+        count = _count_panels(e.channels)
+        figure = Figure(figsize=(_PANEL[0], _PANEL[1] * count + 0.4), layout="constrained")
+        plot(e, figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        buffer = BytesIO()
+        FigureCanvasAgg(figure).print_png(buffer)
+    content = b64encode(buffer.getvalue()).decode()
+    return f'<img alt="the record {e.name!r}" src="data:image/png;base64,{content}">'
+
+
+# --- frames ---
+
+
+@singledispatch
+def to_frame(shown: Any) -> pl.DataFrame:
+    """An object as a frame."""
+    raise NotImplementedError(type(shown).__name__)
+
+
+@to_frame.register
+def _(shown: Experiment) -> pl.DataFrame:
+    names = [c.name for c in shown.coordinates]
+    columns = {"time": shown.t} | dict(zip(names, shown.q.T, strict=True))
+    if shown.v is not None:
+        columns |= {f"der_{name}": v for name, v in zip(names, shown.v.T, strict=True)}
+    columns |= {i.name: u for i, u in zip(shown.inputs, shown.u.T, strict=True)}
+    return pl.DataFrame(columns)
+
+
+@to_frame.register
+def _(shown: DataSet) -> pl.DataFrame:
+    frames = [
+        to_frame(e).with_columns(record=pl.lit(e.name), split=pl.lit(e.split, pl.String))
+        for e in shown
+    ]
+    return pl.concat(frames, how="diagonal")
+
+
+@to_frame.register
+def _(shown: Identification) -> pl.DataFrame:
+    return pl.DataFrame([asdict(estimate) for estimate in shown.estimates])
+
+
+@to_frame.register
+def _(shown: FitResult) -> pl.DataFrame:
+    if shown.identification is not None:
+        return to_frame(shown.identification)
+    epochs = shown.detail("epochs")
+    raise InputError("to_frame", f"a training of {epochs} epochs", "an identification")
+
+
+# --- pictures ---
+
+
+@singledispatch
+def plot(shown: Any, axes: Any = None) -> np.ndarray:
+    """Draws an object, see `Plotted.plot`."""
+    raise NotImplementedError(type(shown).__name__)
+
+
+@plot.register
+def _(shown: Experiment, axes: Any = None) -> np.ndarray:
+    return _draw([shown], axes)
+
+
+@plot.register
+def _(shown: DataSet, axes: Any = None) -> np.ndarray:
+    return _draw(list(shown)[:_MOST_DRAWN], axes)
+
+
+def _draw(records: Sequence[Experiment], axes: Any) -> np.ndarray:
+    """Draws records over one another, a panel for each coordinate, and one for the inputs."""
+    channels = records[0].channels
+    count = _count_panels(channels)
+    panels = np.atleast_1d(_make_panels(count) if axes is None else np.asarray(axes, object))
+    if panels.shape != (count,):
+        raise InputError("plot", f"axes of shape {panels.shape}", f"{count} axes, one a panel")
+    several = len(records) > 1
+    for k, e in enumerate(records):
+        t = e.t - e.t[0]
+        for j, c in enumerate(channels.coordinates):
+            colour = COLOURS[k % len(COLOURS)] if several else MEASURED
+            plot_line(panels[j], t, e.q[:, j], color=colour, label=e.name)
+            panels[j].set_ylabel(f"{c.name} [{c.unit}]")
+        for j, i in enumerate(channels.inputs):
+            colour = COLOURS[k % len(COLOURS)] if several else (INPUT, *COLOURS)[j % 6]
+            plot_line(panels[-1], t, e.u[:, j], color=colour, label=i.name, linewidth=0.7)
+    if channels.inputs:
+        names = ", ".join(f"{i.name} [{i.unit}]" for i in channels.inputs)
+        panels[-1].set_ylabel(names)
+    panels[-1].set_xlabel("time [s]")
+    if several:
+        panels[0].legend(fontsize=7)
+    return panels
+
+
+def _make_panels(count: int) -> Sequence[Axes]:
+    """Panels of a new figure that a notebook or a window shows."""
+    from matplotlib import pyplot  # chooses how figures are shown: only where one is asked for
+
+    with figure_style():
+        size = (_PANEL[0], _PANEL[1] * count + 0.6)
+        _, axes = pyplot.subplots(count, 1, sharex=True, figsize=size, layout="constrained")
+    return axes
+
+
+def _count_panels(channels: Channels) -> int:
+    return channels.n_q + bool(channels.inputs)

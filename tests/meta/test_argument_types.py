@@ -1,0 +1,60 @@
+"""A public function that is given a value of another type says so in a line."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+import tustinnet as tn
+from tustinnet.argument_types import check_arguments
+
+
+@check_arguments
+def compute(
+    data: tn.DataSet | Path,
+    numbers: list[float] = [],  # noqa: B006 (nothing changes it)
+    *,
+    by_name: "dict[str, int] | None" = None,
+    kind: Literal["a", "b"] = "a",
+    array: Float[np.ndarray, " n"] | None = None,
+    anything: Any = None,
+    **more: int,
+) -> str:
+    """Returns a word."""
+    return "computed"
+
+
+def test_what_fits_is_computed(pendulum):
+    assert compute(pendulum, [1, np.float32(2)], by_name={"a": np.int64(1)}) == "computed"
+    # what no class decides is left to the function
+    assert compute(Path("x"), kind="c", array=3, anything=int, further="a text") == "computed"  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("given", "named", "told"),
+    [
+        ((None,), {}, "compute, data: None; expected DataSet or Path"),
+        (("x",), {}, "compute, data: str; expected DataSet or Path"),
+        ((Path(), "12"), {}, "compute, numbers: str; expected list of float"),
+        ((Path(), [1.0, "x"]), {}, "compute, numbers: list; expected list of float"),
+        ((Path(),), {"by_name": [1]}, "compute, by_name: list; expected dict of str or None"),
+    ],
+)
+def test_another_type_is_said_in_a_line(given, named, told):
+    with pytest.raises(tn.InputError) as raised:
+        compute(*given, **named)
+    assert str(raised.value) == told
+
+
+def test_missing_arguments_are_those_of_python_and_the_function_keeps_its_name():
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'data'"):
+        compute()  # pyright: ignore
+    assert compute.__doc__ == "Returns a word."
+
+
+@pytest.mark.parametrize("name", ["load", "fit", "evaluate", "load_model", "read_recipe", "check"])
+def test_public_doors_refuse_nothing(name):
+    with pytest.raises(tn.InputError, match=f"{name}, .*: None; expected "):
+        getattr(tn, name)(None)

@@ -1,0 +1,62 @@
+"""What notebooks show of records and results."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from conftest import SMALL_RECIPE
+
+import tustinnet as tn
+
+mpl.use("agg")
+
+
+def test_records_are_frames(pendulum):
+    e = pendulum[0]
+    frame = e.to_frame()
+    assert frame.columns == ["time", "angle", "torque"]
+    np.testing.assert_array_equal(frame["angle"].to_numpy(), e.q[:, 0])
+    whole = pendulum.to_frame()
+    assert len(whole) == sum(map(len, pendulum))
+    assert whole["record"].unique(maintain_order=True).to_list() == [e.name for e in pendulum]
+    assert set(whole["split"]) == {"train", "validation"}
+
+
+def test_records_are_drawn_into_axes_of_ones_own(pendulum):
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots(2, 1)
+    drawn = pendulum[0].plot(axes)
+    assert list(drawn) == list(axes)
+    assert axes[0].get_ylabel() == "angle [rad]"
+    assert axes[1].get_ylabel() == "torque [N m]"
+    assert len(pendulum.plot()[0].lines) == len(pendulum)
+    with pytest.raises(tn.InputError, match="2 axes, one a panel"):
+        pendulum[0].plot(axes[:1])
+
+
+def test_a_notebook_shows_tables_and_a_picture(pendulum, system):
+    shown = pendulum._repr_html_()
+    assert "pendulum: angle [rad], torque [N m], 20 ms a sample" in shown
+    assert shown.count("<tr>") == len(pendulum) + 1
+    assert "data:image/png;base64," in shown
+    result = tn.fit(pendulum, "grey", system=system)
+    assert "gravity" in result._repr_html_()
+    frame = result.to_frame()
+    assert set(frame["name"]) == {e.name for e in result.identification.estimates}
+    assert {"value", "error", "unit", "lower", "upper"} <= set(frame.columns)
+
+
+def test_a_training_has_no_parameters(pendulum, tmp_path):
+    (tmp_path / "small.toml").write_text(SMALL_RECIPE)
+    result = tn.fit(pendulum, tmp_path / "small.toml")
+    assert result.recipe.name in result._repr_html_()
+    with pytest.raises(tn.InputError, match="to_frame: a training"):
+        result.to_frame()
+
+
+def test_free_runs_start_where_they_usually_do(pendulum, system):
+    model = tn.fit(pendulum, "grey", system=system).model
+    given, usual = (tn.evaluate(model, pendulum, *start) for start in (["derived-6"], []))
+    assert [s.start for s in usual] == ["derived-6"] * len(pendulum)
+    assert tn.mean_rmse(usual) == tn.mean_rmse(given)
+    np.testing.assert_array_equal(tn.free_run(model, pendulum)[0], usual[0].simulated)
