@@ -73,7 +73,8 @@ def _fits(value: Any, hint: Any) -> bool:
     )
     if not is_class or getattr(hint, "_is_protocol", False):
         return True
-    return isinstance(value, _NUMBERS.get(hint, hint))
+    kind: type = _NUMBERS.get(hint, hint)
+    return isinstance(value, kind)
 
 
 def _words(hint: Any) -> list[str]:

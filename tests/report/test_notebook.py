@@ -42,6 +42,7 @@ def test_a_notebook_shows_tables_and_a_picture(pendulum, system):
     result = tn.fit(pendulum, "grey", system=system)
     assert "gravity" in result._repr_html_()
     frame = result.to_frame()
+    assert result.identification is not None
     assert set(frame["name"]) == {e.name for e in result.identification.estimates}
     assert {"value", "error", "unit", "lower", "upper"} <= set(frame.columns)
 

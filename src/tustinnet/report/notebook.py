@@ -149,7 +149,7 @@ def _draw(records: Sequence[Experiment], axes: Any) -> np.ndarray:
     """Draws records over one another, a panel for each coordinate, and one for the inputs."""
     channels = records[0].channels
     count = _count_panels(channels)
-    panels = np.atleast_1d(_make_panels(count) if axes is None else np.asarray(axes, object))
+    panels = np.atleast_1d(np.asarray(_make_panels(count) if axes is None else axes, object))
     if panels.shape != (count,):
         raise InputError("plot", f"axes of shape {panels.shape}", f"{count} axes, one a panel")
     several = len(records) > 1

@@ -219,8 +219,8 @@ class CandidateQueue:
 
         With what these correct or begin with.
         """
-        best, *others = rank([*self.results.values()]) or [None]
-        ahead = {r.name for r in others if best and paired_difference(r, best).mean < 0}
+        ranking = rank([*self.results.values()])
+        ahead = {r.name for r in ranking[1:] if paired_difference(r, ranking[0]).mean < 0}
         for c in self._candidates:
             if c.name in ahead:
                 ahead |= self._needed(c)
