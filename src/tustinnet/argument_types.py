@@ -73,8 +73,7 @@ def _fits(value: Any, hint: Any) -> bool:
     )
     if not is_class or getattr(hint, "_is_protocol", False):
         return True
-    kind: type = _NUMBERS.get(hint, hint)
-    return isinstance(value, kind)
+    return isinstance(value, typing.cast("type", _NUMBERS.get(hint, hint)))
 
 
 def _words(hint: Any) -> list[str]:
