@@ -52,6 +52,17 @@ def test_units_in_brackets_are_printed_as_they_are():
         assert text in out.getvalue()
 
 
+def test_a_table_that_is_too_wide_for_a_terminal_is_a_block_for_each_row():
+    table = Table(["record", "a long heading", ""], [["one", "1", "x"], ["two", "2", ""]], "t")
+    told = {}
+    for width, is_terminal in ((12, True), (80, True), (12, False)):
+        table.print(Console(file=(out := io.StringIO()), width=width, force_terminal=is_terminal))
+        told[width, is_terminal] = out.getvalue()
+    blocks = "t\nrecord one\n  a long heading  1\n                  x\nrecord two\n"
+    assert told[12, True].startswith(blocks)
+    assert "record one" not in told[80, True] + told[12, False]
+
+
 @pytest.mark.parametrize("name", ["ahead.svg", "ahead.pdf", "ahead.png"])
 def test_the_bytes_of_a_figure_say_nothing_of_when_it_was_written(name, pendulum, tmp_path):
     folders = [tmp_path / "first", tmp_path / "second"]

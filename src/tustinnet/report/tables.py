@@ -29,7 +29,7 @@ class Table:
     title: str = ""
 
     def print(self, console: Console) -> None:
-        """Prints the table on a terminal."""
+        """Prints the table; on a terminal that is too narrow for it a block of lines for each row."""
         rich_table = RichTable(
             title=Text(self.title) if self.title else None,
             title_justify="left",
@@ -42,11 +42,23 @@ class Table:
             rich_table.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
         for row in self.rows:
             rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        # a terminal may wrap a line that is too long; a table must not cut its text, as to the
-        # console's width, beyond which no width of a single print goes
+        # a table must not be cut to the console's width, beyond which no width of a print goes
         width, console.width = console.width, _WIDEST
-        console.print(rich_table, crop=False, soft_wrap=True)
+        is_wide = console.is_terminal and console.measure(rich_table).maximum > width
+        shown = Text(self._blocks()) if is_wide else rich_table
+        console.print(shown, crop=False, soft_wrap=True)
         console.width = width
+
+    def _blocks(self) -> str:
+        """A block of lines for each row, empty cells left out."""
+        _, *columns = self.columns
+        width = max(map(len, columns), default=0)
+        lines = [self.title] if self.title else []
+        for name, *cells in self.rows:
+            lines += [f"{self.columns[0]} {name}".strip()]
+            pairs = zip(columns, cells, strict=True)
+            lines += [f"  {column:{width}}  {cell}" for column, cell in pairs if cell]
+        return "\n".join(lines) + "\n"
 
     def markdown(self) -> str:
         """The table in Markdown."""
