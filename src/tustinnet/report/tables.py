@@ -29,7 +29,7 @@ class Table:
     title: str = ""
 
     def print(self, console: Console) -> None:
-        """Prints the table; on a terminal that is too narrow for it a block of lines for each row."""
+        """Prints the table; on a terminal that is too narrow a block of lines for each row."""
         rich_table = RichTable(
             title=Text(self.title) if self.title else None,
             title_justify="left",
