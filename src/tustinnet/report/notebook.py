@@ -22,7 +22,7 @@ from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plo
 from tustinnet.report.fits import parameter_table
 from tustinnet.report.tables import Table, number
 
-_MOST_DRAWN = 6  # records of a set that one picture has room for
+_MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
 _PANEL = (6.0, 1.3)  # inches
 
 
