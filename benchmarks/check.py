@@ -19,12 +19,11 @@ from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
 
 import tustinnet as tn
 from tustinnet.check.check import check
-from tustinnet.check.draft_scales import find_scales
+from tustinnet.check.drafting import draft_files
 from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
 from tustinnet.data.catalog import locate
 from tustinnet.data.declaration import declare, parse_toml
-from tustinnet.data.drafting.draft import draft_card
 from tustinnet.data.drafting.files import list_logs
 from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.loading import load_folder
@@ -127,9 +126,7 @@ def card_of(folder: Path) -> Card:
     try:
         return locate(folder, example if example.is_file() else None)[1]
     except InputError:
-        place, files = list_logs([folder])
-        draft = draft_card(place, files)
-        draft = draft_card(place, files, by_motion=find_scales(draft, place))
+        draft = draft_files(*list_logs([folder]))
         return declare(parse_toml(draft.text), Card, folder)
 
 

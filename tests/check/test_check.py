@@ -18,7 +18,7 @@ from tustinnet.check.check import check, check_record
 from tustinnet.check.draft_scales import find_scales
 from tustinnet.check.finding import Finding, merge_findings, sort_findings
 from tustinnet.data.catalog import locate
-from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.draft import draft_card, draft_examined, examine_logs
 from tustinnet.data.loading import load_folder
 
 DT, COUNT = 0.01, 2 * np.pi / 4096
@@ -384,7 +384,7 @@ def test_a_draft_takes_the_unit_that_the_motion_shows(tmp_path: Path) -> None:
     assert wrong, "the range says degrees"
     assert all("unit" in c.assumed for c in wrong)
     scales = find_scales(draft, tmp_path)
-    corrected = draft_card(tmp_path, files, by_motion=scales).choice.coordinates
+    corrected = draft_examined(examine_logs(tmp_path, files), scales).choice.coordinates
     assert [c.unit for c in corrected] == ["rad", "rad"]
     assert all(
         "in rad as gravity shows" in c.because

@@ -22,7 +22,7 @@ def find_scales(draft: Draft, folder: Path, *, follow_links: bool = False) -> di
         follow_links: whether links to files outside of the folder are read.
 
     Returns:
-        Answers to questions of the draft, by their keys, as `draft_card` takes them.
+        Answers to questions of the draft, by their keys, as `draft_examined` takes them.
     """
     assumed = {c.name: c for c in draft.choice.coordinates if c.assumed and c.kind == "angular"}
     if not assumed or not draft.is_readable:

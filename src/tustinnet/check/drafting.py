@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tustinnet.check.draft_scales import find_scales
-from tustinnet.data.drafting.draft import Draft, draft_card
+from tustinnet.data.drafting.draft import Draft, draft_examined, examine_logs
 from tustinnet.data.drafting.files import list_logs
 from tustinnet.data.drafting.system_columns import SystemChannels
 
@@ -56,8 +56,7 @@ def draft_files(
         system: as that of `draft`.
         follow_links: as that of `draft`.
     """
-    made = draft_card(folder, files, answers, system=system)
+    examination = examine_logs(folder, files, answers)
+    made = draft_examined(examination, system=system)
     by_motion = find_scales(made, folder, follow_links=follow_links)
-    if not by_motion:
-        return made
-    return draft_card(folder, files, answers, by_motion=by_motion, system=system)
+    return draft_examined(examination, by_motion, system=system) if by_motion else made

@@ -127,22 +127,73 @@ class Draft:
         return sorted(best, key=lambda p: p.seconds)[len(best) // 2]
 
 
-def draft_card(
-    folder: Path,
-    files: Sequence[str],
-    answers: Mapping[str, str] | None = None,
-    *,
-    by_motion: Mapping[str, str] | None = None,
-    name: str = "",
-    has_splits: bool = True,
-    system: SystemChannels | None = None,
-) -> Draft:
-    """Drafts a data card for logs.
+@dataclass(frozen=True)
+class Examination:
+    """Knowledge of some logs, from which coordinates and inputs are chosen.
+
+    Attributes:
+        folder: the folder of the card.
+        logs: the logs.
+        notes: remarks on how they were read, and files that were left out.
+        clock: the time base, with a period.
+        period_reason: why it has that period; empty where it is assumed.
+        findings: what is known of the columns.
+    """
+
+    folder: Path
+    logs: Sequence[Log]
+    notes: Sequence[str]
+    clock: Clock
+    period_reason: str
+    findings: Findings
+
+
+def examine_logs(
+    folder: Path, files: Sequence[str], answers: Mapping[str, str] | None = None
+) -> Examination:
+    """Examines logs: their columns, their clock, the roles for which most evidence speaks.
 
     Args:
         folder: the folder of the card.
         files: the logs, below it.
         answers: answers to questions of an earlier draft, by their keys.
+
+    Raises:
+        InputError: no file has columns of numbers besides times.
+    """
+    notes: list[str] = []
+    logs = join_logs(read_logs(folder, files, notes.append), notes.append)
+    logs = keep_usual(logs, notes.append)
+    notes += dict.fromkeys(note for log in logs for note in log.notes)
+    return _examine(folder, logs, notes, answers or {})
+
+
+def draft_card(
+    folder: Path,
+    files: Sequence[str],
+    answers: Mapping[str, str] | None = None,
+    *,
+    name: str = "",
+    has_splits: bool = True,
+    system: SystemChannels | None = None,
+) -> Draft:
+    """Drafts a data card for logs, see `examine_logs` and `draft_examined`."""
+    examination = examine_logs(folder, files, answers)
+    return draft_examined(examination, name=name, has_splits=has_splits, system=system)
+
+
+def draft_examined(
+    examination: Examination,
+    by_motion: Mapping[str, str] | None = None,
+    *,
+    name: str = "",
+    has_splits: bool = True,
+    system: SystemChannels | None = None,
+) -> Draft:
+    """Drafts a data card for logs that were examined.
+
+    Args:
+        examination: what is known of them.
         by_motion: answers that the motion of the records shows, as `check.draft_scales` finds them.
         name: name of the data set; that of the folder by default.
         has_splits: whether the card names the files; otherwise all logs beside it are records.
@@ -151,110 +202,61 @@ def draft_card(
 
     Returns:
         The draft. Its `questions` say what was assumed.
-
-    Raises:
-        InputError: no file has columns of numbers besides times.
     """
-    answers, by_motion = answers or {}, by_motion or {}
-    notes: list[str] = []
-    logs = join_logs(read_logs(folder, files, notes.append), notes.append)
-    logs = keep_usual(logs, notes.append)
-    notes += dict.fromkeys(note for log in logs for note in log.notes)
-    readings = read_names(logs)
-    clock = find_clock(logs, readings)
-    questions: list[Question] = []
-    period_reason = "the mean time between samples"
-    dt = clock.dt
-    if dt is None:
-        dt, period_reason = _find_period(folder, logs, answers, by_motion)
-        clock = replace(clock, dt=dt)
-    is_period_assumed = not period_reason
-    if is_period_assumed:
+
+    def choose(examined: Examination) -> tuple[Findings, Choice]:
+        findings = replace(examined.findings, by_motion=by_motion or {})
+        if system is None:
+            return findings, choose_channels(findings)
+        return findings, choose_system_channels(findings, system)
+
+    findings, choice = choose(examination)
+    if not examination.period_reason:
+        dt = examination.clock.dt or _USUAL_PERIOD
+        if (period := period_by_velocities(dt, choice, findings)) is not None:
+            parts = examination.folder, examination.logs, examination.notes, findings.answers
+            examination = _examine(*parts, period)
+            findings, choice = choose(examination)
+    clock, numbers, notes = examination.clock, findings.numbers, [*examination.notes]
+    questions = [*choice.questions]
+    if not examination.period_reason:
         text = "sampling period [s]; no column of times was found"
-        questions.append(Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
-    pieces = find_pieces(logs, clock, readings)
-    motion = [n for n in readings if n != clock.column and n not in clock.others]
-    shown = _choose_samples(pieces)
-    numbers = {n: examine([p.column(n) for p in shown]) for n in readings}
-    samples = {n: [unwrap(p.column(n), numbers[n].wrap) for p in shown] for n in motion}
-    if not motion:
-        others = [f", but '{name}': {text}" for log in logs for name, text in log.texts.items()]
-        problem = "no column besides the times" + "".join(others[:1])
-        raise InputError(folder, problem, "columns of positions and inputs")
-    times = [p.t for p in shown]
-    sines = find_sines(readings, samples, times)
-    for cosine, sine in sines.items():
-        pairs = zip(samples[cosine], samples.pop(sine), strict=True)
-        samples[cosine] = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
-        numbers[cosine] = examine(samples[cosine])
-    motion = [n for n in motion if n in samples]
-    slopes = compare_slopes(samples, times)
-    known: dict[str, Role] = {
-        n: _role(answers[f"role {n}"]) for n in motion if f"role {n}" in answers
-    }
-    for cosine in sines:
-        known[cosine] = "position"
-    verdicts = _judge(
-        {n: readings[n] for n in motion},
-        numbers,
-        samples,
-        slopes,
-        known,
-        has_times=not is_period_assumed,
-    )
-    for cosine, sine in sines.items():
-        reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
-        verdicts[cosine] = Verdict("position", (reason,))
-    findings = Findings(
-        readings, numbers, samples, times, slopes, verdicts, answers, by_motion, sines
-    )
-    choice = (
-        choose_channels(findings) if system is None else (choose_system_channels(findings, system))
-    )
-    if is_period_assumed and (period := period_by_velocities(dt, choice, findings)) is not None:
-        return draft_card(
-            folder,
-            files,
-            answers,
-            by_motion={**by_motion, _PERIOD: repr(period)},
-            name=name,
-            has_splits=has_splits,
-            system=system,
-        )
-    logs = [_without_unused_files(log, choice) for log in logs]
+        questions.insert(0, Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
+    logs = [_without_unused_files(log, choice) for log in examination.logs]
     trimmed = _trim_logs(logs, choice, notes.append)
-    found = find_pieces(trimmed, clock, readings, notes.append)
+    found = find_pieces(trimmed, clock, findings.readings, notes.append)
     usable = _usable_pieces(found, choice, notes.append)
     texts = {n: text for log in logs for n, text in log.texts.items() if "where the others" in text}
     notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
     if not choice.inputs:
         notes.append("no input was found: the records are taken for free motion")
-    pieces = usable or pieces
+    pieces = usable or find_pieces(examination.logs, clock, findings.readings)
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
         for c in choice.coordinates
     }
     splits = choose_splits(pieces, positions, [i.column for i in choice.inputs])
+    assert clock.dt is not None
     text = write_card(
-        name or _name(folder),
+        name or _name(examination.folder),
         clock,
-        dt,
+        clock.dt,
         choice,
         splits if has_splits else None,
         has_header=logs[0].has_header,
         has_damaged_rows=any(log.has_damaged_rows for log in logs),
         texts=logs[0].texts,
         joined=logs[0].joined,
-        period_reason=period_reason,
+        period_reason=examination.period_reason,
     )
     return Draft(
         text,
-        tuple(_columns(readings, clock, choice, verdicts, numbers)),
-        dt,
+        tuple(_columns(findings.readings, clock, choice, findings.verdicts, numbers)),
+        clock.dt,
         choice,
         clock,
         splits,
-        tuple(q for q in (*questions, *choice.questions) if q.key not in answers),
+        tuple(q for q in questions if q.key not in findings.answers),
         tuple(notes),
         logs[0].texts,
         sum(map(len, logs)),
@@ -262,16 +264,64 @@ def draft_card(
     )
 
 
+def _examine(
+    folder: Path,
+    logs: Sequence[Log],
+    notes: Sequence[str],
+    answers: Mapping[str, str],
+    by_velocities: float | None = None,
+) -> Examination:
+    """Examines logs that were read; by velocities they may have a period [s] that nothing says."""
+    readings = read_names(logs)
+    clock, period_reason = find_clock(logs, readings), "the mean time between samples"
+    if clock.dt is None:
+        dt, period_reason = _find_period(folder, logs, answers, by_velocities)
+        clock = replace(clock, dt=dt)
+    motion = [n for n in readings if n != clock.column and n not in clock.others]
+    if not motion:
+        others = [f", but '{name}': {text}" for log in logs for name, text in log.texts.items()]
+        problem = "no column besides the times" + "".join(others[:1])
+        raise InputError(folder, problem, "columns of positions and inputs")
+    shown = _choose_samples(find_pieces(logs, clock, readings))
+    numbers = {n: examine([p.column(n) for p in shown]) for n in readings}
+    samples = {n: [unwrap(p.column(n), numbers[n].wrap) for p in shown] for n in motion}
+    times = [p.t for p in shown]
+    sines = find_sines(readings, samples, times)
+    for cosine, sine in sines.items():
+        pairs = zip(samples[cosine], samples.pop(sine), strict=True)
+        samples[cosine] = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
+        numbers[cosine] = examine(samples[cosine])
+    slopes = compare_slopes(samples, times)
+    known: dict[str, Role] = {
+        n: _role(answers[f"role {n}"]) for n in samples if f"role {n}" in answers
+    }
+    for cosine in sines:
+        known[cosine] = "position"
+    verdicts = _judge(
+        {n: readings[n] for n in samples},
+        numbers,
+        samples,
+        slopes,
+        known,
+        has_times=bool(period_reason),
+    )
+    for cosine, sine in sines.items():
+        reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
+        verdicts[cosine] = Verdict("position", (reason,))
+    findings = Findings(readings, numbers, samples, times, slopes, verdicts, answers, {}, sines)
+    return Examination(folder, logs, notes, clock, period_reason, findings)
+
+
 def _find_period(
-    folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_motion: Mapping[str, str]
+    folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_velocities: float | None
 ) -> tuple[float, str]:
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
     if _PERIOD in answers:
         return float(answers[_PERIOD]), "as you say"
     if (period := _said_period(folder, logs)) is not None:
         return period, "by the sampling rate that the files say"
-    if _PERIOD in by_motion:
-        return float(by_motion[_PERIOD]), "by the velocities, which are slopes of the positions"
+    if by_velocities is not None:
+        return by_velocities, "by the velocities, which are slopes of the positions"
     return _USUAL_PERIOD, ""
 
 
