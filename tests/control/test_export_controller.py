@@ -518,6 +518,22 @@ def test_the_problem_of_a_feedback_begins_with_a_line(tmp_path):
     assert inputs.shape == (found["STEPS"], 1)
 
 
+def test_the_problem_of_late_commands_has_earlier_ones_in_its_state(exported):
+    folder, result = exported("swing-up")
+    found = runpy.run_path(str(folder / "problem.py"))
+    plan = swing_up().plan
+    assert found["STATES"][-1] == "voltage_before_1"
+    states, inputs = found["first_guess"]()
+    np.testing.assert_array_equal(states[:, :4], plan.x)
+    np.testing.assert_array_equal(states[:-1, 4:], plan.previous_inputs(1))
+    np.testing.assert_array_equal(found["START"], states[0])
+    # the plan is a motion of the script's step, which is that of the C code
+    following = found["STEP"].map(len(inputs))(states[:-1].T, inputs.T).full().T
+    np.testing.assert_allclose(following, states[1:], rtol=0, atol=1e-9)
+    assert float(found["final_cost"](found["GOAL"])) == 0
+    assert not any("hold the input" in note for note in result.notes)
+
+
 class Anything:
     """Takes whatever is set, and has whatever is asked."""
 

@@ -10,7 +10,6 @@ from linear_machines import double_integrator
 import tustinnet as tn
 from tustinnet.control import Controller, Feedback, LinearFeedback, Mpc, ilqr, lqr, time_varying_lqr
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.export.scripts import held_source
 from tustinnet.control.mpc import LONGEST
 from tustinnet.export.casadi import TARGET
 from tustinnet.export.source import make_source
@@ -119,7 +118,7 @@ def test_converged_it_commands_what_ipopt_finds(tmp_path):
         within={"der_theta": (-3.0, 3.0)},
     )
     cost = mpc.cost
-    for name, content in TARGET.files(held_source(make_source(model))).items():
+    for name, content in TARGET.files(make_source(model)).items():
         write_into(tmp_path, name, content)
     step = casadi.Function.load(str(tmp_path / "step.casadi"))
 

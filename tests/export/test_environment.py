@@ -82,10 +82,12 @@ def test_an_episode_is_the_free_run_of_the_model():
     require_same_run(observed, expected)
 
 
-@pytest.mark.parametrize("name", ["network taps", "first-order", "hybrid", "two"])
+@pytest.mark.parametrize("name", ["network taps", "first-order", "hybrid", "two", "late"])
 def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
     both = [example("network taps"), example("physics")]
-    model = (tn.committee(both) if name == "two" else example(name)).simplify()
+    late = replace(CHANNELS, inputs=(replace(CHANNELS.inputs[0], delay=1.5 * CHANNELS.dt),))
+    made_here = {"two": lambda: tn.committee(both), "late": lambda: physics(late)}
+    model = made_here.get(name, lambda: example(name))().simplify()
     free = [[-9.0, 9.0]] * model.state_size
     env = made(model=model, range={"states": free, "inputs": [[-1, 1]]}, margin=100.0)
     x, actions = np.full(model.state_size, 0.1), np.array([0.5, -0.7, 0.2])

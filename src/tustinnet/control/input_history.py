@@ -58,9 +58,8 @@ def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
         model: the model.
         delay: samples by which all inputs act late, beside the delays that the model's inputs have.
     """
-    channels = model.channels
-    layout = find_input_layout(model, [(i.delay or 0.0) / channels.dt for i in channels.inputs])
-    n_u, lags = channels.n_u, [delay + max(0, -offset) for offset in layout.offsets]
+    layout = find_input_layout(model)
+    n_u, lags = model.channels.n_u, [delay + max(0, -offset) for offset in layout.offsets]
     matrix = np.zeros((len(layout.matrix), (max(lags) + 1) * n_u))
     for i, lag in enumerate(lags):
         matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]

@@ -43,13 +43,18 @@ class C(Target):
 
 
 def make_model_files(
-    source: Source, *, linearised: bool = True, lost_after: int = LOST_AFTER
+    source: Source,
+    *,
+    linearised: bool = True,
+    parts: bool = False,
+    lost_after: int = LOST_AFTER,
 ) -> dict[str, str]:
     """`model.h` and `model.c`.
 
     Args:
         source: the model.
         linearised: whether they have `model_linearise` and the declarations for a filter.
+        parts: whether they have `model_advance`, of a model that `integrates`.
         lost_after: samples in a row without use after which an estimate of the filter is lost.
     """
     code = Code()
@@ -57,18 +62,23 @@ def make_model_files(
     if linearised:
         code.add("linearised", source.linearised)
         code.add("rest", source.rest)
+    if parts:
+        code.add("advance", source.part)
     header = fill_template(
         "model.h",
         states=source.n_x,
         positions=source.channels.n_q,
         inputs=source.n_w,
         period=float(source.channels.dt),
-        more=fill_template("estimate.h", lost_after=lost_after) if linearised else "",
+        more=(fill_template("advance.h") if parts else "")
+        + (fill_template("estimate.h", lost_after=lost_after) if linearised else ""),
     )
     body = fill_template("model.c", code=code.text(), precision=fill_template("precision.c"))
     return {
         "model.h": header,
-        "model.c": body + (fill_template("linearise.c") if linearised else ""),
+        "model.c": body
+        + (fill_template("advance.c") if parts else "")
+        + (fill_template("linearise.c") if linearised else ""),
     }
 
 

@@ -48,8 +48,8 @@ def casadi_step(model: Model) -> "Function":
 
     Returns:
         A function of `x`, (n_x,), and `u`, (n_u,), that gives `x_next`, (n_x,). Where a step
-        depends on inputs at several samples, `u` has all of them: at the sample itself, after it,
-        before it.
+        depends on inputs at several samples, as where they act late, `u` has all of them: at the
+        sample itself, after it, before it.
 
     Raises:
         InputError: CasADi is not installed, or the model has operations that no target supports.
@@ -215,6 +215,14 @@ def _scalar_parts(
     return parts[::-1]
 
 
+def step_file(step: Program) -> bytes:
+    """A step, of `x` and `u`, as CasADi saves functions."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / FILE
+        make_function(step, "step", ["x", "u"], ["x_next"]).save(str(path))
+        return path.read_bytes()
+
+
 class CasADi(Target):
     """A function that CasADi loads by itself."""
 
@@ -223,10 +231,7 @@ class CasADi(Target):
 
     def files(self, source: Source) -> Files:
         """The function, as CasADi saves it."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / FILE
-            make_function(source.step, "step", ["x", "u"], ["x_next"]).save(str(path))
-            return {FILE: path.read_bytes()}
+        return {FILE: step_file(source.step)}
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
         """The function that was saved, run by CasADi."""

@@ -24,8 +24,8 @@ def compiled_step(model: Model) -> Callable[[Vector, Vector], Vector]:
 
     Returns:
         `step(x, u) -> x`, arrays of (n_x,) and (n_u,) in, (n_x,) out, in double precision. Inputs
-        are held at `u` until the next sample, also where the model's inputs are straight lines
-        between samples.
+        act at once and are held at `u` until the next sample, also where the model's inputs are
+        straight lines between samples or act late.
 
     Raises:
         InputError: float64 is off. The step raises it for arrays of other shapes.

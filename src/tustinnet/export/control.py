@@ -19,7 +19,8 @@ def control_system(model: Model) -> "NonlinearIOSystem":
     """A model as a discrete system of python-control, with the names of its channels.
 
     Its outputs are the states. Where a step depends on inputs at several samples, each is an input
-    of its own (`voltage`, `voltage_after_1`): connect all to one signal that is held.
+    of its own (`voltage`, `voltage_after_1`, `voltage_before_2`): connect all to one signal that is
+    held, those of a delay behind so many delays of a period.
 
     Args:
         model: a model that steps from sample to sample.

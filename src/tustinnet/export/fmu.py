@@ -69,18 +69,18 @@ def _sources(source: Source, version: int) -> dict[str, str]:
     """The C files of an FMU by name, headers too."""
     offsets = source.input_layout.offsets
     return {
-        **make_model_files(source, linearised=False),
+        **make_model_files(source, linearised=False, parts=source.integrates),
         "fmu.h": fill_template(
             "fmu.h",
             inputs=source.channels.n_u,
             samples=len(offsets),
             past=max(-min(offsets), 0),
+            integrates=int(source.integrates),
             parameters=len(source.parameters),
         ),
         "fmu.c": fill_template(
             "fmu.c",
             offsets=", ".join(map(str, offsets)),
-            period=float(source.channels.dt),
             values=", ".join(repr(value) for _, _, value in source.parameters) or "0",
         ),
         f"fmi{version}.c": fill_template(f"fmi{version}.c"),
@@ -178,8 +178,14 @@ class _Description:
             )
         )
         notes = [
-            f"Steps of {period!r} s; a communication step is a whole multiple of it, with inputs "
-            "as they are at its beginning."
+            f"Communication steps are of any length, with inputs as they are at the beginning. "
+            f"The period of the model is {period!r} s: "
+            + (
+                "its equations are integrated in steps of at most that."
+                if source.integrates
+                else "it steps by that, with the means of the inputs over it; states in between "
+                "are interpolated."
+            )
         ]
         if max(source.input_layout.offsets) > 0:
             notes.append(
@@ -214,7 +220,7 @@ class _Description:
             root,
             "CoSimulation",
             modelIdentifier=IDENTIFIER,
-            canHandleVariableCommunicationStepSize="false",
+            canHandleVariableCommunicationStepSize="true",
         )
         if newer:
             more = {

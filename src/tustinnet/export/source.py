@@ -1,7 +1,7 @@
 """A model as it is exported: its step as a function of vectors, their names and ranges."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,6 +15,8 @@ from tustinnet.engine.equations import Equations, Formula, read_linearised
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
+from tustinnet.models.integrate import Discretised
+from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.physical_values import equations_in, physical_parameters, with_values
 from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
@@ -23,6 +25,7 @@ from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import step_equations
 
+_PLACES = 9  # decimals of a delay in periods
 _DEFAULT_RANGE = 1.0  # of states and inputs to both sides of 0, where their range is unknown
 StepFunction = Callable[[Array, Array], Array]
 
@@ -41,6 +44,13 @@ class InputLayout:
     offsets: tuple[int, ...]
     matrix: Float[np.ndarray, "input samples"]
     shape: tuple[int, ...]
+
+    def step_input(self, samples: Array) -> Array:
+        """The step's input by the inputs at these samples, one after the other, (n_w,)."""
+        if self.shape == samples.shape:
+            return samples  # of its own sample alone, held
+        # from NumPy in here: an array of JAX made while a step is read would belong to that
+        return (jnp.asarray(self.matrix) @ samples).reshape(self.shape)
 
 
 @dataclass(frozen=True)
@@ -166,6 +176,37 @@ class Source:
         sizes = {"x": self.n_x, "u": self.n_w}
         return read(lambda x, u: {"x": self.function(x, u)}, sizes)
 
+    @property
+    def integrates(self) -> bool:
+        """Whether it is differential equations alone, which are integrated over any time.
+
+        A controller in the loop that computes at samples has to wait for them.
+        """
+        model = self.model
+        if not isinstance(model, Discretised):
+            return False
+        equations = model.continuous
+        feedback = equations.system.feedback if isinstance(equations, LagrangianModel) else None
+        return feedback is None or not feedback.is_sampled
+
+    @cached_property
+    def part(self) -> Program:
+        """A part of a step: `x`, `u`, and `begin` and `length` of the part [periods], to `x`.
+
+        Of a model that `integrates`. Inputs follow over the part what they do over the period.
+        """
+
+        def advance(x: Array, u: Array, begin: Array, length: Array) -> dict[str, Array]:
+            inputs = self.input_layout.step_input(u)
+            if inputs.ndim > 1:
+                # values at the beginning of the period, and changes over it
+                value, change = inputs
+                inputs = jnp.stack([value + begin * change, length * change])
+            return {"x": self.model.advance(x, inputs, length[0] * self.channels.dt)}
+
+        sizes = {"x": self.n_x, "u": self.n_w, "begin": 1, "length": 1}
+        return read(advance, sizes)
+
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
@@ -205,15 +246,12 @@ class Source:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """Notes for users of the export."""
-        notes = []
-        for i in self.channels.inputs if self.layout is None else ():
-            if i.hold == "band-limited":
-                notes.append(
-                    f"input '{i.name}' is band-limited in the records; the exported step takes "
-                    "straight lines between samples"
-                )
-            if i.delay:
-                notes.append(f"input '{i.name}' acts {i.delay:g} s late; the step has no delay")
+        notes = [
+            f"input '{i.name}' is band-limited in the records; the exported step takes straight "
+            "lines between samples"
+            for i in self.channels.inputs
+            if i.hold == "band-limited" and self.layout is None
+        ]
         if self.model.warm_up:
             notes.append(
                 f"internal states need {self.model.warm_up} samples: put measured positions and "
@@ -275,17 +313,17 @@ def require_stepping(model: object) -> None:
         )
 
 
-def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> InputLayout:
+def find_input_layout(model: Model) -> InputLayout:
     """The input samples on which a model's steps depend, from the responses to single samples.
 
-    Args:
-        model: the model.
-        delays: how late each input acts [periods]; by default none does.
+    They are those that it takes along a record, delays of its inputs included; a delay that is no
+    whole number of periods is between two samples, see `excitation`.
     """
     inputs = model.channels.inputs
     if not inputs:
         return InputLayout((0,), np.zeros((0, 0)), (0,))
-    late = [0.0] * len(inputs) if delays is None else list(delays)
+    # rounded, so that a whole number of periods is one
+    late = [round((i.delay or 0.0) / model.dt, _PLACES) for i in inputs]
     linear = ("first-order", "band-limited")
     holds: list[DeclaredHold] = [
         "first-order" if i.hold in linear else "zero-order" for i in inputs
@@ -295,11 +333,14 @@ def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> In
         signal: Excitation = excitation(samples, holds, late)
         return np.asarray(model.step_inputs(signal))
 
-    reach = max((1, *map(abs, model.step_layout.taps))) + math.ceil(max(map(abs, late)))
+    near = max((1, *map(abs, model.step_layout.taps)))
+    shifts = {whole for delay in late for whole in (math.floor(delay), math.ceil(delay))}
+    tried = {0, *(tap - shift for shift in shifts for tap in range(-near, near + 1))}
+    reach = max(map(abs, tried))
     blank = np.zeros((2 * reach + 2, len(inputs)))
     shape = step_inputs(blank)[reach].shape
     columns = {}
-    for offset in range(-reach, reach + 1):
+    for offset in tried:
         rows = []
         for i in range(len(inputs)):
             blank[reach + offset, i] = 1.0
@@ -314,11 +355,4 @@ def find_input_layout(model: Model, delays: Sequence[float] | None = None) -> In
 
 def step_by_samples(model: Model, layout: InputLayout) -> StepFunction:
     """The step of a model as a function of the state and of the samples of a layout, flattened."""
-    is_held = layout.offsets == (0,) and layout.shape == (model.channels.n_u,)
-
-    def step(x: Array, w: Array) -> Array:
-        # from NumPy in here: an array of JAX made while a step is read would belong to that
-        u = w if is_held else (jnp.asarray(layout.matrix) @ w).reshape(layout.shape)
-        return model.step(x, u)
-
-    return step
+    return lambda x, w: model.step(x, layout.step_input(w))

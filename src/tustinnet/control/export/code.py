@@ -25,7 +25,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
 
 _SCRIPTS = {
-    "step.casadi": "a step of the model for CasADi",
+    "step.casadi": "a step of the model for CasADi, earlier inputs behind its states",
     "problem.py": "the control problem in CasADi, solved by ipopt",
     "acados_problem.py": "the problem for acados, which generates a solver in C",
     "do_mpc_controller.py": "a predictive controller by do-mpc",

@@ -130,8 +130,9 @@ def export_controller(
         )
     else:
         limits = InputLimits(final.lower, final.upper)
+        system = controlled(source.model if groups else model, final.delay)
         cost, _ = make_cost(
-            controlled(source.model if groups else model, final.delay),
+            system,
             limits,
             final.x0,
             final.u0,
@@ -139,12 +140,7 @@ def export_controller(
             range=source.range,
             within=within,
         )
-        scripts = make_scripts(gains, source, cost, start)
-        if len(source.input_layout.offsets) > 1:
-            notes.append(
-                "a step of the model depends on inputs before its sample: the scripts for CasADi, "
-                "acados and do-mpc hold the input of the sample instead"
-            )
+        scripts = make_scripts(gains, system, cost, start)
     files = {
         **code,
         JSON: controller_json(gains, source.channels),

@@ -59,48 +59,107 @@ const char *fmu_keep(const void *memory, void **state)
     return NULL;
 }
 
-/* An input at a sample that is `ahead` periods later than the communication point. */
-static double sample(const fmu_memory *m, int i, double ahead)
+/* An input some periods after the communication point. */
+static double input_at(const fmu_memory *m, int i, double periods)
 {
-    return m->input[i] + m->slope[i] * (ahead * MODEL_PERIOD);
+    return m->input[i] + m->slope[i] * (periods * MODEL_PERIOD);
 }
 
-/* What a step is given that begins `turn` periods after the communication point. */
-static void gather(const fmu_memory *m, double turn, double u[])
+/* What a step is given that began with the period, `now` periods after the communication point.
+   Equations see the inputs as they are; a step of a whole period sees the mean over it, as if the
+   inputs stayed as they are. */
+static void gather(const fmu_memory *m, double now, double u[])
 {
     for (int s = 0; s < FMU_SAMPLES; s++)
         for (int i = 0; i < FMU_INPUTS; i++) {
-            const int offset = offsets[s];
-            u[s * FMU_INPUTS + i] = offset < 0 ? m->past[(-offset - 1) * FMU_INPUTS + i]
-                                               : sample(m, i, turn + offset);
+            double *to = &u[s * FMU_INPUTS + i];
+            if (offsets[s] < 0)
+                *to = m->past[(-offsets[s] - 1) * FMU_INPUTS + i];
+            else if (FMU_INTEGRATES || offsets[s] > 0)
+                *to = input_at(m, i, now + offsets[s] - m->share);
+            else
+                *to = m->given[i] + (1.0 - m->share) * input_at(m, i, now);
         }
 }
 
-/* Puts the inputs of a sample before those that are known already. */
-static void remember(fmu_memory *m, double turn)
+/* Puts inputs before those that are known already. */
+static void remember(fmu_memory *m, const double inputs[])
 {
     for (int k = FMU_PAST * FMU_INPUTS - 1; k >= FMU_INPUTS; k--)
         m->past[k] = m->past[k - FMU_INPUTS];
     for (int i = 0; i < FMU_INPUTS && FMU_PAST > 0; i++)
-        m->past[i] = sample(m, i, turn);
+        m->past[i] = inputs[i];
+}
+
+#if FMU_INTEGRATES
+static void move(fmu_memory *m, const double u[], double end)
+{
+    const double length = end - m->share;
+    if (length >= 1.0)
+        model_step(&m->state, u);
+    else
+        model_advance(&m->state, u, m->share, length);
+}
+#else
+/* To the state at a part of the period: positions are cubic in time, with the velocities at both
+   ends, all others are straight lines. */
+static void move(fmu_memory *m, const double u[], double end)
+{
+    const double *from = m->begin.x;
+    model_state to = m->begin;
+    model_step(&to, u);
+    for (int i = 0; i < MODEL_STATES && end < 1.0; i++) {
+        const double rise = to.x[i] - from[i], rest = 1.0 - end;
+        double bend = 0.0;
+        if (i < MODEL_POSITIONS)
+            bend = rest * (MODEL_PERIOD * from[MODEL_POSITIONS + i] - rise)
+                   + end * (rise - MODEL_PERIOD * to.x[MODEL_POSITIONS + i]);
+        m->state.x[i] = from[i] + end * (rise + rest * bend);
+    }
+    if (end >= 1.0)
+        m->state = to;
+}
+#endif
+
+/* Goes on within a period, to a part of it. */
+static void go_on(fmu_memory *m, double now, double end)
+{
+    double u[MODEL_INPUTS + 1];
+    gather(m, now, u);
+    move(m, u, end);
+    for (int i = 0; i < FMU_INPUTS; i++)
+        m->given[i] += (end - m->share) * input_at(m, i, now);
+    m->share = end;
+    if (end < 1.0)
+        return;
+    remember(m, m->given);
+    memset(m->given, 0, sizeof m->given);
+    m->share = 0.0;
+    m->begin = m->state;
 }
 
 const char *fmu_step(fmu_memory *m, double time, double size)
 {
-    double u[MODEL_INPUTS + 1];
-    const double periods = size / MODEL_PERIOD, whole = floor(periods + 0.5);
+    double periods = size / MODEL_PERIOD;
+    const double whole = floor(periods + 0.5);
     if (!m->running)
         return "a step before the end of the initialisation";
-    if (!(fabs(periods - whole) <= 1e-6 && whole >= 1.0))
-        return "the communication step is no whole multiple of the model's period, @period@ s";
-    /* before the first step inputs were as they are then */
-    for (int k = 0; k < FMU_PAST && !m->stepped; k++)
-        remember(m, 0.0);
-    m->stepped = 1;
-    for (double turn = 0.0; turn < whole; turn += 1.0) {
-        gather(m, turn, u);
-        remember(m, turn);
-        model_step(&m->state, u);
+    if (!(periods > 0.0 && isfinite(periods)))
+        return "the communication step is no positive number";
+    if (whole >= 1.0 && fabs(periods - whole) <= 1e-6)
+        periods = whole;
+    if (!m->stepped) {
+        /* before the first step inputs were as they are then */
+        for (int k = 0; k < FMU_PAST; k++)
+            remember(m, m->input);
+        m->begin = m->state;
+        m->stepped = 1;
+    }
+    for (double now = 0.0; periods - now > FMU_INSTANT;) {
+        const double left = periods - now, rest = 1.0 - m->share;
+        const int is_whole = left > rest - FMU_INSTANT;
+        go_on(m, now, is_whole ? 1.0 : m->share + left);
+        now += is_whole ? rest : left;
     }
     m->time = time + size;
     return NULL;

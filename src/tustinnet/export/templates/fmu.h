@@ -19,13 +19,18 @@
 #define FMU_SAMPLES @samples@ /* that a step sees of the inputs */
 #define FMU_PARAMETERS @parameters@ /* constants of the model */
 #define FMU_PAST @past@ /* of them at most so many before its beginning */
+#define FMU_INTEGRATES @integrates@ /* whether equations are integrated over any time */
+#define FMU_INSTANT 1e-9 /* periods; rounding of times, no more */
 
 /* Everything that changes; copied as a whole where a state of the FMU is taken or put back. */
 typedef struct fmu_memory {
     model_state state;
     double input[FMU_INPUTS + 1];
     double slope[FMU_INPUTS + 1]; /* of the inputs in time; 0 where nobody tells */
-    double past[FMU_PAST * FMU_INPUTS + 1]; /* samples of the inputs before, the last one first */
+    double past[FMU_PAST * FMU_INPUTS + 1]; /* means over the periods before, the last one first */
+    double given[FMU_INPUTS + 1]; /* the inputs' part in the mean over the period that goes on */
+    double share;                 /* of that period that is over */
+    model_state begin;            /* the state in which it began */
     double time;
     int stepped; /* whether there was a step */
     int running; /* whether initialisation is over */
@@ -46,7 +51,7 @@ const char *fmu_set_slope(fmu_memory *m, unsigned int reference, double value);
 /* Copies a memory to a state, which is allocated where it is NULL; NULL, or why it cannot be. */
 const char *fmu_keep(const void *memory, void **state);
 
-/* Steps on; NULL, or why there is no such step. Nothing has changed then. */
+/* Steps on by any time; NULL, or why there is no such step. Nothing has changed then. */
 const char *fmu_step(fmu_memory *m, double time, double size);
 
 #endif
