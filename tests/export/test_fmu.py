@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from every_family import example
@@ -23,6 +24,7 @@ from fmpy.fmi2 import (
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_build_description
 from fmpy.validation import validate_fmu
+from held_swings import KD, KP, held_swings
 from swinging import CREEPING, DT, SWING, swing_model
 
 import tustinnet as tn
@@ -30,6 +32,7 @@ from tustinnet.export.check import check_export
 from tustinnet.export.fmu import FILES, TARGET
 from tustinnet.export.source import Source, make_source
 from tustinnet.export.target import NotRunnable
+from tustinnet.models.closed_loop import with_controller
 from tustinnet.program.numbers import run
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
@@ -301,6 +304,26 @@ def test_after_whole_periods_means_of_the_inputs_have_acted(name, periods, versi
     *_, found = (instance.step(v, periods=periods) for v in u)
     # equations are integrated in other steps
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 if of.integrates else 1e-9)
+
+
+def test_a_controller_in_the_loop_computes_at_its_own_samples(tmp_path):
+    (record,) = held_swings(1)
+    gains = tuple(
+        tn.Parameter(f"angle.{name}", "1", value, value, value, fixed=True)
+        for name, value in (("kp", KP), ("kd", KD))
+    )
+    closed = with_controller(SWING, record.channels, gains)
+    model = closed.model({name: jnp.asarray(x) for name, x in closed.nominal().items()})
+    of = make_source(tn.discretise(model, DT, inputs=record.inputs))
+    assert not of.integrates
+    for file, content in TARGET.files(of).items():
+        assert isinstance(content, bytes)
+        (tmp_path / file).write_bytes(content)
+    x0, w = np.array([3.4, 0.3]), np.array([3.5, 0.1, 0.2])
+    whole = Instance(tmp_path, of, 3).begin(x0).step(w)
+    parts = Instance(tmp_path, of, 3).begin(x0)
+    found = [parts.step(w, periods=0.25) for _ in range(4)]
+    np.testing.assert_allclose(found[-1], whole, rtol=1e-12)
 
 
 def test_between_the_samples_of_a_network_the_acceleration_is_constant(written):
