@@ -1,7 +1,7 @@
 """Types of the arguments of public functions: another one is said in a line, as other bad input is.
 
 Annotations are what is checked, as far as a class decides: shapes of arrays, literal texts and
-protocols are left to the function.
+protocols are left to the function. Nothing is checked before it fails.
 """
 
 import types
@@ -18,7 +18,9 @@ _NUMBERS: dict[Any, type] = {float: Real, int: Integral}  # those of NumPy, too
 
 
 def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that raises an `InputError` for an argument of another type than it declares.
+    """A function that says which argument is of another type than it declares where it fails.
+
+    What works is taken, of whatever type. What the function says itself stays as it is.
 
     Args:
         function: a function whose arguments have annotations.
@@ -27,16 +29,31 @@ def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(function)
     def call(*args: Any, **named: Any) -> Any:
         try:
-            given = signature(function).bind_partial(*args, **named).arguments
-        except TypeError:
-            return function(*args, **named)  # which says what there is too much
-        for name, hint in _hints(function).items():
-            if name in given and not _fits(given[name], hint):
-                found = type(given[name]).__name__.replace("NoneType", "None")
-                raise InputError(f"{function.__name__}, {name}", found, " or ".join(_words(hint)))
-        return function(*args, **named)
+            return function(*args, **named)
+        except InputError:
+            raise
+        except Exception as error:
+            misfit = _find_misfit(function, args, named)
+            if misfit is None:
+                raise
+            raise misfit from error
 
     return call
+
+
+def _find_misfit(
+    function: Callable[..., Any], args: Iterable[Any], named: Mapping[str, Any]
+) -> InputError | None:
+    """What is wrong with the first argument of another type than declared; None without one."""
+    try:
+        given = signature(function).bind_partial(*args, **named).arguments
+    except TypeError:  # which says what there is too much
+        return None
+    for name, hint in _hints(function).items():
+        if name in given and not _fits(given[name], hint):
+            found = type(given[name]).__name__.replace("NoneType", "None")
+            return InputError(f"{function.__name__}, {name}", found, " or ".join(_words(hint)))
+    return None
 
 
 @cache

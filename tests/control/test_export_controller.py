@@ -21,7 +21,7 @@ from tustinnet.control.dynamics import controlled, input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.check import BOUND, check_loop
 from tustinnet.control.export.code import make_code
-from tustinnet.control.export.compiled import compiled
+from tustinnet.control.export.compiled import compile_loop
 from tustinnet.control.export.gains import JSON, MAT
 from tustinnet.control.export.write import export_controller
 from tustinnet.control.ilqr import make_cost
@@ -599,20 +599,28 @@ def test_without_casadi_there_are_no_scripts(tmp_path, monkeypatch):
 
 
 @needs_gcc
-def test_its_code_in_c_plays_predictive_control(monkeypatch):
-    model = pendulum()
-    mpc = predictive(balance(2))
-    played = compiled(mpc, model)
-    assert played is not mpc
+@pytest.mark.parametrize(
+    "gains", [lambda: predictive(balance(2)), lambda: balance(2), motion, late_motion]
+)
+def test_its_code_in_c_plays_a_loop(gains, monkeypatch):
+    model, made = pendulum(), gains()
+    played, estimator = compile_loop(made, model, noise(model))
+    monkeypatch.setenv("CC", "no-such-compiler")
+    own, own_estimator = compile_loop(made, model, noise(model))
+    assert type(played) is not type(own)
     rng = np.random.default_rng(0)
     for _ in range(2):
-        played.reset()
-        mpc.reset()
-        for k in range(5):
-            x = 0.1 * rng.normal(size=4) if k != 3 else np.full(4, np.nan)
-            np.testing.assert_allclose(played.inputs(k, x), mpc.inputs(k, x), rtol=1e-9)
-    monkeypatch.setenv("CC", "no-such-compiler")
-    assert compiled(mpc, model) is mpc
+        y = 0.01 * rng.normal(size=2)
+        for one in (played, own):
+            one.reset()
+        x = estimator.reset(y)
+        np.testing.assert_allclose(x, own_estimator.reset(y), rtol=1e-9, atol=1e-12)
+        for k in range(30):
+            y = np.full(2, np.nan) if 5 <= k < 20 else 0.01 * rng.normal(size=2)
+            u = played.inputs(k, x)
+            np.testing.assert_allclose(u, own.inputs(k, x), rtol=1e-9, atol=1e-12)
+            x = estimator.update(y, u)
+            np.testing.assert_allclose(x, own_estimator.update(y, u), rtol=1e-8, atol=1e-10)
 
 
 def test_without_a_compiler_it_is_written_and_told(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""A public function that is given a value of another type says so in a line."""
+"""A public function that fails by a value of another type says so in a line."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -22,14 +22,24 @@ def compute(
     anything: Any = None,
     **more: int,
 ) -> str:
-    """Returns a word."""
+    """Returns a word, or fails."""
+    if isinstance(anything, Exception):
+        raise anything
     return "computed"
 
 
-def test_what_fits_is_computed(pendulum):
+def test_what_works_is_computed(pendulum):
     assert compute(pendulum, [1, np.float32(2)], by_name={"a": np.int64(1)}) == "computed"
     # what no class decides is left to the function
     assert compute(Path("x"), kind="c", array=3, anything=int, further="a text") == "computed"  # pyright: ignore
+    assert compute(None) == "computed"  # pyright: ignore
+
+
+def test_what_fails_for_other_reasons_stays_as_it_is():
+    with pytest.raises(KeyError, match="inside"):
+        compute(Path(), [1.0], anything=KeyError("inside"))
+    with pytest.raises(tn.InputError, match="its own words"):
+        compute(None, anything=tn.InputError("data", "its own words"))  # pyright: ignore
 
 
 @pytest.mark.parametrize(
@@ -44,14 +54,14 @@ def test_what_fits_is_computed(pendulum):
 )
 def test_another_type_is_said_in_a_line(given, named, told):
     with pytest.raises(tn.InputError) as raised:
-        compute(*given, **named)
+        compute(*given, **named, anything=TypeError("inside"))
     assert str(raised.value) == told
 
 
 def test_missing_arguments_are_those_of_python_and_the_function_keeps_its_name():
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'data'"):
         compute()  # pyright: ignore
-    assert compute.__doc__ == "Returns a word."
+    assert compute.__doc__ == "Returns a word, or fails."
 
 
 @pytest.mark.parametrize("name", ["load", "fit", "evaluate", "load_model", "read_recipe", "check"])

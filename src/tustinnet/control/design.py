@@ -11,7 +11,6 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.computed_torque import computed_torque, smooth_motion
 from tustinnet.control.controller import Controller
-from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
@@ -19,7 +18,7 @@ from tustinnet.control.estimator import FilterConsistency, check_filter, find_no
 from tustinnet.control.ilqr import follow, ilqr
 from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
-from tustinnet.control.mpc import Mpc
+from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
@@ -170,7 +169,7 @@ class ControlDesign:
 
     def make_controller(self) -> Controller:
         """The controller; one by linear feedback is a new one."""
-        return feedback_controller(self.gains) if self.mpc is None else self.mpc
+        return make_controller(self.mpc or self.gains)
 
 
 def design_controller(

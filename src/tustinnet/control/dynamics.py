@@ -104,7 +104,9 @@ class ControlledModel:
             values = dict(zip(names, point[end:], strict=True))
             return self.function(point[:size], point[size:end], values)
 
-        return Formula(step, end + len(names), where=self.where)
+        formula = Formula(step, end + len(names), where=self.where)
+        compile_formula(formula, derivatives=True)
+        return formula
 
     @cached_property
     def _slope(self) -> Callable[[Array], Array] | None:

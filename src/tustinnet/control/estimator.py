@@ -36,7 +36,8 @@ _LAGS = 20  # at which innovations are correlated
 _BY_CHANCE = 0.1  # of the lags that may be outside: of 20 more than two are in 8 % of all cases
 _LITTLE = 0.2  # correlation up to which innovations are nearly white
 _SETTLING = 20  # samples at the beginning of a record that say more of the start than of the noise
-_SAMPLES = 2500  # of all records together, at most, by which noise is found
+_SAMPLES = 1250  # of all records together, at most, by which noise is found, to about 2 %
+_CHECKED = 2500  # by which a filter is checked
 _LONGEST = 500  # of them from one record
 _SHORTEST = 2 * _SETTLING + _LAGS  # records that say something of the noise
 _FEW_STATES = 20  # up to which all these samples are used: a filter's work grows with the states
@@ -248,7 +249,7 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
 
     Args:
         model: the model.
-        records: records of its system; parts of them, 2500 samples together, are used.
+        records: records of its system; parts of them, 1250 samples together, are used.
 
     Returns:
         The standard deviations. Those of the start are for a start at rest at the first measured
@@ -263,7 +264,7 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
     """
     import scipy.optimize
 
-    parts = _parts(model, records)
+    parts = _parts(model, records, _SAMPLES)
     channels, n_z = model.channels, len(model.internal)
     # velocities that differ by counts are no motion: what never moves still has a unit
     speed = _spread([e.velocities() for e in parts])
@@ -331,7 +332,7 @@ def check_filter(
     """
     import scipy.stats
 
-    parts = _parts(model, records)
+    parts = _parts(model, records, _CHECKED)
     results = _filtered(model, parts, noise)
     series = [(one.innovations / one.innovation_deviations)[_SETTLING:] for one in results]
     pooled = np.concatenate(series)
@@ -378,9 +379,9 @@ def _velocity_errors(
     return np.stack([own, *without_model])
 
 
-def _parts(model: Model, records: Sequence[Experiment]) -> list[Experiment]:
+def _parts(model: Model, records: Sequence[Experiment], most: int) -> list[Experiment]:
     """The first samples of records, so that all have a share."""
-    samples = int(_SAMPLES * min(1.0, _FEW_STATES / model.state_size))
+    samples = int(most * min(1.0, _FEW_STATES / model.state_size))
     length = min(_LONGEST, max(_SHORTEST, samples // max(len(records), 1)))
     parts = [e[:length] for e in records if len(e) >= _SHORTEST]
     if not parts:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.controllers import TrackingFeedback
+from tustinnet.control.controller import Controller
+from tustinnet.control.controllers import TrackingFeedback, feedback_controller
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.ilqr import Motion, Solver, make_cost, shift, turns_to
 from tustinnet.control.lqr import Feedback, Tracking, gains_along, wrap
@@ -196,3 +197,8 @@ def _without_motion(feedback: Feedback) -> Tracking:
         delay=feedback.delay,
     )
     return Tracking(plan, np.zeros((0, n_u, n_z)), feedback)
+
+
+def make_controller(designed: Feedback | Tracking | Mpc) -> Controller:
+    """A controller in Python: a new one by feedback, predictive control itself."""
+    return designed if isinstance(designed, Mpc) else feedback_controller(designed)

@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
 from tustinnet.control.design import ControlDesign
-from tustinnet.control.estimator import ExtendedKalmanFilter
-from tustinnet.control.export.compiled import compiled
+from tustinnet.control.export.compiled import compile_loop
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
 from tustinnet.control.sampled_plant import PlantOptions, SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
@@ -48,8 +47,8 @@ def try_design(
 ) -> Trial:
     """Plays a controller on variants of its model, and on other plants.
 
-    Predictive control is played by its code in C, where a compiler is there: the table would take
-    minutes in Python.
+    Controller and estimator are played by their code in C, which is what drives the machine later;
+    in Python, which takes longer, where no compiler is there.
 
     The delay of the task is in the variants, and known to the estimator; other plants have their
     own.
@@ -84,10 +83,7 @@ def try_design(
     ]
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
-    controller = design.make_controller()
-    if design.mpc is not None:
-        controller = compiled(design.mpc, design.model)
-    estimator = ExtendedKalmanFilter(design.estimated, design.noise, delay=design.task.delay)
+    controller, estimator = compile_loop(design.mpc or design.gains, design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.code import SOURCES
-from tustinnet.control.export.compiled import MEMORY, load_library
+from tustinnet.control.export.compiled import MEMORY, address, load_library
 from tustinnet.engine.engines import make_linearised_step, make_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
@@ -107,7 +107,7 @@ def _compare(
     largest = 0.0
 
     def call(name: str, *arrays: np.ndarray) -> None:
-        getattr(functions, name)(*(ctypes.c_void_p(a.ctypes.data) for a in arrays))
+        getattr(functions, name)(*map(address, arrays))
 
     def measure() -> Vector:
         y = x[channels.position].copy()

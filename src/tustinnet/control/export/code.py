@@ -54,14 +54,14 @@ def make_code(
     """
     return {
         **make_model_files(source, lost_after=lost_after),
-        **_estimator_files(source, noise),
+        **estimator_files(source, noise),
         **controller_files(controller, source),
         "main.c": _main(source, start, steps),
         "Makefile": fill_template("Makefile", TEMPLATES),
     }
 
 
-def _estimator_files(source: Source, noise: FilterNoise) -> Files:
+def estimator_files(source: Source, noise: FilterNoise) -> Files:
     """`estimator.h` and `estimator.c`."""
     channels = source.channels
     deviations = [

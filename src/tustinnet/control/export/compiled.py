@@ -1,4 +1,4 @@
-"""Controllers played by their code in C, which takes a small part of Python's time."""
+"""Feedback loops played by their code in C, which takes a small part of Python's time."""
 
 import ctypes
 import tempfile
@@ -10,13 +10,16 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controller import Controller
-from tustinnet.control.export.code import controller_files
+from tustinnet.control.estimator import Estimator, ExtendedKalmanFilter
+from tustinnet.control.export.code import controller_files, estimator_files, gains_of
 from tustinnet.control.input_history import find_causal_layout
-from tustinnet.control.mpc import Mpc
+from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.export.c import compile_c, make_model_files
 from tustinnet.export.source import make_source
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.store.files import write_into
 
 _LIBRARY = ("-std=c99", "-O1", "-fPIC", "-shared")
@@ -24,51 +27,88 @@ MEMORY = 100_000  # numbers: more than the memory of a controller
 
 
 class CompiledController:
-    """A controller in C, compiled.
+    """A controller in C.
 
     Args:
-        files: `controller.c` and `model.c` with their headers.
+        functions: its functions.
         n_u: number of inputs.
-
-    Raises:
-        NotRunnable: there is no compiler, or it reports an error.
     """
 
-    def __init__(self, files: Files, n_u: int) -> None:
-        self._functions = load_library(files, ("controller.c", "model.c"))
+    def __init__(self, functions: ctypes.CDLL, n_u: int) -> None:
+        self._functions = functions
         self._memory, self._u = np.zeros(MEMORY), np.zeros(n_u)
-        self._place, self._result = (
-            ctypes.c_void_p(a.ctypes.data) for a in (self._memory, self._u)
-        )
+        self._places = address(self._memory), address(self._u)
         self.reset()
 
     def reset(self) -> None:
         """Begins anew."""
-        self._functions.controller_reset(self._place)
+        self._functions.controller_reset(self._places[0])
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,)."""
+        memory, u = self._places
         state = np.ascontiguousarray(x, np.float64)
-        self._functions.controller_inputs(
-            self._place, ctypes.c_void_p(state.ctypes.data), self._result
-        )
+        self._functions.controller_inputs(memory, address(state), u)
         return self._u.copy()
 
 
-def compiled(mpc: Mpc, model: Model) -> Controller:
-    """Predictive control by its code in C; itself where no compiler is there.
+class CompiledEstimator:
+    """An estimator in C.
 
     Args:
-        mpc: the controller.
-        model: its model.
+        functions: its functions.
+        n_x: number of states.
     """
+
+    def __init__(self, functions: ctypes.CDLL, n_x: int) -> None:
+        self._functions, self._memory = functions, np.zeros(MEMORY)
+        self._place, self._x = address(self._memory), self._memory[:n_x]
+
+    def reset(self, y: Float[np.ndarray, " n_q"]) -> Float[np.ndarray, " n_x"]:
+        """The estimate at the first sample, (n_x,)."""
+        self._functions.estimator_reset(self._place, address(np.ascontiguousarray(y, np.float64)))
+        return self._x.copy()
+
+    def update(
+        self, y: Float[np.ndarray, " n_q"], u: Float[np.ndarray, " n_u"]
+    ) -> Float[np.ndarray, " n_x"]:
+        """The estimate at the next sample, (n_x,)."""
+        y, u = (np.ascontiguousarray(v, np.float64) for v in (y, u))
+        self._functions.estimator_update(self._place, address(y), address(u))
+        return self._x.copy()
+
+
+def compile_loop(
+    controller: Feedback | Tracking | Mpc, model: Model, noise: FilterNoise
+) -> tuple[Controller, Estimator]:
+    """A controller and its estimator by their code in C; in Python where no compiler is there.
+
+    Args:
+        controller: the controller.
+        model: the model whose states are estimated.
+        noise: the noise of the estimator.
+    """
+    delay = gains_of(controller).final.delay
     source = make_source(model)
-    source = replace(source, layout=find_causal_layout(source.model, mpc.final.delay))
+    source = replace(source, layout=find_causal_layout(source.model, delay))
+    files = {
+        **make_model_files(source),
+        **estimator_files(source, noise),
+        **controller_files(controller, source),
+    }
     try:
-        files = {**make_model_files(source), **controller_files(mpc, source)}
-        return CompiledController(files, source.channels.n_u)
+        functions = load_library(files, ("controller.c", "estimator.c", "model.c"))
     except NotRunnable:
-        return mpc
+        return make_controller(controller), ExtendedKalmanFilter(model, noise, delay=delay)
+    return (
+        CompiledController(functions, source.channels.n_u),
+        CompiledEstimator(functions, source.n_x),
+    )
+
+
+def address(array: np.ndarray) -> ctypes.c_void_p:
+    """Where the numbers of an array are, as functions in C take it."""
+    return ctypes.c_void_p(array.ctypes.data)
 
 
 def load_library(files: Files, sources: Sequence[str]) -> ctypes.CDLL:

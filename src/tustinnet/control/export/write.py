@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import DisturbedModel
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
@@ -18,7 +17,7 @@ from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.ilqr import make_cost
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
-from tustinnet.control.mpc import Mpc
+from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source, make_source
@@ -116,8 +115,9 @@ def export_controller(
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
     steps = _AFTER + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
-    own = controller if isinstance(controller, Mpc) else feedback_controller(controller)
-    check = check_loop(code, own, source, noise, start, steps, _fall(gains), lost_after)
+    check = check_loop(
+        code, make_controller(controller), source, noise, start, steps, _fall(gains), lost_after
+    )
     notes, scripts = [*source.notes], {}
     if check.note:
         notes.append(check.note)
