@@ -155,6 +155,8 @@ class ControlledModel:
     @cached_property
     def held_formula(self) -> Formula:
         """The step of the model's own state at points [x, u], where all commands were `u`."""
+        if not self.previous:
+            return self.step_formula
         n_x, count = self.n_x, 1 + self.previous
         return Formula(
             lambda point: self._source.function(point[:n_x], jnp.tile(point[n_x:], count)),

@@ -187,10 +187,13 @@ def _backward_step(
 
 def _bounded_minimum(xp: ModuleType, matrix: Any, vector: Any, least: Any, most: Any) -> Any:
     """The minimum of `x' matrix x / 2 + vector' x` within limits, one number after the other."""
-    n = len(vector)
-    x = [xp.minimum(xp.maximum(least[i] * 0.0, least[i]), most[i]) for i in range(n)]
+    n, smaller, larger = len(vector), xp.minimum, xp.maximum
+    if xp is np:  # one by one numbers of Python take a fifth of the time that those of NumPy take
+        matrix, vector, least, most = (a.tolist() for a in (matrix, vector, least, most))
+        smaller, larger = min, max
+    x = [smaller(larger(least[i] * 0.0, least[i]), most[i]) for i in range(n)]
     for _ in range(SWEEPS if n > 1 else 1):
         for i in range(n):
-            rest = vector[i] + sum(matrix[i, j] * x[j] for j in range(n) if j != i)
-            x[i] = xp.minimum(xp.maximum(-rest / matrix[i, i], least[i]), most[i])
+            rest = vector[i] + sum(matrix[i][j] * x[j] for j in range(n) if j != i)
+            x[i] = smaller(larger(-rest / matrix[i][i], least[i]), most[i])
     return xp.stack(x)

@@ -34,8 +34,8 @@ from tustinnet.program.numbers import run
 _TYPES = {"ptr": ctypes.c_void_p, "i64": ctypes.c_int64}
 _ALIGNED = 64  # bytes
 _CACHED = 192  # functions
-# of a formula, up to which NumPy does them and nothing is compiled: to compile an operation takes
-# longer than to do it at hundreds of points
+# of a formula, up to which NumPy does them and nothing is compiled: to compile an operation, which
+# a loop repeats, takes longer than to do it at hundreds of points
 _FEW_OPERATIONS, _FEW_POINTS = 30_000, 20
 _operations: WeakKeyDictionary[Formula, int] = WeakKeyDictionary()  # of each, done by NumPy
 
@@ -153,7 +153,7 @@ def evaluate(
     program = formula.derivatives if derivatives else formula.program
     operations = _operations.get(formula, 0) + len(points) * program.executed
     _operations[formula] = operations
-    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * program.executed):
+    if operations < max(_FEW_OPERATIONS, _FEW_POINTS * program.operations):
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
     function, constants = _function(
@@ -169,8 +169,8 @@ def compile_formula(formula: Formula, *, derivatives: bool) -> None:
     """Compiles a formula whatever the number of points; see `runs.compile_formula`."""
     _operations[formula] = max(
         _FEW_OPERATIONS,
-        _FEW_POINTS * formula.program.executed,
-        _FEW_POINTS * formula.derivatives.executed,
+        _FEW_POINTS * formula.program.operations,
+        _FEW_POINTS * formula.derivatives.operations,
     )
     _function(map_kernel, "map", MAP, formula, width(), derivatives=derivatives)
 

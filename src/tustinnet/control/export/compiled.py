@@ -22,7 +22,7 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.store.files import write_into
 
-_LIBRARY = ("-std=c99", "-O1", "-fPIC", "-shared")
+_LIBRARY = ("-std=c99", "-O2", "-fPIC", "-shared")
 MEMORY = 100_000  # numbers: more than the memory of a controller
 
 
