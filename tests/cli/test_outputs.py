@@ -13,7 +13,7 @@ from test_verbs import tustinnet
 from tustinnet.cli.automatic_report import AutomaticReport
 from tustinnet.data import catalog
 from tustinnet.errors import InputError
-from tustinnet.evaluate import scores
+from tustinnet.evaluate import horizons, reference, scores
 from tustinnet.fits import run as runs
 from tustinnet.selection import final_models, jobs
 from tustinnet.store import model_file
@@ -60,7 +60,7 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
         lambda p, out: ("cross-validate", p.logs, "--recipe", p.recipe, "--out", out),
         ["folds.json", "folds.md"],
     ),
-    "learning-curve": (
+    "cross-validate by numbers of records": (
         lambda p, out: (
             "cross-validate",
             p.logs,
@@ -124,7 +124,11 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
 
 def test_no_verb_that_writes_is_left_out():
     writing = {verb for verb, option in options() if option in ("--out", "--figure", "--figures")}
-    assert writing == {*FILES, *(name.removesuffix(" by a plan") for name in FOLDERS)}
+    assert writing == {*FILES, *(name.partition(" by ")[0] for name in FOLDERS)}
+
+
+# verbs that write nothing among the records
+KEEPS_APART = ("fit", "cross-validate", "simulate", "reproduce")
 
 
 def everything(root: Path) -> dict[str, bytes]:
@@ -141,7 +145,8 @@ def refused(place, capsys, monkeypatch, pendulum):
     def check(*arguments: object, names: str) -> None:
         before = everything(place.root)
         with monkeypatch.context() as patched:
-            patched.setattr(scores, "evaluate", computes)
+            for module in (scores, reference, horizons):
+                patched.setattr(module, "evaluate", computes)
             patched.setattr(runs, "fit_in_folder", computes)
             patched.setattr(jobs, "fit_in_folder", computes)
             patched.setattr(final_models, "fit_in_folder", computes)
@@ -218,9 +223,7 @@ def test_nothing_in_a_folder_is_replaced_unasked(verb, name, place, refused):
     )
 
 
-@pytest.mark.parametrize(
-    "verb", ["fit", "fit by a plan", "cross-validate", "learning-curve", "simulate", "reproduce"]
-)
+@pytest.mark.parametrize("verb", [v for v in FOLDERS if v.split()[0] in KEEPS_APART])
 def test_nothing_is_written_among_the_records(verb, place, refused):
     asked, _ = FOLDERS[verb]
     told = "what the command reads" if verb == "simulate" else "the folder of the data"
