@@ -359,6 +359,8 @@ def test_the_verb_replays_a_log(model, tmp_path, capsys):
     code, text, messages = tustinnet(capsys, "control", out, "--replay", logs)
     assert code == 0, messages
     assert "torque differs" in text
+    assert "1 of 1 record differ from this controller's by more than half" in text
+    assert "stand up to" not in text
     assert "estimator: angle: the filter is" in text
     assert "next: tustinnet evaluate" in text
     code, text, _ = tustinnet(capsys, "control", out, "--replay", logs, "--json")

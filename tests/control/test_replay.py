@@ -46,6 +46,9 @@ def test_shifted_columns_and_other_controllers_are_found():
     other = replace(log, u=log.u + np.sin(np.arange(len(log)))[:, None])
     played = replay(design.gains, level_slide(), design.noise, other)
     assert np.sqrt(np.mean(played.difference**2)) > 0.5
+    # one that has nothing to do with it is said to be so, and not to be late
+    foreign = replay(design.gains, level_slide(), design.noise, replace(log, u=-log.u))
+    assert [one.is_foreign for one in (played, foreign)] == [False, True]
     with pytest.raises(tn.InputError, match="gains of 2 states; expected 3"):
         replay(design.gains, model_of_three(design), design.noise, log)
 

@@ -152,7 +152,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest_one() -> None:
 
 
 def test_what_is_no_folder_is_refused(folder: Path) -> None:
-    with pytest.raises(tn.InputError, match=r"fall1\.csv: no such folder"):
+    with pytest.raises(tn.InputError, match=r"fall1\.csv: a file; expected a folder"):
         tn.load(folder / "fall1.csv")
     with pytest.raises(tn.InputError, match=r"absent\.toml: no such file"):
         tn.load(folder / "absent.toml")

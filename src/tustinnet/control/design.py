@@ -492,11 +492,18 @@ def _plan_following(
     near = {name: _FOLLOWED * float(np.ptp(q)) or _WINDOW for name, q in reference.items()}
     x = _reference_states(model, reference, start, point)
     plan = follow(model, x, **{**options, "deviations": near | options["deviations"]})
-    if not plan.converged:
+    if not (plan.converged and plan.reached):
+        miss = zip(controlled(model).names, plan.miss.tolist(), strict=True)
+        found = (
+            f"the plan that follows it ends {', '.join(f'{m:.3g} in {name}' for name, m in miss)} "
+            "beside its end"
+            if plan.converged
+            else f"the plan that follows it did not converge in {plan.iterations} iterations"
+        )
         raise InputError(
             "the reference",
-            f"the plan that follows it did not converge in {plan.iterations} iterations",
-            "a motion that the inputs can do",
+            found,
+            "a motion that the inputs can do, to a rest that feedback holds",
             "a slower one, or wider limits (`limits=`)",
         )
     return plan

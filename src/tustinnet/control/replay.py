@@ -18,6 +18,7 @@ from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.filtering import FilterNoise
 
 _LATEST = 5  # samples by which the inputs of a log may stand late
+_FOREIGN = 0.5  # difference by the size of the inputs, from which another controller made them
 _DRIFT = 0.01  # share of its expected size by which a disturbance changes in a sample
 
 
@@ -46,6 +47,11 @@ class Replay:
     def difference(self) -> Float[np.ndarray, "samples n_u"]:
         """The record's inputs less those that the controller commands, `late` samples before."""
         return self.record.u[self.late :] - self.computed[: len(self.computed) - self.late]
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether the controller explains so little of the inputs that another one made them."""
+        return bool(np.mean(self.difference**2) > _FOREIGN**2 * np.mean(self.record.u**2))
 
 
 def replay(

@@ -213,7 +213,7 @@ def _require_folder(path: Path) -> None:
     near = difflib.get_close_matches(str(path), CATALOG, n=1)
     raise InputError(
         path,
-        "no such folder",
+        "a file" if path.exists() else "no such folder",
         f"a folder, a data card or a name of the catalog ({', '.join(CATALOG)})",
         f"did you mean '{near[0]}'?" if near else "",
     )

@@ -16,12 +16,16 @@ def replay_table(replays: Sequence[Replay]) -> Table:
     inputs = replays[0].record.inputs
     rows = []
     for one in replays:
-        size = np.sqrt(np.mean(one.difference**2, axis=0))
+        differs, size = (np.sqrt(np.mean(u**2, axis=0)) for u in (one.difference, one.record.u))
         largest = np.abs(one.difference).max(axis=0)
-        columns = zip(size, largest, one.disturbance, strict=True)
+        columns = zip(size, differs, largest, one.disturbance, strict=True)
         numbers = [f"{value:.3g}" for column in columns for value in column]
         rows.append([one.record.name, *numbers, str(one.late), str(one.unused)])
-    titles = [f"{i.name} {what}" for i in inputs for what in ("differs", "at most", "disturbance")]
+    titles = [
+        f"{i.name} {what}"
+        for i in inputs
+        for what in ("logged", "differs", "at most", "disturbance")
+    ]
     return Table(
         ["record", *titles, "late", "unused"],
         rows,
@@ -32,7 +36,12 @@ def replay_table(replays: Sequence[Replay]) -> Table:
 def replay_sentences(replays: Sequence[Replay], consistency: FilterConsistency) -> list[str]:
     """What follows from the replays of records."""
     lines = []
-    if late := {one.late for one in replays} - {0}:
+    if foreign := sum(one.is_foreign for one in replays):
+        lines.append(
+            f"inputs of {foreign} of {counted(len(replays), 'record')} differ from this "
+            "controller's by more than half of their size: another controller made them, or none"
+        )
+    if late := {one.late for one in replays if not one.is_foreign} - {0}:
         most = counted(max(late), "sample")
         lines.append(
             f"inputs stand up to {most} later in the logs than the controller commands them: "
@@ -52,9 +61,11 @@ def summarise(replays: Sequence[Replay], consistency: FilterConsistency) -> dict
             {
                 "name": one.record.name,
                 "late": one.late,
+                "foreign": one.is_foreign,
                 "unused": one.unused,
                 "inputs": {
                     name: {
+                        "size": float(np.sqrt(np.mean(one.record.u[:, j] ** 2))),
                         "difference": float(np.sqrt(np.mean(one.difference[:, j] ** 2))),
                         "largest_difference": float(np.abs(one.difference[:, j]).max()),
                         "disturbance": float(one.disturbance[j]),
