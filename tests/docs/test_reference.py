@@ -4,6 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from importlib import import_module
+from inspect import unwrap
 from pathlib import Path
 
 import pytest
@@ -62,9 +63,10 @@ def thing(path: str) -> object:
     raise AssertionError(path)
 
 
-@pytest.mark.parametrize("name", dir(tn))
+@pytest.mark.parametrize("name", sorted({*dir(tn)} - {"__version__"}))
 def test_every_public_name_is_on_the_page_once(name):
-    assert sum(found is getattr(tn, name) for found in named()) == 1, name
+    public = unwrap(getattr(tn, name))
+    assert sum(unwrap(found) is public for found in named()) == 1, name
 
 
 def fields(*kinds: type[Declaration]) -> set[str]:

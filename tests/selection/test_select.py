@@ -523,7 +523,8 @@ def test_an_interruption_ends_with_the_best_so_far_and_a_resumed_run_goes_on(tmp
     assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
     again = select_model(swings(), tmp_path / "run", options, "resume")
     assert again.result("network").fits_by_fold.keys() == {0, 1, 2}
-    assert again.result("grey").rmse() == choice.result("grey").rmse()
+    # it is ahead, and fitted to further records
+    assert again.result("grey").rmse().items() >= choice.result("grey").rmse().items()
 
 
 def test_another_signal_and_a_second_interruption_end_it_at_once(tmp_path, monkeypatch):
