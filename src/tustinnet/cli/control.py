@@ -418,6 +418,7 @@ def _replay(
 ) -> None:
     """Prints what the controller of a folder makes of logs."""
     from tustinnet.control.estimator import check_filter
+    from tustinnet.control.export.compiled import folder_controller
     from tustinnet.control.export.gains import read_controller
     from tustinnet.control.replay import model_of, noise_of, replay
     from tustinnet.models.groups import model_for_groups
@@ -426,9 +427,11 @@ def _replay(
     gains = read_controller(folder)
     file = folder / MODEL
     loaded = model_for_groups(load_model(file, system), groups, "control")
-    model, noise = model_of(gains, loaded), noise_of(folder / SUMMARY)
+    model = model_of(gains, loaded)
+    noise, is_predictive = noise_of(folder / SUMMARY)
+    controller = folder_controller(folder, gains, predictive=is_predictive)
     records = load_records(data, card, follow_links=follow_links)
-    replays = [replay(gains, model, noise, record) for record in records]
+    replays = [replay(gains, model, noise, record, controller) for record in records]
     consistency = check_filter(model, [*records], noise)
     if json:
         terminal.print_json(summarise(replays, consistency))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.disturbances import DisturbedModel, observe_disturbances
 from tustinnet.control.dynamics import InputLimits
@@ -55,17 +56,22 @@ class Replay:
 
 
 def replay(
-    gains: Feedback | Tracking, model: Model, noise: FilterNoise, record: Experiment
+    gains: Feedback | Tracking,
+    model: Model,
+    noise: FilterNoise,
+    record: Experiment,
+    controller: Controller | None = None,
 ) -> Replay:
     """Plays a controller and its estimator along a record, whose inputs drive the estimator.
 
     The controller begins at the first sample, and has its own earlier commands.
 
     Args:
-        gains: the controller.
+        gains: the numbers of the controller.
         model: the model of its estimator.
         noise: the noise that this assumes.
         record: a record of the machine, mostly of the closed loop.
+        controller: what computes the inputs; None for feedback by the gains.
 
     Raises:
         InputError: a record of other coordinates, inputs or period, or gains of another model.
@@ -76,7 +82,8 @@ def replay(
         raise InputError(
             "replay", f"gains of {len(final.x0)} states", f"{model.state_size} as the model has"
         )
-    controller = feedback_controller(gains)
+    controller = controller or feedback_controller(gains)
+    controller.reset()
     estimator = ExtendedKalmanFilter(model, noise, delay=final.delay)
     estimates = _estimates(estimator, record)
     computed = np.stack([controller.inputs(k, x) for k, x in enumerate(estimates)])
@@ -109,15 +116,14 @@ def model_of(gains: Feedback | Tracking, model: Model) -> Model:
     return model
 
 
-def noise_of(file: str | Path) -> FilterNoise:
-    """The noise that the estimator of a controller assumes.
+def noise_of(file: str | Path) -> tuple[FilterNoise, bool]:
+    """The noise that the estimator of a controller assumes, and whether that is predictive.
 
     Args:
         file: the `design.json` of its folder.
 
     Raises:
-        InputError: there is no such file, it has no such noise, or the controller is predictive,
-            whose numbers do not make its inputs.
+        InputError: there is no such file, or it has no such noise.
     """
     path = Path(file)
     with convert_errors(path, "cannot be read", "the summary of a controller, as `control` writes"):
@@ -126,9 +132,7 @@ def noise_of(file: str | Path) -> FilterNoise:
         found = FilterNoise(
             *(np.array(noise[name], float) for name in ("start", "process", "measured"))
         )
-    if summary.get("predictive"):
-        raise InputError(path, "predictive control", "linear feedback, which a replay computes")
-    return found
+    return found, bool(summary.get("predictive"))
 
 
 def _estimates(estimator: ExtendedKalmanFilter, record: Experiment) -> Float[np.ndarray, "n n_x"]:

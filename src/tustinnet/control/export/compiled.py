@@ -10,11 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controller import Controller
+from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.estimator import Estimator, ExtendedKalmanFilter
 from tustinnet.control.export.code import controller_files, estimator_files, gains_of
 from tustinnet.control.input_history import find_causal_layout
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
+from tustinnet.errors import InputError, convert_errors
 from tustinnet.export.c import compile_c, make_model_files
 from tustinnet.export.source import make_source
 from tustinnet.export.target import Files, NotRunnable
@@ -104,6 +106,30 @@ def compile_loop(
         CompiledController(functions, source.channels.n_u),
         CompiledEstimator(functions, source.n_x),
     )
+
+
+def folder_controller(folder: Path, gains: Feedback | Tracking, *, predictive: bool) -> Controller:
+    """The controller of a folder by its code in C; in Python where no compiler is there.
+
+    Args:
+        folder: the folder, as `export_controller` writes it.
+        gains: its numbers, as `read_controller` reads them.
+        predictive: whether it is predictive control, of which these are not all.
+
+    Raises:
+        InputError: a file in C that is missing, or predictive control where no compiler is there.
+    """
+    names = [f"{name}.{ending}" for name in ("controller", "estimator", "model") for ending in "ch"]
+    with convert_errors(folder, "cannot be read", "the files in C that `control` writes"):
+        files: Files = {name: (folder / name).read_bytes() for name in names}
+    try:
+        return CompiledController(load_library(files, names[::2]), len(gains.final.u0))
+    except NotRunnable as reason:
+        if predictive:
+            raise InputError(
+                folder, f"predictive control, and {reason}", "a compiler, by which it is played"
+            ) from reason
+        return feedback_controller(gains)
 
 
 def address(array: np.ndarray) -> ctypes.c_void_p:
