@@ -65,8 +65,13 @@ def thing(path: str) -> object:
 
 @pytest.mark.parametrize("name", sorted({*dir(tn)} - {"__version__"}))
 def test_every_public_name_is_on_the_page_once(name):
-    public = unwrap(getattr(tn, name))
-    assert sum(unwrap(found) is public for found in named()) == 1, name
+    public = unwrapped(getattr(tn, name))
+    assert sum(unwrapped(found) is public for found in named()) == 1, name
+
+
+def unwrapped(found: object) -> object:
+    """A function as it is written: the package gives one that judges its arguments, too."""
+    return unwrap(found) if callable(found) else found
 
 
 def fields(*kinds: type[Declaration]) -> set[str]:
