@@ -12,6 +12,7 @@ import tustinnet as tn
 import tustinnet.control as tc
 from tustinnet.control.computed_torque import smooth_motion
 from tustinnet.control.design import ControlTask, design_controller
+from tustinnet.control.mpc import make_controller
 from tustinnet.control.variants import FRICTION, with_friction_factor
 from tustinnet.export.c import compile_c, make_model_files
 from tustinnet.export.source import make_source
@@ -72,7 +73,7 @@ def largest_errors(design, friction: float) -> tuple[float, float]:
     plant = tc.ModelPlant(device, {FRICTION: friction})
     estimator = tc.ExtendedKalmanFilter(design.model, design.noise)
     steps = len(design.plan.u)
-    run = tc.closed_loop(plant, design.make_controller(), estimator, steps + 125, START)
+    run = tc.closed_loop(plant, make_controller(design.controller), estimator, steps + 125, START)
     errors = np.abs(run.states[:, :3] - np.concatenate([reference()[:, :3], [END] * 125]))
     return float(errors[: steps + 1].max()), float(errors[-1].max())
 

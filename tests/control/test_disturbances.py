@@ -12,6 +12,7 @@ from tustinnet.control.disturbances import observe_disturbances
 from tustinnet.control.dynamics import input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.export.write import export_controller
+from tustinnet.control.mpc import make_controller
 from tustinnet.control.plants import ModelPlant
 from tustinnet.control.sampled_plant import PlantOptions
 from tustinnet.control.stepped_model import SteppedModel
@@ -47,7 +48,9 @@ def play_on_a_slope(task: ControlTask):
     options = PlantOptions(counts=[COUNT], limits=[[-20.0, 20.0]], delay=task.delay)
     plant = ModelPlant(SteppedModel(model), {"slope": 3.0}, options)
     estimator = ExtendedKalmanFilter(design.estimated, design.noise, delay=task.delay)
-    run = closed_loop(plant, design.make_controller(), estimator, 400, design.first_positions)
+    run = closed_loop(
+        plant, make_controller(design.controller), estimator, 400, design.first_positions
+    )
     return run, design
 
 

@@ -303,7 +303,7 @@ def control(
             if is_refused
             else export_controller(
                 design.estimated,
-                design.mpc or design.gains,
+                design.controller,
                 design.noise,
                 out,
                 deviations=design.deviations,
@@ -420,7 +420,7 @@ def _replay(
     from tustinnet.control.estimator import check_filter
     from tustinnet.control.export.compiled import folder_controller
     from tustinnet.control.export.gains import read_controller
-    from tustinnet.control.replay import model_of, noise_of, replay
+    from tustinnet.control.replay import model_of, read_estimator, replay
     from tustinnet.models.groups import model_for_groups
     from tustinnet.report.replay import replay_sentences, replay_table, summarise
 
@@ -428,7 +428,7 @@ def _replay(
     file = folder / MODEL
     loaded = model_for_groups(load_model(file, system), groups, "control")
     model = model_of(gains, loaded)
-    noise, is_predictive = noise_of(folder / SUMMARY)
+    noise, is_predictive = read_estimator(folder / SUMMARY)
     controller = folder_controller(folder, gains, predictive=is_predictive)
     records = load_records(data, card, follow_links=follow_links)
     replays = [replay(gains, model, noise, record, controller) for record in records]

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from tustinnet.control.closed_loop import Goal
 from tustinnet.control.computed_torque import computed_torque, smooth_motion
-from tustinnet.control.controller import Controller
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
@@ -18,7 +17,7 @@ from tustinnet.control.estimator import FilterConsistency, check_filter, find_no
 from tustinnet.control.ilqr import follow, ilqr
 from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varying_lqr
 from tustinnet.control.margins import Margins, margins
-from tustinnet.control.mpc import Mpc, make_controller
+from tustinnet.control.mpc import Mpc
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, bryson_weights
 from tustinnet.data.experiment import Experiment
@@ -167,9 +166,10 @@ class ControlDesign:
         point = self.point if self.start is None else self.start
         return point.x[self.model.channels.position]
 
-    def make_controller(self) -> Controller:
-        """The controller; one by linear feedback is a new one."""
-        return make_controller(self.mpc or self.gains)
+    @property
+    def controller(self) -> Feedback | Tracking | Mpc:
+        """The controller: predictive, or its feedback alone."""
+        return self.mpc or self.gains
 
 
 def design_controller(

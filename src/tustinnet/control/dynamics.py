@@ -1,7 +1,6 @@
 """A model as it is controlled: its step by the latest command, earlier commands in the state."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from math import ceil, log2
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
-from tustinnet.control.input_history import find_causal_layout
+from tustinnet.control.input_history import with_causal_inputs
 from tustinnet.engine.engines import compile_formula, evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
@@ -68,7 +67,7 @@ class ControlledModel:
         self.n_x, self.n_u, self.names = source.n_x, channels.n_u, source.states
         self.dt = float(model.dt)
         # a step takes the command of now, then the previous ones
-        self._source = replace(source, layout=find_causal_layout(source.model, delay))
+        self._source = with_causal_inputs(source, delay)
         self.previous = len(self._source.input_layout.offsets) - 1
 
     @property

@@ -1,9 +1,11 @@
 """Inputs that are applied one after the other, as the steps of a model take them."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.export.source import InputLayout, find_input_layout
+from tustinnet.export.source import InputLayout, Source, find_input_layout
 from tustinnet.models.contract import Model
 
 Vector = Float[np.ndarray, " _"]
@@ -64,3 +66,13 @@ def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
     for i, lag in enumerate(lags):
         matrix[:, lag * n_u : (lag + 1) * n_u] += layout.matrix[:, i * n_u : (i + 1) * n_u]
     return InputLayout(tuple(-lag for lag in range(max(lags) + 1)), matrix, layout.shape)
+
+
+def with_causal_inputs(source: Source, delay: int = 0) -> Source:
+    """A model whose exported step is given inputs as a controller knows them.
+
+    Args:
+        source: the model.
+        delay: as that of `find_causal_layout`.
+    """
+    return replace(source, layout=find_causal_layout(source.model, delay))

@@ -116,8 +116,8 @@ def model_of(gains: Feedback | Tracking, model: Model) -> Model:
     return model
 
 
-def noise_of(file: str | Path) -> tuple[FilterNoise, bool]:
-    """The noise that the estimator of a controller assumes, and whether that is predictive.
+def read_estimator(file: str | Path) -> tuple[FilterNoise, bool]:
+    """Reads what the estimator of a controller assumes, and whether the controller is predictive.
 
     Args:
         file: the `design.json` of its folder.

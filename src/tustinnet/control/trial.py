@@ -83,7 +83,7 @@ def try_design(
     ]
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
-    controller, estimator = compile_loop(design.mpc or design.gains, design.estimated, design.noise)
+    controller, estimator = compile_loop(design.controller, design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )

@@ -62,7 +62,7 @@ class Source:
         range: the range of its training records, None if unknown.
         about: the header of its file, for the card.
         layout: the input samples that the exported step is given, where they are not those on
-            which the model's steps depend along a record, see `find_causal_layout`.
+            which the model's steps depend along a record, as those of a controller are not.
     """
 
     model: Model
@@ -275,8 +275,6 @@ def make_source(
     range: Range | None = None,
     groups: Mapping[str, str] | None = None,
     about: Mapping[str, Any] | None = None,
-    *,
-    layout: InputLayout | None = None,
 ) -> Source:
     """A model prepared for its export.
 
@@ -285,7 +283,6 @@ def make_source(
         range: the range of its training records.
         groups: the groups of a model with values by group, as `{"payload": "1kg"}`.
         about: the header of its file.
-        layout: the input samples that the exported step is given, see `Source`.
 
     Raises:
         InputError: JAX computes in single precision; a model without a sampling period; groups
@@ -294,7 +291,7 @@ def make_source(
     require_stepping(model)
     # in double precision, as it is evaluated: folding in single would round once more
     chosen = with_dtype(model_for_groups(model, groups or {}, "export"), np.float64)
-    return Source(chosen.simplify(), range, about or {}, layout)
+    return Source(chosen.simplify(), range, about or {})
 
 
 def require_stepping(model: object) -> None:

@@ -22,7 +22,8 @@ from tustinnet.program.reading import read
 from tustinnet.simulate.filtering import GATE, LOST_AFTER, FilterNoise
 
 TEMPLATES = Path(__file__).parent / "templates"
-SOURCES = ("main.c", "controller.c", "estimator.c", "model.c")
+LOOP_SOURCES = ("controller.c", "estimator.c", "model.c")
+SOURCES = ("main.c", *LOOP_SOURCES)
 
 _SCRIPTS = {
     "step.casadi": "a step of the model for CasADi, earlier inputs behind its states",

@@ -3,7 +3,6 @@
 import ctypes
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,13 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.estimator import Estimator, ExtendedKalmanFilter
-from tustinnet.control.export.code import controller_files, estimator_files, gains_of
-from tustinnet.control.input_history import find_causal_layout
+from tustinnet.control.export.code import (
+    LOOP_SOURCES,
+    controller_files,
+    estimator_files,
+    gains_of,
+)
+from tustinnet.control.input_history import with_causal_inputs
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.errors import InputError, convert_errors
@@ -91,15 +95,14 @@ def compile_loop(
         noise: the noise of the estimator.
     """
     delay = gains_of(controller).final.delay
-    source = make_source(model)
-    source = replace(source, layout=find_causal_layout(source.model, delay))
+    source = with_causal_inputs(make_source(model), delay)
     files = {
         **make_model_files(source),
         **estimator_files(source, noise),
         **controller_files(controller, source),
     }
     try:
-        functions = load_library(files, ("controller.c", "estimator.c", "model.c"))
+        functions = load_library(files, LOOP_SOURCES)
     except NotRunnable:
         return make_controller(controller), ExtendedKalmanFilter(model, noise, delay=delay)
     return (
@@ -119,11 +122,11 @@ def folder_controller(folder: Path, gains: Feedback | Tracking, *, predictive: b
     Raises:
         InputError: a file in C that is missing, or predictive control where no compiler is there.
     """
-    names = [f"{name}.{ending}" for name in ("controller", "estimator", "model") for ending in "ch"]
+    names = [*LOOP_SOURCES, *(str(Path(name).with_suffix(".h")) for name in LOOP_SOURCES)]
     with convert_errors(folder, "cannot be read", "the files in C that `control` writes"):
         files: Files = {name: (folder / name).read_bytes() for name in names}
     try:
-        return CompiledController(load_library(files, names[::2]), len(gains.final.u0))
+        return CompiledController(load_library(files, LOOP_SOURCES), len(gains.final.u0))
     except NotRunnable as reason:
         if predictive:
             raise InputError(

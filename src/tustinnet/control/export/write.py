@@ -1,7 +1,7 @@
 """Writing a controller as a folder: C, gains, and scripts of solvers, compared with Python."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from tustinnet.control.export.code import gains_of, make_code, make_readme
 from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
 from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.ilqr import make_cost
-from tustinnet.control.input_history import find_causal_layout
+from tustinnet.control.input_history import with_causal_inputs
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.control.weights import Deviations
@@ -104,9 +104,8 @@ def export_controller(
     known = Range.from_header(header, inner)
     if isinstance(model, DisturbedModel) and known is not None:
         known = model.extend_range(known)
-    source = make_source(model, known, groups, header)
     final = gains.final
-    source = replace(source, layout=find_causal_layout(source.model, final.delay))
+    source = with_causal_inputs(make_source(model, known, groups, header), final.delay)
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
     _require_fit(gains, source)
     if start is None:
