@@ -10,6 +10,8 @@ from test_verbs import tustinnet
 
 import tustinnet as tn
 from tustinnet.store.data_set_folder import write_data_set
+from tustinnet.store.header import read_header
+from tustinnet.store.model_file import copy_with_header
 
 LIMITS = ("--limits", "torque=-6:6")  # of 10 / 2 that hold it level
 
@@ -172,11 +174,13 @@ def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_p
 
 
 def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
-    out = tmp_path / "moved"
+    out, pieces = tmp_path / "moved", model.with_name("pieces.safetensors")
+    scores = read_header(model)["scores"] | {"horizon": 0.5}
+    copy_with_header(model, pieces, scores=scores)
     code, text, messages = tustinnet(
         capsys,
         "control",
-        model,
+        pieces,
         "--at",
         "angle=0",
         "--to",
@@ -190,6 +194,7 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     )
     assert code == 0, messages
     assert "motion:" in text
+    assert "the model was compared with records over 0.5 s at a time" in messages
     assert "after a fall" not in text  # from a stable goal nothing falls
     tracking = tn.control.read_controller(out)
     assert isinstance(tracking, tn.control.Tracking)
@@ -375,13 +380,17 @@ def test_the_verb_replays_a_log(model, tmp_path, capsys):
     assert "stand up to" not in text
     assert "estimator: angle: the filter is" in text
     assert "next: tustinnet evaluate" in text
-    code, text, _ = tustinnet(capsys, "control", out, "--replay", logs, "--json")
+    log, card = next(logs.glob("*.csv")), logs / "dataset.toml"
+    code, text, _ = tustinnet(capsys, "control", out, "--replay", log, "--card", card, "--json")
     (row,) = json.loads(text)["records"]
     assert row["inputs"]["torque"]["difference"] > 0
     code, _, messages = tustinnet(capsys, "control", out, "--replay", logs, "--delay", "0")
     assert code == 1
     assert "--delay" in messages
     assert "beside --replay" in messages
-    code, _, messages = tustinnet(capsys, "control", tmp_path, "--replay", logs)
-    assert code == 1
-    assert "controller.json" in messages
+    for name in ("model.safetensors", "controller.json"):
+        (out / name).unlink()
+        code, _, messages = tustinnet(capsys, "control", out, "--replay", logs)
+        assert code == 1
+        assert f"no {name} there" in messages
+        assert "before 0.3" in messages

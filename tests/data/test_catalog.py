@@ -152,8 +152,9 @@ def test_a_misspelt_name_is_refused_with_the_nearest_one() -> None:
 
 
 def test_what_is_no_folder_is_refused(folder: Path) -> None:
-    with pytest.raises(tn.InputError, match=r"fall1\.csv: a file; expected a folder"):
-        tn.load(folder / "fall1.csv")
+    (folder / "rig.png").touch()
+    with pytest.raises(tn.InputError, match=r"rig\.png: a file; expected a folder"):
+        tn.load(folder / "rig.png")
     with pytest.raises(tn.InputError, match=r"absent\.toml: no such file"):
         tn.load(folder / "absent.toml")
 
@@ -339,3 +340,24 @@ def test_the_measured_data_is_the_published_one(
 @pytest.mark.real
 def test_a_folder_of_the_measured_data_is_recognised(real_data: Path) -> None:
     assert tn.load(real_data).name == "qube-servo2"
+
+
+def test_a_log_stands_for_itself_with_the_card_above_it(tmp_path):
+    folder = write_files(tmp_path / "logs")
+    (folder / "dataset.toml").write_text(
+        'name = "toy"\ndt = 0.01\nformat.header = false\n'
+        'coordinates = [{ name = "angle", kind = "angular", column = 1 }]\n'
+        'splits.train = [{ file = "train/swing.csv", name = "swing" }]\n'
+    )
+    (record,) = tn.load(folder / "train/swing.csv")
+    assert (record.name, record.split) == ("swing", "train")
+    later = folder / "later.csv"
+    later.write_text(FILES["train/swing.csv"])
+    (record,) = tn.load(later)
+    assert (record.name, record.split) == ("later", "test")
+    elsewhere = tmp_path / "elsewhere.csv"
+    later.rename(elsewhere)
+    (record,) = tn.load(elsewhere, folder / "dataset.toml")
+    assert record.name == "elsewhere"
+    with pytest.raises(tn.InputError, match=r"no dataset\.toml"):
+        tn.load(elsewhere)

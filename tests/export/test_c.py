@@ -279,7 +279,7 @@ def test_the_filter_survives_wrong_positions_as_in_python(name, compiled):
     def at_rest(q: np.ndarray) -> np.ndarray:
         return np.asarray(of.model.initial_state(jnp.asarray(np.r_[q, 0 * q]), jnp.zeros(1)))
 
-    own = KalmanFilter(make_linearised_step(of.equations), noise, of.channels, None, at_rest)
+    own = KalmanFilter(make_linearised_step(of.equations), noise, of.channels, at_rest)
     library, kept = compiled(name), np.zeros(3 * n_x + n_x**2 + n_q + 1)
     called(library, "model_estimate_init", kept, np.zeros(n_x), *vars(noise).values())
     u, unused = np.zeros(of.n_w), []

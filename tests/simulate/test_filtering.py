@@ -94,6 +94,7 @@ def test_an_estimate_that_diverges_is_not_warned_of_at_every_step():
         lambda x, u: (steep @ x, steep, np.zeros((2, 1))),
         FilterNoise(np.ones(2), np.ones(2), np.ones(1)),
         run()[1].channels,
+        lambda q: np.full(2, np.inf),
     )
     kalman.restart(np.ones(2))
     for _ in range(3):

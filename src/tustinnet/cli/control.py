@@ -1,7 +1,7 @@
 """`tustinnet control`: a controller designed on a model, tested, and written as C."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,7 @@ from tustinnet.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from tustinnet.control.plan import Plan
     from tustinnet.data.experiment import Experiment
     from tustinnet.models.contract import Model
 
@@ -346,7 +347,7 @@ def control(
             training_range=training_range,
             command=shlex.join(["tustinnet", *sys.argv[1:]]),
         )
-        for note in export.notes:
+        for note in (*export.notes, *_notes_of_plan(design.plan, header)):
             terminal.messages().print(f"note: {note}")
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, BODE, PAGE))}"
@@ -396,6 +397,20 @@ def _refuse_beside_replay(context: typer.Context) -> None:
             refuse_options({option: True}, "beside --replay", "a replay of logs alone")
 
 
+def _notes_of_plan(plan: "Plan | None", header: "Mapping[str, Any]") -> list[str]:
+    """What its model's records do not show of a motion."""
+    from tustinnet.store.header import judgement_in_header
+
+    judgement = judgement_in_header(header)
+    judged = None if judgement is None else judgement.horizon
+    if plan is None or judged is None or len(plan.u) * plan.dt <= judged:
+        return []
+    return [
+        f"the motion lasts {len(plan.u) * plan.dt:.3g} s, and the model was compared with records "
+        f"over {judged:.3g} s at a time"
+    ]
+
+
 def _keep_model(model: Path, out: Path) -> None:
     """Copies the model, and the system that is kept with it, beside its controller."""
     from tustinnet.store.files import write_into
@@ -419,11 +434,19 @@ def _replay(
     """Prints what the controller of a folder makes of logs."""
     from tustinnet.control.estimator import check_filter
     from tustinnet.control.export.compiled import folder_controller
-    from tustinnet.control.export.gains import read_controller
+    from tustinnet.control.export.gains import JSON, read_controller
     from tustinnet.control.replay import model_of, read_estimator, replay
     from tustinnet.models.groups import model_for_groups
     from tustinnet.report.replay import replay_sentences, replay_table, summarise
 
+    for name in (JSON, SUMMARY, MODEL):
+        if not (folder / name).is_file():
+            raise InputError(
+                folder,
+                f"no {name} there",
+                "the folder of a controller, as `control --out` writes it",
+                "one of before 0.3 lacks it: design it again",
+            )
     gains = read_controller(folder)
     file = folder / MODEL
     loaded = model_for_groups(load_model(file, system), groups, "control")
@@ -438,9 +461,10 @@ def _replay(
         return
     terminal.print_tables(replay_table(replays))
     terminal.echo("\n".join(replay_sentences(replays, consistency)))
+    logs = data if card is None else f"{data} --card {card}"
     terminal.echo(
-        f"next: tustinnet evaluate {file} {data} (free runs of the model), "
-        f"tustinnet fit {data} --out refitted (a model by these logs, too), then control that"
+        f"next: tustinnet evaluate {file} {logs} (free runs of the model), "
+        f"tustinnet fit {logs} --out refitted (a model by these logs, too), then control that"
     )
 
 

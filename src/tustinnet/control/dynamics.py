@@ -10,11 +10,11 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 
-from tustinnet.control.input_history import with_causal_inputs
+from tustinnet.control.input_history import causal_source
 from tustinnet.engine.engines import compile_formula, evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
-from tustinnet.export.source import make_source, step_by_samples
+from tustinnet.export.source import step_by_samples
 from tustinnet.models.contract import Model
 from tustinnet.models.physical_values import physical_parameters, with_values
 
@@ -57,17 +57,16 @@ class ControlledModel:
     """
 
     def __init__(self, model: Model, delay: int = 0) -> None:
-        source = make_source(model)
+        if delay < 0:
+            raise InputError("control", f"a delay of {delay} samples", "0 or more")
+        # a step takes the command of now, then the previous ones
+        self._source = source = causal_source(model, delay)
         channels = source.channels
         if not channels.n_u:
             raise InputError("control", "a model without inputs", "an input to act with")
-        if delay < 0:
-            raise InputError("control", f"a delay of {delay} samples", "0 or more")
         self.model, self.delay = source.model, delay
         self.n_x, self.n_u, self.names = source.n_x, channels.n_u, source.states
         self.dt = float(model.dt)
-        # a step takes the command of now, then the previous ones
-        self._source = with_causal_inputs(source, delay)
         self.previous = len(self._source.input_layout.offsets) - 1
 
     @property

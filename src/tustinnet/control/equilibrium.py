@@ -26,6 +26,7 @@ _NAMED, _VELOCITY, _OTHER, _INPUT, _INTERNAL = 1e6, 1e4, 1e2, 1e-2, 1e-4
 _SETTLED = (
     1e-6  # largest change of a state in a second at an equilibrium, of the sizes of 1 + state
 )
+_ROUNDING = 1e-12  # states and inputs that only rounding keeps from 0
 _TURNS = np.pi / 4 * np.arange(-4, 5)  # rad, where other equilibria are searched for
 _ON_CIRCLE = 1e-4  # 1/s, rates of growth or decay that count as none
 _NEGLIGIBLE = 1e-7  # of the effect of inputs on a mode, or of a mode on the encoders
@@ -214,6 +215,7 @@ def find_equilibrium(
         nearest = min(candidates, key=distance) if candidates else None
     if nearest is None or distance(nearest) > tolerance:
         raise _no_equilibrium(at, nearest, positions, bounds, channels.inputs)
+    nearest = np.where(np.abs(nearest) < _ROUNDING, 0.0, nearest)
     x, u = nearest[:n_x], bounds.clip(nearest[n_x:])
     return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
 

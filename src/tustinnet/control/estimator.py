@@ -3,18 +3,19 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.channels import Channels
-from tustinnet.control.input_history import InputHistory
+from tustinnet.control.input_history import causal_source
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import smooth_velocities
 from tustinnet.engine.engines import make_linearised_step
 from tustinnet.errors import InputError
-from tustinnet.export.source import require_stepping
+from tustinnet.export.source import Source, require_stepping
 from tustinnet.models.contract import Model
 from tustinnet.signals.causal_velocities import low_pass_velocities, polynomial_velocities
 from tustinnet.signals.encoder import encoder_count
@@ -23,10 +24,10 @@ from tustinnet.simulate.filtering import (
     FilterNoise,
     FilterResult,
     KalmanFilter,
-    kalman_filter,
+    filter_records,
 )
 from tustinnet.simulate.range import Range
-from tustinnet.simulate.simulation import initial_states, step_equations
+from tustinnet.simulate.simulation import initial_states
 from tustinnet.wording import counted
 
 Vector = Float[np.ndarray, " _"]
@@ -99,17 +100,9 @@ class ExtendedKalmanFilter:
         self.noise = noise.checked(model.state_size, channels.n_q, "ExtendedKalmanFilter")
         if lost_after < 1:
             raise InputError("ExtendedKalmanFilter", f"lost_after {lost_after}", "1 or more")
-        self._history = InputHistory(model, delay)
-        equations = step_equations(model.simplify(), self._history.shape)
-        angular = channels.angular if channels.angular.any() else None
-        self._filter = KalmanFilter(
-            make_linearised_step(equations),
-            self.noise,
-            channels,
-            angular,
-            self.at_rest,
-            lost_after,
-        )
+        source = causal_source(model, delay)
+        self._before = np.zeros(source.n_w - channels.n_u)
+        self._filter = make_filter(source, self.noise, lost_after)
 
     @property
     def unused(self) -> int:
@@ -134,8 +127,8 @@ class ExtendedKalmanFilter:
     def reset(self, y: Vector) -> Vector:
         """The estimate at the first sample: the measured positions, at rest, (n_x,)."""
         y = np.asarray(y, np.float64)
-        self._history.reset()
-        self._filter.restart(self.at_rest(y))
+        self._past = self._before
+        self._filter.restart(rest_state(self.model, y))
         return self._corrected(y)
 
     def update(self, y: Vector, u: Vector) -> Vector:
@@ -145,17 +138,27 @@ class ExtendedKalmanFilter:
             y: the new measurement, (n_q,).
             u: the inputs that were applied since the last one, (n_u,).
         """
-        self._filter.predict(self._history.add(np.asarray(u, np.float64)))
+        samples = np.concatenate([np.asarray(u, np.float64), self._past])
+        self._past = samples[: len(self._past)]
+        self._filter.predict(samples)
         return self._corrected(np.asarray(y, np.float64))
-
-    def at_rest(self, y: Vector) -> Vector:
-        """The state at rest at positions, internal states as the model expects."""
-        measured = np.concatenate([y, np.zeros(len(y))])[None]
-        return initial_states(self.model, measured, np.zeros((1, self.model.channels.n_u)))[0]
 
     def _corrected(self, y: Vector) -> Vector:
         self._filter.correct(y)
         return np.full_like(self._filter.x, np.nan) if self.is_lost else self._filter.x
+
+
+def make_filter(source: Source, noise: FilterNoise, lost_after: int = LOST_AFTER) -> KalmanFilter:
+    """A filter over the steps of a model, which is given the input samples of its layout."""
+    channels = source.channels
+    return KalmanFilter(
+        make_linearised_step(source.equations),
+        noise,
+        channels,
+        partial(rest_state, source.model),
+        channels.angular if channels.angular.any() else None,
+        lost_after,
+    )
 
 
 @dataclass(frozen=True)
@@ -410,13 +413,21 @@ def _spread(rows: Sequence[np.ndarray]) -> Vector:
 
 
 def _filtered(model: Model, parts: Sequence[Experiment], noise: FilterNoise) -> list[FilterResult]:
-    results = []
-    for e in parts:
-        own = model.for_record(e)
-        measured = np.concatenate([e.q[0], np.zeros(e.q.shape[1])])[None]
-        with np.errstate(all="ignore"):
-            results.append(kalman_filter(own, e, initial_states(own, measured, e.u[:1])[0], noise))
-    return results
+    """Results along parts of records; those of one group side by side."""
+    models = [model.for_record(e) for e in parts]
+    results: dict[int, FilterResult] = {}
+    for own in {id(one): one for one in models}.values():
+        places = [i for i, one in enumerate(models) if one is own]
+        some = [parts[i] for i in places]
+        starts = [rest_state(own, e.q[0], e.u[0]) for e in some]
+        results |= zip(places, filter_records(own, some, starts, noise), strict=True)
+    return [results[i] for i in range(len(parts))]
+
+
+def rest_state(model: Model, q: Vector, u: Vector | None = None) -> Float[np.ndarray, " n_x"]:
+    """The state at rest at positions, internal states as the model expects; inputs 0 by default."""
+    first = np.zeros((1, model.channels.n_u)) if u is None else u[None]
+    return initial_states(model, np.concatenate([q, np.zeros(len(q))])[None], first)[0]
 
 
 def usual_noise(model: Model, range: Range | None = None) -> FilterNoise:

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.export.source import InputLayout, Source, find_input_layout
+from tustinnet.export.source import InputLayout, Source, find_input_layout, make_source
 from tustinnet.models.contract import Model
 
 Vector = Float[np.ndarray, " _"]
+
+_RECENT = 8  # models whose steps are at hand
 
 
 class InputHistory:
@@ -68,11 +70,24 @@ def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
     return InputLayout(tuple(-lag for lag in range(max(lags) + 1)), matrix, layout.shape)
 
 
-def with_causal_inputs(source: Source, delay: int = 0) -> Source:
-    """A model whose exported step is given inputs as a controller knows them.
+def causal_source(model: Model, delay: int = 0) -> Source:
+    """A model whose step is given inputs as a controller knows them, read once while it is in use.
 
     Args:
-        source: the model.
+        model: the model.
         delay: as that of `find_causal_layout`.
+
+    Raises:
+        InputError: see `make_source`.
     """
-    return replace(source, layout=find_causal_layout(source.model, delay))
+    for known, known_delay, source in _recent:
+        if known is model and known_delay == delay:
+            return source
+    plain = make_source(model)
+    source = replace(plain, layout=find_causal_layout(plain.model, delay))
+    _recent.insert(0, (model, delay, source))
+    del _recent[_RECENT:]
+    return source
+
+
+_recent: list[tuple[Model, int, Source]] = []

@@ -114,7 +114,10 @@ class SampledPlant(ABC):
         self._limits = np.asarray(limits, np.float64).reshape(-1, 2)
         if self._limits.shape != (n_u, 2) or not (self._limits[:, 0] <= self._limits[:, 1]).all():
             raise InputError(where, f"limits {limits}", f"(smallest, largest) of {n_u} inputs")
+        self._limits = self._limits.T
         self._is_noisy, self._is_rounded = self._noise.any(), self._counts.any()
+        self._is_disturbed = self._disturbance.any()
+        self._steps = np.where(self._counts > 0, self._counts, 1.0)
         self._where = where
         self.state = np.full(channels.measured.stop, np.nan)
 
@@ -133,8 +136,7 @@ class SampledPlant(ABC):
         if self._is_noisy:
             q = q + self._noise * self.generator.normal(size=len(q))
         if self._is_rounded:
-            steps = np.where(self._counts > 0, self._counts, 1.0)
-            rounded = np.round((q - self._offset) / steps) * steps + self._offset
+            rounded = np.rint((q - self._offset) / self._steps) * self._steps + self._offset
             q = np.where(self._counts > 0, rounded, q)
         q = np.array(q)
         if self.options.glitches:
@@ -145,10 +147,11 @@ class SampledPlant(ABC):
 
     def apply(self, u: Vector) -> None:
         """Goes on by one period under inputs, (n_u,), within their limits."""
-        self._coming.append(np.clip(u, self._limits[:, 0], self._limits[:, 1]))
+        least, most = self._limits
+        self._coming.append(np.minimum(np.maximum(u, least), most))  # np.clip takes longer
         self.applied = self._coming.popleft()
         self.state = self.advance(self.applied)
-        if self._disturbance.any():
+        if self._is_disturbed:
             self.state[self.channels.velocity] += self._disturbance * self.generator.normal(
                 size=self.channels.n_q
             )

@@ -10,7 +10,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from tustinnet.data.card import Card
+from tustinnet.data.card import Card, FileCard
 from tustinnet.data.card_files import list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
@@ -84,9 +84,9 @@ def load(
     """Reads a data set.
 
     Args:
-        data: a name of the catalog (`qube-servo2`), a data card, or a folder that holds
-            `dataset.toml` or the files of a data set of the catalog.
-        card: a data card for the folder `data`, where it has none of its own.
+        data: a name of the catalog (`qube-servo2`), a data card, a folder that holds
+            `dataset.toml` or the files of a data set of the catalog, or one log of such a folder.
+        card: a data card for the folder `data`, or that of the log, where it has none of its own.
         follow_links: whether links to files outside of the folder are read.
 
     Raises:
@@ -96,8 +96,12 @@ def load(
 
 
 def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:
-    """The folder and the card that a name, card or folder stands for (see `load`)."""
+    """The folder and the card that a name, card, folder or log stands for (see `load`)."""
     path = Path(data)
+    if path.is_file() and is_log(path):
+        above = [] if card else [p for p in list(path.parents)[:2] if (p / CARD_NAME).is_file()]
+        folder, of_folder = locate(above[0] if above else path.parent, card)
+        return folder, _keep_only(path.relative_to(folder).as_posix(), folder, of_folder)
     if card is not None:
         folder = find_folder(CATALOG[str(data)]) if str(data) in CATALOG else path
         _require_folder(folder)
@@ -123,6 +127,16 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         "a data card that says what the columns mean",
         f"{remedy}, or give `card=` FILE",
     )
+
+
+def _keep_only(file: str, folder: Path, card: Card) -> Card:
+    """A card of one log: as it is named there, or a test record where it is not."""
+    # the other files need not be there
+    all_optional = card.model_copy(update={"optional_splits": [*card.splits]})
+    named = list_record_files(folder, all_optional) if card.splits else []
+    kept = {split: [e for s, e in named if s == split and e.file == file] for split, _ in named}
+    splits = {split: entries for split, entries in kept.items() if entries}
+    return card.model_copy(update={"splits": splits or {"test": [FileCard(file=file)]}})
 
 
 def lacks_card(data: str | Path) -> bool:
@@ -214,6 +228,6 @@ def _require_folder(path: Path) -> None:
     raise InputError(
         path,
         "a file" if path.exists() else "no such folder",
-        f"a folder, a data card or a name of the catalog ({', '.join(CATALOG)})",
+        f"a folder, a log, a data card or a name of the catalog ({', '.join(CATALOG)})",
         f"did you mean '{near[0]}'?" if near else "",
     )

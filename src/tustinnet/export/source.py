@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Channels
-from tustinnet.engine.equations import Equations, Formula, read_linearised
+from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 from tustinnet.models.physical_values import equations_in, physical_parameters, with_values
-from tustinnet.program.derivatives import with_derivatives
 from tustinnet.program.program import Program
 from tustinnet.program.reading import read
 from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
@@ -69,6 +68,12 @@ class Source:
     range: Range | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
     layout: InputLayout | None = None
+
+    def described(self, range: Range | None, about: Mapping[str, Any]) -> "Source":
+        """The same of a model file: its step is not read again."""
+        other = replace(self, range=range, about=about)
+        vars(other)["equations"] = self.equations
+        return other
 
     @cached_property
     def input_layout(self) -> InputLayout:
@@ -173,8 +178,7 @@ class Source:
     @cached_property
     def step(self) -> Program:
         """The step as a program: `x`, `u` to `x`."""
-        sizes = {"x": self.n_x, "u": self.n_w}
-        return read(lambda x, u: {"x": self.function(x, u)}, sizes)
+        return _without_parameters(self.equations.program)
 
     @property
     def integrates(self) -> bool:
@@ -210,9 +214,7 @@ class Source:
     @cached_property
     def linearised(self) -> Program:
         """The step and its derivatives by rows: `x`, `u` to `x`, `a` (n_x n_x), `b` (n_x n_w)."""
-        if self.along is None:
-            return with_derivatives(self.step, "x", {"a": "x", "b": "u"})
-        return read_linearised(self.along, self.step.inputs)
+        return _without_parameters(self.equations.linearised)
 
     @cached_property
     def rest(self) -> Program:
@@ -243,7 +245,7 @@ class Source:
 
         return draw(within.states), draw(inputs)
 
-    @cached_property
+    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for users of the export."""
         notes = [
@@ -268,6 +270,11 @@ class Source:
                 "model's file, which may say so"
             )
         return tuple(notes)
+
+
+def _without_parameters(program: Program) -> Program:
+    """A program of equations that have none."""
+    return replace(program, inputs={name: program.inputs[name] for name in ("x", "u")})
 
 
 def make_source(

@@ -1,7 +1,7 @@
 """Estimates of a model's states by an extended Kalman filter that sees positions only."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.engine.engines import LinearisedStep, make_linearised_step
+from tustinnet.engine.engines import LinearisedStep, evaluate
+from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.input_signal import input_signal
@@ -82,7 +83,7 @@ class FilterResult:
 class KalmanFilter:
     """An extended Kalman filter, sample by sample: `correct` by positions, `predict` by inputs.
 
-    With `at_rest` it survives wrong samples. A position that is not finite, or whose innovation is
+    It survives wrong samples. A position that is not finite, or whose innovation is
     beyond eight of its expected deviations, is not used. Either the encoder errs then, or something
     pushed the device in the last period: the covariance becomes that of a device at the start which
     got its speed a period ago, so that the next sample decides. After `lost_after` samples in a row
@@ -102,9 +103,9 @@ class KalmanFilter:
         step: the step of the model with its derivatives, see `make_linearised_step`.
         noise: standard deviations, as `FilterNoise.checked` returns them.
         channels: of the model.
+        at_rest: the state at rest at positions.
         angular: coordinates whose innovations are wrapped to within half a turn, (n_q,); None
             for none.
-        at_rest: the state at rest at positions; None where all samples are used.
         lost_after: samples in a row after which an estimate is lost.
     """
 
@@ -113,8 +114,8 @@ class KalmanFilter:
         step: LinearisedStep,
         noise: FilterNoise,
         channels: Channels,
+        at_rest: Callable[[Vector], Vector],
         angular: Bool[np.ndarray, " n_q"] | None = None,
-        at_rest: Callable[[Vector], Vector] | None = None,
         lost_after: int = LOST_AFTER,
     ) -> None:
         self._step, self._angular = step, angular
@@ -140,13 +141,13 @@ class KalmanFilter:
 
         They come one after the other, in the form of Joseph, which keeps the covariance symmetric.
         """
-        x, p, at_rest = self.x, self.p, self._at_rest
+        x, p = self.x, self.p
         innovations, spreads = np.full((2, len(q)), np.nan)
         # a number too large for differences as small as the gate is no position
         readable = np.isfinite(q) & (q + GATE * self._measured != q)
         is_used = True
         for i, variance in enumerate(self._variances):
-            if at_rest is not None and not readable[i]:
+            if not readable[i]:
                 is_used = False
                 continue
             row = p[i]
@@ -155,7 +156,7 @@ class KalmanFilter:
             if self._angular is not None and self._angular[i]:
                 innovation = (innovation + np.pi) % (2 * np.pi) - np.pi
             innovations[i], spreads[i] = innovation, spread
-            if at_rest is not None and not abs(innovation) <= GATE * math.sqrt(max(spread, 0.0)):
+            if not abs(innovation) <= GATE * math.sqrt(max(spread, 0.0)):
                 is_used, p = False, self._pushed
                 continue
             gain = row / spread
@@ -164,7 +165,7 @@ class KalmanFilter:
             p = p - across - across.T + spread * gain[:, None] * gain
         self.x, self.p, self.innovations, self.spreads = x, p, innovations, spreads
         is_finite = math.isfinite(x.sum() + p.sum())
-        if (is_used and is_finite) or at_rest is None:
+        if is_used and is_finite:
             self.missed = min(self.missed, -1) + 1
             return
         self.unused += 1
@@ -172,7 +173,7 @@ class KalmanFilter:
             self.missed += 1
         else:
             self.missed = -self._lost_after
-            self.x, self.p = at_rest(np.where(readable, q, 0.0)), self._start
+            self.x, self.p = self._at_rest(np.where(readable, q, 0.0)), self._start
 
     @_DIVERGES
     def predict(self, inputs: Vector) -> None:
@@ -192,7 +193,7 @@ def kalman_filter(
     """Estimates states along a record by an extended Kalman filter over the steps of a model.
 
     It sees the positions up to each sample, never later ones: what a controller can do, and what
-    `estimate.c` of an export to C computes. Positions are not wrapped.
+    `estimate.c` of an export to C computes. Positions are not wrapped, and all are used.
 
     Args:
         model: the model; what it sees of the inputs after a sample is taken from the record.
@@ -208,22 +209,77 @@ def kalman_filter(
         InputError: another system's record; shapes that the model does not have; a standard
             deviation that is negative or not finite; no noise at a position that is measured.
     """
-    require_fit(model, experiment)
-    where = "kalman_filter"
-    x = checked_vector("x0", x0, model.state_size, where)
-    noise = noise.checked(model.state_size, model.channels.n_q, where)
-    u = np.asarray(input_signal(model, experiment).u, np.float64)
-    kalman = KalmanFilter(_linearised_step(model, u.shape[1:]), noise, model.channels)
-    kalman.restart(x)
-    rows = u.reshape(len(u), -1)
-    results: list[tuple[np.ndarray, ...]] = []
-    for k, q in enumerate(experiment.q):
-        kalman.correct(q)
-        results.append((kalman.x, np.diag(kalman.p), kalman.innovations, kalman.spreads))
-        if k < len(rows):
-            kalman.predict(rows[k])
-    states, variances, innovations, spreads = map(np.stack, zip(*results, strict=True))
-    return FilterResult(states, np.sqrt(variances), innovations, np.sqrt(spreads))
+    return filter_records(model, [experiment], [x0], noise)[0]
+
+
+@_DIVERGES
+def filter_records(
+    model: Model,
+    records: Sequence[Experiment],
+    starts: Sequence[Float[Array | np.ndarray, " n_x"]],
+    noise: FilterNoise,
+) -> list[FilterResult]:
+    """`kalman_filter` along several records, which takes little longer than along one.
+
+    Args:
+        model: the model of all records.
+        records: the records.
+        starts: a first state for each, (n_x,).
+        noise: the standard deviations.
+
+    Raises:
+        InputError: see `kalman_filter`.
+    """
+    where, n_x = "kalman_filter", model.state_size
+    for record in records:
+        require_fit(model, record)
+    x = np.stack([checked_vector("x0", start, n_x, where) for start in starts])
+    noise = noise.checked(n_x, model.channels.n_q, where)
+    signals = [np.asarray(input_signal(model, one).u, np.float64) for one in records]
+    formula = _step_formula(model, signals[0].shape[1:])
+    # shorter records go on with their last samples, to no effect
+    q = _padded([one.q for one in records])
+    u = _padded([signal.reshape(len(signal), -1) for signal in signals])
+    process = np.diag(np.asarray(noise.process) ** 2)
+    variances = np.asarray(noise.measured) ** 2
+    p = np.tile(np.diag(np.asarray(noise.start) ** 2), (len(records), 1, 1))
+    rows: list[tuple[np.ndarray, ...]] = []
+    for k in range(len(q)):
+        innovations, spreads = np.empty((2, len(records), len(variances)))
+        for i, variance in enumerate(variances):
+            row = p[:, i]
+            spreads[:, i] = spread = row[:, i] + variance
+            innovations[:, i] = q[k, :, i] - x[:, i]
+            gain = row / spread[:, None]
+            x = x + gain * innovations[:, i, None]
+            across = gain[:, :, None] * row[:, None]
+            # in the form of Joseph, which keeps it symmetric
+            p = p - across - across.mT + spread[:, None, None] * gain[:, :, None] * gain[:, None]
+        rows.append((x, p.diagonal(axis1=1, axis2=2), innovations, spreads))
+        if k < len(u):
+            points = np.concatenate([x, u[k]], axis=1)
+            slopes = evaluate(formula, points, derivatives=True)
+            a = slopes.reshape(len(records), n_x, -1)[:, :, :n_x]
+            x, p = evaluate(formula, points), a @ p @ a.mT
+            p = (p + p.mT) / 2 + process
+    states, squares, innovations, spreads = (
+        np.stack(part, axis=1) for part in zip(*rows, strict=True)
+    )
+    return [
+        FilterResult(
+            states[i, :n],
+            np.sqrt(squares[i, :n]),
+            innovations[i, :n],
+            np.sqrt(spreads[i, :n]),
+        )
+        for i, n in enumerate(map(len, records))
+    ]
+
+
+def _padded(rows: Sequence[Float[np.ndarray, "_ n"]]) -> Float[np.ndarray, "longest runs n"]:
+    """Rows of samples side by side, those of shorter ones continued by their last."""
+    longest = max(map(len, rows))
+    return np.stack([np.pad(r, ((0, longest - len(r)), (0, 0)), "edge") for r in rows], axis=1)
 
 
 def checked_vector(name: str, value: Rows, size: int, where: str) -> Vector:
@@ -238,15 +294,22 @@ def checked_vector(name: str, value: Rows, size: int, where: str) -> Vector:
     return array
 
 
-def _linearised_step(model: Model, shape: tuple[int, ...]) -> LinearisedStep:
-    """The step of a model with its derivatives, compiled once while the model is in use."""
-    for known, known_shape, step in _recent:
+def _step_formula(model: Model, shape: tuple[int, ...]) -> Formula:
+    """The step of a model at many states and inputs; read once while the model is in use."""
+    for known, known_shape, formula in _recent:
         if known is model and known_shape == shape:
-            return step
-    step = make_linearised_step(step_equations(model.simplify(), shape))
-    _recent.insert(0, (model, shape, step))
+            return formula
+    equations = step_equations(model.simplify(), shape)
+    n_x, along = equations.n_x, equations.along
+    formula = Formula(
+        lambda point: equations.function(point[:n_x], point[n_x:], None, None),
+        n_x + equations.n_u,
+        where=equations.where,
+        slope=None if along is None else lambda point: along(point[:n_x], point[n_x:])[:, 1:],
+    )
+    _recent.insert(0, (model, shape, formula))
     del _recent[_RECENT:]
-    return step
+    return formula
 
 
-_recent: list[tuple[Model, tuple[int, ...], LinearisedStep]] = []
+_recent: list[tuple[Model, tuple[int, ...], Formula]] = []

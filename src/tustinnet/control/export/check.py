@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controller import Controller
-from tustinnet.control.estimator import ExtendedKalmanFilter
+from tustinnet.control.estimator import make_filter, rest_state
 from tustinnet.control.export.code import SOURCES
 from tustinnet.control.export.compiled import MEMORY, address, load_library
-from tustinnet.engine.engines import make_linearised_step, make_step
+from tustinnet.engine.engines import make_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable
-from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise, KalmanFilter
+from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
 from tustinnet.wording import counted
 
 BOUND = 1e-9  # of the difference, relative to 1 + the value
@@ -120,23 +120,14 @@ def _compare(
         difference = np.abs(computed - expected) / (1 + np.abs(expected))
         largest = float(np.max(np.where(lost, 0.0, difference), initial=largest))
 
-    angular = channels.angular if channels.angular.any() else None
-    step = make_step(source.equations)
-    first = ExtendedKalmanFilter(source.model, noise, lost_after)
-    own = KalmanFilter(
-        make_linearised_step(source.equations),
-        noise,
-        channels,
-        angular,
-        first.at_rest,
-        lost_after,
-    )
+    step, own = make_step(source.equations), make_filter(source, noise, lost_after)
     y = measure()
     call("estimator_reset", estimator, y)
     call("controller_reset", memory)
     controller.reset()
-    compare(estimator[:n_x], first.reset(y))
-    own.missed = 0
+    own.restart(rest_state(source.model, y))
+    own.correct(y)
+    compare(estimator[:n_x], own.x)
     total = steps if fall is None else 2 * steps
     for k in range(total):
         if k == steps and fall is not None:

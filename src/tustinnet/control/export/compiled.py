@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import Channels
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import feedback_controller
 from tustinnet.control.estimator import Estimator, ExtendedKalmanFilter
@@ -17,12 +18,11 @@ from tustinnet.control.export.code import (
     estimator_files,
     gains_of,
 )
-from tustinnet.control.input_history import with_causal_inputs
+from tustinnet.control.input_history import causal_source
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.export.c import compile_c, make_model_files
-from tustinnet.export.source import make_source
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise
@@ -37,13 +37,14 @@ class CompiledController:
 
     Args:
         functions: its functions.
+        n_x: number of states.
         n_u: number of inputs.
     """
 
-    def __init__(self, functions: ctypes.CDLL, n_u: int) -> None:
+    def __init__(self, functions: ctypes.CDLL, n_x: int, n_u: int) -> None:
         self._functions = functions
-        self._memory, self._u = np.zeros(MEMORY), np.zeros(n_u)
-        self._places = address(self._memory), address(self._u)
+        self._arrays = np.zeros(MEMORY), np.zeros(n_x), np.zeros(n_u)
+        self._places = tuple(map(address, self._arrays))
         self.reset()
 
     def reset(self) -> None:
@@ -52,10 +53,10 @@ class CompiledController:
 
     def inputs(self, k: int, x: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_u"]:
         """The inputs from sample k to sample k + 1, (n_u,)."""
-        memory, u = self._places
-        state = np.ascontiguousarray(x, np.float64)
-        self._functions.controller_inputs(memory, address(state), u)
-        return self._u.copy()
+        _, state, u = self._arrays
+        state[:] = x
+        self._functions.controller_inputs(*self._places)
+        return u.copy()
 
 
 class CompiledEstimator:
@@ -63,24 +64,28 @@ class CompiledEstimator:
 
     Args:
         functions: its functions.
+        channels: of the model.
         n_x: number of states.
     """
 
-    def __init__(self, functions: ctypes.CDLL, n_x: int) -> None:
-        self._functions, self._memory = functions, np.zeros(MEMORY)
-        self._place, self._x = address(self._memory), self._memory[:n_x]
+    def __init__(self, functions: ctypes.CDLL, channels: Channels, n_x: int) -> None:
+        self._functions = functions
+        self._arrays = np.zeros(MEMORY), np.zeros(channels.n_q), np.zeros(channels.n_u)
+        self._places, self._x = tuple(map(address, self._arrays)), self._arrays[0][:n_x]
 
     def reset(self, y: Float[np.ndarray, " n_q"]) -> Float[np.ndarray, " n_x"]:
         """The estimate at the first sample, (n_x,)."""
-        self._functions.estimator_reset(self._place, address(np.ascontiguousarray(y, np.float64)))
+        self._arrays[1][:] = y
+        self._functions.estimator_reset(*self._places[:2])
         return self._x.copy()
 
     def update(
         self, y: Float[np.ndarray, " n_q"], u: Float[np.ndarray, " n_u"]
     ) -> Float[np.ndarray, " n_x"]:
         """The estimate at the next sample, (n_x,)."""
-        y, u = (np.ascontiguousarray(v, np.float64) for v in (y, u))
-        self._functions.estimator_update(self._place, address(y), address(u))
+        _, positions, inputs = self._arrays
+        positions[:], inputs[:] = y, u
+        self._functions.estimator_update(*self._places)
         return self._x.copy()
 
 
@@ -95,7 +100,7 @@ def compile_loop(
         noise: the noise of the estimator.
     """
     delay = gains_of(controller).final.delay
-    source = with_causal_inputs(make_source(model), delay)
+    source = causal_source(model, delay)
     files = {
         **make_model_files(source),
         **estimator_files(source, noise),
@@ -106,8 +111,8 @@ def compile_loop(
     except NotRunnable:
         return make_controller(controller), ExtendedKalmanFilter(model, noise, delay=delay)
     return (
-        CompiledController(functions, source.channels.n_u),
-        CompiledEstimator(functions, source.n_x),
+        CompiledController(functions, source.n_x, source.channels.n_u),
+        CompiledEstimator(functions, source.channels, source.n_x),
     )
 
 
@@ -126,7 +131,8 @@ def folder_controller(folder: Path, gains: Feedback | Tracking, *, predictive: b
     with convert_errors(folder, "cannot be read", "the files in C that `control` writes"):
         files: Files = {name: (folder / name).read_bytes() for name in names}
     try:
-        return CompiledController(load_library(files, LOOP_SOURCES), len(gains.final.u0))
+        final = gains.final
+        return CompiledController(load_library(files, LOOP_SOURCES), len(final.x0), len(final.u0))
     except NotRunnable as reason:
         if predictive:
             raise InputError(

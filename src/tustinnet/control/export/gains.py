@@ -204,7 +204,12 @@ def _array_reader(file: Path, content: Mapping[str, Any], place: str) -> Reader:
     def read(name: str, shape: tuple[int | None, ...]) -> np.ndarray:
         where = f"{place}{name}"
         if name not in content:
-            raise InputError(file, f"no entry '{where}'", "an exported controller")
+            raise InputError(
+                file,
+                f"no entry '{where}'",
+                "an exported controller",
+                "one of before 0.3 lacks it: design it again",
+            )
         expected = " x ".join("n" if n is None else str(n) for n in shape) or "a number"
         with convert_errors(file, f"entry '{where}'", f"numbers, {expected}"):
             array = np.array(content[name], np.float64)

@@ -15,13 +15,14 @@ from tustinnet.control.export.code import gains_of, make_code, make_readme
 from tustinnet.control.export.gains import JSON, MAT, controller_json, controller_mat
 from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.ilqr import make_cost
-from tustinnet.control.input_history import with_causal_inputs
+from tustinnet.control.input_history import causal_source
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
-from tustinnet.export.source import Source, make_source
+from tustinnet.export.source import Source
 from tustinnet.models.contract import Model
+from tustinnet.models.groups import model_for_groups
 from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
 from tustinnet.simulate.range import Range
 from tustinnet.store.exported import CARD, make_card, require_export_folder, write_export
@@ -100,12 +101,13 @@ def export_controller(
     require_export_folder(folder, overwrite=overwrite)
     header = {} if file is None else read_header(file)
     gains = gains_of(controller)
+    model = model_for_groups(model, groups or {}, "export")
     inner = model.inner if isinstance(model, DisturbedModel) else model
     known = Range.from_header(header, inner)
     if isinstance(model, DisturbedModel) and known is not None:
         known = model.extend_range(known)
     final = gains.final
-    source = with_causal_inputs(make_source(model, known, groups, header), final.delay)
+    source = causal_source(model, final.delay).described(known, header)
     noise = noise.checked(source.n_x, source.channels.n_q, "the estimator's noise")
     _require_fit(gains, source)
     if start is None:
@@ -129,7 +131,7 @@ def export_controller(
         )
     else:
         limits = InputLimits(final.lower, final.upper)
-        system = controlled(source.model if groups else model, final.delay)
+        system = controlled(model, final.delay)
         cost, _ = make_cost(
             system,
             limits,
