@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+import shlex
 import sys
 from collections.abc import Iterator
 from importlib import metadata
@@ -29,19 +30,20 @@ def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> st
 
     Args:
         model: the model's file.
-        data: the records as the user named them.
+        data: the records as the user named them, in words of a shell.
         follows: whether the model follows the records better than a trivial predictor; where not,
             there is nothing to use it for.
         has_inputs: whether it has inputs, by which it can be controlled.
     """
-    steps = [f"tustinnet evaluate {model} {data} --residuals (test its errors)"]
+    file = shlex.quote(str(model))
+    steps = [f"tustinnet evaluate {file} {data} --residuals (test its errors)"]
     if not follows:
         steps.append(f"tustinnet inspect {data} (look at the records)")
     else:
-        steps.append(f"tustinnet export {model} --to c --out model-c (use it elsewhere)")
+        steps.append(f"tustinnet export {file} --to c --out model-c (use it elsewhere)")
         if has_inputs:
             steps.append(
-                f"tustinnet control {model} --data {data} --at NAME=VALUE --out controller"
+                f"tustinnet control {file} --data {data} --at NAME=VALUE --out controller"
             )
     return ", ".join(steps)
 

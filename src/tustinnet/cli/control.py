@@ -1,5 +1,6 @@
 """`tustinnet control`: a controller designed on a model, tested, and written as C."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -193,7 +194,6 @@ def control(
     model and a closed loop in C, gains, scripts for CasADi, acados and do-mpc, and figures.
     """
     terminal.prepare_jax()
-    import shlex
     import sys
     import time
 
@@ -461,9 +461,9 @@ def _replay(
         return
     terminal.print_tables(replay_table(replays))
     terminal.echo("\n".join(replay_sentences(replays, consistency)))
-    logs = data if card is None else f"{data} --card {card}"
+    logs = shlex.join([data, *(() if card is None else ("--card", str(card)))])
     terminal.echo(
-        f"next: tustinnet evaluate {file} {logs} (free runs of the model), "
+        f"next: tustinnet evaluate {shlex.quote(str(file))} {logs} (free runs of the model), "
         f"tustinnet fit {logs} --out refitted (a model by these logs, too), then control that"
     )
 
