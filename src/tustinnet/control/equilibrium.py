@@ -201,7 +201,7 @@ def find_equilibrium(
         is_settled = np.isfinite(rate).all() and np.all(
             np.abs(rate) <= _SETTLED * (1 + np.abs(point[:n_x]))
         )
-        return point if is_settled else None
+        return np.where(np.abs(point) < _ROUNDING, 0.0, point) if is_settled else None
 
     def distance(point: Float[np.ndarray, " n_xu"]) -> float:
         """The largest distance from a named position."""
@@ -215,7 +215,6 @@ def find_equilibrium(
         nearest = min(candidates, key=distance) if candidates else None
     if nearest is None or distance(nearest) > tolerance:
         raise _no_equilibrium(at, nearest, positions, bounds, channels.inputs)
-    nearest = np.where(np.abs(nearest) < _ROUNDING, 0.0, nearest)
     x, u = nearest[:n_x], bounds.clip(nearest[n_x:])
     return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
 
