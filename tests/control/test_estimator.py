@@ -8,7 +8,7 @@ from swinging import CREEPING, DT, SWING, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.control.estimator import ExtendedKalmanFilter, check_filter, find_noise
-from tustinnet.control.input_history import InputHistory
+from tustinnet.control.input_history import InputHistory, find_causal_layout
 from tustinnet.control.plants import ModelPlant
 from tustinnet.control.sampled_plant import PlantOptions
 from tustinnet.errors import InputError
@@ -85,16 +85,17 @@ def test_at_an_unstable_equilibrium_it_lasts():
 def test_a_delay_of_the_inputs_is_known():
     late = tn.Input("voltage", "V", delay=2.5 * DT)
     model = tn.discretise(swing_model(), DT, inputs=(late,))
-    history = InputHistory(model)
+    layout = find_causal_layout(model)
+    history = InputHistory(len(layout.offsets))
     u = voltage(40, 3)[:, None]
     record = tn.from_arrays(
         np.zeros((40, 1)), u, dt=DT, coordinates=SWING.coordinates, inputs=(late,), name="late"
     )
     expected = np.asarray(input_signal(model, record).u).reshape(39, -1)
-    rows = [history.add(now) for now in u[:-1]]
+    rows = [layout.matrix @ history.add(now) for now in u[:-1]]
     np.testing.assert_allclose(rows[5:], expected[5:], rtol=1e-12)
     history.reset()
-    np.testing.assert_array_equal(history.add(u[0]), np.zeros(1))
+    np.testing.assert_array_equal(layout.matrix @ history.add(u[0]), np.zeros(1))
 
 
 def test_noise_of_a_right_model_is_that_of_its_encoder():

@@ -42,9 +42,7 @@ def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> st
     else:
         steps.append(f"tustinnet export {file} --to c --out model-c (use it elsewhere)")
         if has_inputs:
-            steps.append(
-                f"tustinnet control {file} --data {data} --at NAME=VALUE --out controller"
-            )
+            steps.append(f"tustinnet control {file} --data {data} --at NAME=VALUE --out controller")
     return ", ".join(steps)
 
 

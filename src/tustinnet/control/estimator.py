@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.channels import Channels
-from tustinnet.control.input_history import causal_source
+from tustinnet.control.input_history import InputHistory, causal_source
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import smooth_velocities
 from tustinnet.engine.engines import make_linearised_step
@@ -101,7 +101,7 @@ class ExtendedKalmanFilter:
         if lost_after < 1:
             raise InputError("ExtendedKalmanFilter", f"lost_after {lost_after}", "1 or more")
         source = causal_source(model, delay)
-        self._before = np.zeros(source.n_w - channels.n_u)
+        self._history = InputHistory(source.n_w)
         self._filter = make_filter(source, self.noise, lost_after)
 
     @property
@@ -127,7 +127,7 @@ class ExtendedKalmanFilter:
     def reset(self, y: Vector) -> Vector:
         """The estimate at the first sample: the measured positions, at rest, (n_x,)."""
         y = np.asarray(y, np.float64)
-        self._past = self._before
+        self._history.reset()
         self._filter.restart(rest_state(self.model, y))
         return self._corrected(y)
 
@@ -138,9 +138,7 @@ class ExtendedKalmanFilter:
             y: the new measurement, (n_q,).
             u: the inputs that were applied since the last one, (n_u,).
         """
-        samples = np.concatenate([np.asarray(u, np.float64), self._past])
-        self._past = samples[: len(self._past)]
-        self._filter.predict(samples)
+        self._filter.predict(self._history.add(np.asarray(u, np.float64)))
         return self._corrected(np.asarray(y, np.float64))
 
     def _corrected(self, y: Vector) -> Vector:

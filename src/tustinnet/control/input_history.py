@@ -14,42 +14,28 @@ _RECENT = 8  # models whose steps are at hand
 
 
 class InputHistory:
-    """What the steps of a model take of the inputs up to now, delays of its inputs included.
-
-    Inputs are held from sample to sample. A step that takes samples to come is given those of now.
+    """The input samples that a step takes, of now and before: inputs are held between samples.
 
     Args:
-        model: the model.
-        delay: samples by which inputs act later than the model says, as a computer needs.
-
-    Attributes:
-        shape: the shape of a step's inputs.
-        samples: how many samples a step depends on.
+        n_w: the number of all of them, as `Source.n_w`.
     """
 
-    def __init__(self, model: Model, delay: int = 0) -> None:
-        layout = find_causal_layout(model, delay)
-        n_u, self.shape = model.channels.n_u, layout.shape
-        self.samples = len(layout.offsets)
-        is_plain = self.samples == 1 and np.array_equal(layout.matrix, np.eye(n_u))
-        self._matrix = None if is_plain else layout.matrix
-        self._size = self.samples * n_u
+    def __init__(self, n_w: int) -> None:
+        self._none = np.zeros(n_w)
         self.reset()
 
     def reset(self) -> None:
         """Begins anew; before the first sample inputs are taken to be 0."""
-        self._past = np.zeros(self._size)
+        self._samples = self._none
 
     def add(self, u: Vector) -> Vector:
-        """The inputs of the step that begins now, flattened.
+        """The samples of the step that begins now, (n_w,).
 
         Args:
             u: the inputs from now to the next sample, (n_u,).
         """
-        if self._matrix is None:
-            return u
-        self._past = np.concatenate([u, self._past[: self._size - len(u)]])
-        return self._matrix @ self._past
+        self._samples = np.concatenate([u, self._samples])[: len(self._none)]
+        return self._samples
 
 
 def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:

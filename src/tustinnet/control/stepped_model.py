@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.control.input_history import InputHistory
+from tustinnet.control.input_history import InputHistory, find_causal_layout
 from tustinnet.engine.engines import evaluate, make_step
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
@@ -42,13 +42,13 @@ class SteppedModel:
         equations = equations_in(folded)
         values = {} if equations is None else equations.values
         self.nominal = {name: float(values[name]) for name in sorted(values)}
-        names, shape = tuple(self.nominal), self.history().shape
-        n_w, n_x = int(np.prod(shape)), model.state_size
+        names, layout, n_x = tuple(self.nominal), find_causal_layout(model), model.state_size
         n_m, n_u = model.channels.measured.stop, model.channels.n_u
+        self._n_w = n_w = len(layout.offsets) * n_u
 
         def step(x: Array, w: Array, p: Any, c: Any) -> Array:
             variant = with_values(folded, dict(zip(names, w[n_w:], strict=True)))
-            return variant.step(x, w[:n_w].reshape(shape))
+            return variant.step(x, layout.step_input(w[:n_w]))
 
         def start(point: Array) -> Array:
             variant = with_values(folded, dict(zip(names, point[n_m + n_u :], strict=True)))
@@ -60,8 +60,8 @@ class SteppedModel:
         self._start = Formula(start, n_m + n_u + n_p, where=where)
 
     def history(self) -> InputHistory:
-        """A new history of inputs, from which the inputs of steps follow."""
-        return InputHistory(self.model)
+        """A new history of inputs, of which steps take the samples."""
+        return InputHistory(self._n_w)
 
     def vector(self, values: Mapping[str, float]) -> Vector:
         """Values of parameters as `step` takes them; nominal where there are none.
