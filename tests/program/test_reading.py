@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 import pytest
-from every_family import NAMES, example, example_source
+from every_family import NAMES, example, example_source, step_and_jacobians
 
 from tustinnet.errors import InputError
 from tustinnet.export.source import make_source
@@ -214,12 +214,7 @@ def test_constants_carried_arrays_and_rows_of_a_loop_are_told_apart(constants, c
 def test_a_step_and_its_derivatives_are_read(name):
     source = example_source(name)
     states, inputs = source.samples(2)
-
-    @jax.jit
-    def expect(x, u):
-        return source.function(x, u), *jax.jacfwd(source.function, argnums=(0, 1))(x, u)
-
-    expected, a, b = jax.vmap(expect)(jnp.asarray(states), jnp.asarray(inputs))
+    expected, a, b = step_and_jacobians(name)
     for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
         result = run(source.linearised, x=x, u=u)
         np.testing.assert_allclose(run(source.step, x=x, u=u)["x"], expected[i], atol=1e-13)
@@ -241,7 +236,7 @@ def test_every_registered_family_is_among_the_examples():
 
 
 def test_layers_stay_matrices_and_substeps_loops():
-    network, physics = make_source(example("gru")), make_source(example("qube memory"))
+    network, physics = example_source("gru"), example_source("qube memory")
     assert "product" in {node.op for node in network.step.nodes}
     assert physics.step.operations < 300  # though it does 4 substeps of four stages
     assert [loop.length for loop in physics.step.loops] == [4]
