@@ -7,7 +7,6 @@ import pytest
 from every_family import NAMES, example_source, step_and_jacobians
 from every_step import PROGRAMS, SIZE, stepping
 
-from tustinnet.export.source import make_source
 from tustinnet.program.derivatives import PARTIALS, with_derivatives
 from tustinnet.program.numbers import run
 from tustinnet.program.program import OPERATIONS, Program

@@ -9,7 +9,6 @@ import pytest
 
 from tustinnet.simulate import programs
 
-
 PROGRAM = """
 import jax
 from tustinnet.simulate import programs
