@@ -15,7 +15,7 @@ from tustinnet.store.run_folder import MODEL
 
 LEVELS = {
     "inputs": (0, 1, 3),
-    "coordinates": (1, 2, 4, 7),
+    "coordinates": (1, 2, 4, 5),
     "kinds": ("linear", "angular", "mixed"),
     "has_validation": (False, True),
     "has_velocities": (False, True),

@@ -19,7 +19,7 @@ _spec.loader.exec_module(make)
 # parts of a tutorial as it stands, and so short that all cells still run: nothing here looks at
 # how good a model becomes, and `make docs` runs the tutorials in full
 NO_REPORT = "--no-report"  # what a page does not show: other tests write it
-SEARCH = f"{NO_REPORT} --set search.initial=anchored --set search.iterations=3"
+SEARCH = f"{NO_REPORT} --set search.initial=anchored --set search.substeps=1"
 SHORTER = {
     "from-logs": {
         "for _ in range(20)]": "for _ in range(8)]",
@@ -31,15 +31,15 @@ SHORTER = {
     },
     "into-the-controller": {
         '"fall2", "fall3", "noise1", "noise3", "noise5", ': '"noise1", ',
-        "--out pendulum": f"--out pendulum {NO_REPORT} --set search.initial=anchored",
+        "--out pendulum": f"--out pendulum {SEARCH}",
         "--data logs --out": "--data logs --starts 1 --out",
         "[0.1, 0.05], 5)": "[0.1, 0.05], 1)",
     },
     "own-physics": {
         ", (1.2, 0), (0, 4), (-0.8, 3), (0, 4)])": ", (1.2, 0)])",
-        "--out first": f"--out first {SEARCH}",
-        "--out weighed": f"--out weighed {SEARCH}",
-        "--out rubbing": f"--out rubbing {SEARCH}",
+        "--out first": f"--out first {SEARCH} --set search.iterations=3",
+        "--out weighed": f"--out weighed {SEARCH} --set search.iterations=3",
+        "--out rubbing": f"--out rubbing {SEARCH} --set search.iterations=3",
     },
     "publication": {
         "train[::2]": "train[::6]",
