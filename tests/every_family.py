@@ -5,6 +5,7 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from swinging import CART, CREEPING, DT, LAGGING, SWING, records, swing_model
 
 import tustinnet as tn
@@ -127,6 +128,21 @@ def example(name: str) -> tn.Model:
 def example_source(name: str) -> Source:
     """The source of the export of one of `NAMES`; its step is read once for all tests."""
     return make_source(example(name))
+
+
+@cache
+def step_and_jacobians(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """By JAX, at the two samples of the source of one of `NAMES`: compiled once for all tests."""
+    source = example_source(name)
+
+    def one(x: jax.Array, u: jax.Array) -> tuple[jax.Array, ...]:
+        return source.function(x, u), *jax.jacfwd(source.function, (0, 1))(x, u)
+
+    states, inputs = source.samples(2)
+    compiled = jax.jit(one)
+    rows = [compiled(x, u) for x, u in zip(states, inputs, strict=True)]
+    stepped, by_x, by_u = (np.stack(part) for part in zip(*rows, strict=True))
+    return stepped, by_x, by_u
 
 
 @cache

@@ -157,14 +157,15 @@ def test_a_system_file_that_does_not_run_is_one_line_before_anything(
 
 
 def test_an_earlier_selection_that_is_overwritten_leaves_nothing(folder, tmp_path, out, capsys):
-    plan = plan_in(tmp_path, NETWORK_ONLY)
+    text = NETWORK_ONLY.replace("small.toml", "linear")
+    plan = plan_in(tmp_path, text)
     verb = ("fit", folder, "--plan", plan, "--out", out, "--quiet", "--no-report")
     assert tustinnet(capsys, *verb)[0] == 0
     (out / "figures" / "mine.png").write_text("not of a selection")
     assert (out / "candidates" / "network").is_dir()
     card = (folder / "dataset.toml").read_text()
     (folder / "dataset.toml").write_text(card.replace(', "noise2.csv"', ""))
-    plan.write_text(NETWORK_ONLY.replace('name = "network"', 'name = "renamed"'))
+    plan.write_text(text.replace('name = "network"', 'name = "renamed"'))
     code, _, err = tustinnet(capsys, *verb, "--overwrite")
     assert code == 0, err
     assert [path.name for path in (out / "candidates").iterdir()] == ["renamed"]

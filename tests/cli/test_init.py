@@ -141,12 +141,12 @@ def test_a_folder_without_a_card_names_init(logs, capsys):
         assert f"`tustinnet init {logs}` writes one" in err
 
 
-def test_fit_drafts_a_card_into_its_own_folder(tiny_recipe, tmp_path, capsys):
+def test_fit_drafts_a_card_into_its_own_folder(tmp_path, capsys):
     folder, out = tmp_path / "LOGS", tmp_path / "RUN"
     folder.mkdir()
     plc(folder)
     before = sorted(folder.iterdir())
-    words = ("fit", folder, "--recipe", tiny_recipe, "--out", out, "--quiet", "--no-report")
+    words = ("fit", folder, "--recipe", "linear", "--out", out, "--quiet", "--no-report")
     code, printed, err = tustinnet(capsys, *words)
     assert code == 0, err
     card = out / "dataset.toml"

@@ -11,8 +11,12 @@ PLAN = """
 name = "grey alone"
 folds = 3
 start = "model-20"
-candidates = [{ name = "grey", recipe = "grey" }]
-rounds = [{ folds = 3 }]
+[[candidates]]
+name = "grey"
+recipe = "grey"
+set = ["search.initial=anchored", "search.substeps=1"]
+[[rounds]]
+folds = 3
 """
 
 
@@ -23,6 +27,7 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
     for option in ((), ("--leave-out-spoiled",)):
         out = tmp_path / f"out{len(option)}"
         arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", out]
+        arguments += ["--set", "search.initial=anchored", "--set", "search.substeps=1"]
         code, printed, err = tustinnet(capsys, *arguments, *option, "--quiet")
         assert code == 0, err
         header = tn.read_header(out / "model.safetensors")["spoiled"]

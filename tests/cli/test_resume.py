@@ -17,7 +17,7 @@ from tustinnet.selection import jobs
 GREY_TOO = NETWORK_ONLY.replace(
     "candidates = [",
     'candidates = [{ name = "grey", recipe = "grey.toml", when = "always" }, ',
-)
+).replace("rounds = [{ folds = 3 }]", "rounds = [{ folds = 1 }]")
 SYSTEM = """
 import jax.numpy as jnp
 import tustinnet as tn

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-VERBS = [("show",), ("evaluate",), ("--help",), ("--version",), ("show", "--help")]
+VERBS = [("show",), ("evaluate",), ("--help",)]
 
 
 def run(arguments, shell_tail="", **variables):
@@ -28,7 +28,7 @@ def arguments(request, identified, folder):
 
 @pytest.mark.parametrize(
     ("arguments", "unbuffered"),
-    [*((verb, "") for verb in VERBS), (VERBS[0], "1"), (VERBS[3], "1")],
+    [*((verb, "") for verb in VERBS), (VERBS[0], "1"), (("--version",), "1")],
     indirect=["arguments"],
 )
 @pytest.mark.parametrize("tail", [">&-", ">/dev/full"])

@@ -54,10 +54,8 @@ WITH_VALIDATION = ("train", "train", "validation", "validation")
     ("of", "keys", "splits"),
     [
         *((name, {}, WITH_VALIDATION) for name in TRAINED),
-        ("tustin-net", {"horizon": 0.8}, WITH_VALIDATION),
-        ("tustin-net", {"start": "model-10"}, WITH_VALIDATION),
+        ("tustin-net", {"horizon": 0.8, "start": "model-10"}, WITH_VALIDATION),
         ("tustin-net", {}, ("train",)),
-        ("gru", {}, ("train",)),
     ],
     ids=str,
 )

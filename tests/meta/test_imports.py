@@ -86,6 +86,11 @@ def test_a_header_is_shown_by_its_family_and_without_what_reads_records_and_draw
     assert heavy_after(command("show", model)) == {"jax", "equinox"}
 
 
+def test_what_identifies_loads_its_solvers_only_where_it_needs_them():
+    loaded = python("import tustinnet.selection.select\nprint(*sys.modules)").split()
+    assert not {"scipy.optimize", "scipy.signal", "scipy.spatial"} & set(loaded)
+
+
 @pytest.mark.parametrize("verb", ["evaluate", "fit"])
 def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tmp_path):
     figures = tmp_path / "figures"

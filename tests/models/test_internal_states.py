@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import product
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -165,9 +166,12 @@ def test_the_derivative_is_that_by_hand(kinds):
     names += ["lag:force", "maxwell:angle"] * kinds["f"]
     names += ["angle.integral", "angle.filtered_velocity"] * kinds["c"]
     assert system.internal == tuple(names)
+    derivative = jax.jit(
+        lambda x, w: model.derivative(x, w)
+    )  # of hundreds of operations, each compiled otherwise
     for _ in range(3):
         x, w = rng.normal(size=model.state_size), 2 * rng.normal(size=2)
-        found = model.derivative(jnp.asarray(x), jnp.asarray(w))
+        found = derivative(jnp.asarray(x), jnp.asarray(w))
         np.testing.assert_allclose(found, by_hand.derivative(x, w), rtol=1e-11, atol=1e-12)
 
 
@@ -176,7 +180,8 @@ def test_where_records_begin(kinds):
     system = make(kinds)
     model = model_of(system)
     q, v, w = np.array([0.3, -0.4]), np.array([0.7, 0.2]), np.array([0.5, 1.1])
-    begun = np.asarray(model.initial_internal(jnp.array([*q, *v]), jnp.asarray(w)))
+    initial = jax.jit(lambda x, w: model.initial_internal(x, w))
+    begun = np.asarray(initial(jnp.array([*q, *v]), jnp.asarray(w)))
     spread, searched, expected = [], [], []
     if kinds["h"]:
         expected += [RATIO * q[1], RATIO * v[1]]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from every_family import NAMES, example
+from every_family import NAMES, example, example_source, step_and_jacobians
 from every_step import PROGRAMS, SIZE, stepping
 from test_tape_derivatives import same, smooth
 
@@ -17,16 +17,20 @@ from tustinnet.program.program import Program
 from tustinnet.program.reading import Unreadable, read
 
 
-def compare_adjoints(program: Program, function, x, u) -> None:
-    """Compares the adjoints of a program's inputs with those of the function."""
+def compare_adjoints(program: Program, adjoints, x, u) -> None:
+    """Compares the adjoints of a program's inputs with those that others find for a weight."""
     weight = np.random.default_rng(1).normal(size=len(run(program, x=x, u=u)["x"]))
     reverse = with_adjoints(program, "x", ("x", "u"), value=True).program
     result = run(reverse, x=x, u=u, adjoint=weight)
     np.testing.assert_array_equal(result["x"], run(program, x=x, u=u)["x"])
-    # not compiled, which rounds otherwise at a kink
-    _, back = jax.vjp(function, jnp.asarray(x), jnp.asarray(u))
-    for name, expected in zip(("by_x", "by_u"), back(jnp.asarray(weight)), strict=True):
-        same(result[name], np.asarray(expected))
+    expected = adjoints(jnp.asarray(x), jnp.asarray(u), jnp.asarray(weight))
+    for name, by_others in zip(("by_x", "by_u"), expected, strict=True):
+        same(result[name], np.asarray(by_others))
+
+
+def adjoints_of(function):
+    """The adjoints of a function's arguments by JAX."""
+    return lambda x, u, weight: jax.vjp(function, x, u)[1](weight)
 
 
 @pytest.mark.parametrize("size", [3, SIZE])
@@ -37,25 +41,31 @@ def test_every_operation_is_differentiated_as_jax_does_it(size):
         return jnp.concatenate(smooth(x * u[0]))
 
     program = read(lambda x, u: {"x": function(x, u)}, {"x": size, "u": 1})
-    compare_adjoints(program, function, x, u)
+    compare_adjoints(program, jax.jit(adjoints_of(function)), x, u)
 
 
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name != "operations"])
 def test_loops_vectors_and_matrices_are_differentiated(name):
     source = stepping(PROGRAMS[name])
     x = 0.3 + 0.1 * np.random.default_rng(0).normal(size=source.n_x)
-    compare_adjoints(source.step, source.function, x, np.array([0.4]))
+    # not compiled, which rounds otherwise at a kink
+    compare_adjoints(source.step, adjoints_of(source.function), x, np.array([0.4]))
 
 
-@pytest.mark.parametrize("name", NAMES)
+# all nine members of the committee are several times as slow as three of them
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "committee"])
 def test_steps_of_every_family_are_differentiated(name):
-    # of a committee three members, two of one structure: all nine are several times as slow
-    few = tn.committee(
-        [example(name) for name in ("network memory", "physics", "network memory 2")]
-    )
-    source = make_source(few if name == "committee" else example(name))
+    source = example_source(name)
+    x, w = (values[0] for values in source.samples(2))
+    _, *jacobians = step_and_jacobians(name)
+    compare_adjoints(source.step, lambda x, u, weight: [weight @ by[0] for by in jacobians], x, w)
+
+
+def test_the_step_of_a_committee_is_differentiated():
+    members = ("network memory", "physics", "network memory 2")  # two of one structure
+    source = make_source(tn.committee([example(name) for name in members]))
     x, w = (values[0] for values in source.samples(1))
-    compare_adjoints(source.step, source.function, x, w)
+    compare_adjoints(source.step, jax.jit(adjoints_of(source.function)), x, w)
 
 
 def layered(x, outer, inner):
@@ -111,9 +121,8 @@ def test_numbers_that_are_copies_of_an_input_are_known():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives_are_zero_where_structure_says_so(name):
-    source = make_source(example(name))
-    x, w = (values[0] for values in source.samples(1))
-    by_x, by_w = map(np.asarray, jax.jit(jax.jacfwd(source.function, (0, 1)))(x, w))
+    source = example_source(name)
+    _, (by_x, *_), (by_w, *_) = step_and_jacobians(name)
     depends = source.step.dependencies("x")
     assert any(depends)
     for i, on in enumerate(depends):

@@ -753,11 +753,13 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
     plan = plan_in(tmp_path, MECHANISM)
     with pytest.raises(InputError, match=r"only without a system: mechanism, hybrid"):
         select_model(swings(), tmp_path / "refused", SelectionOptions(plan, SWING))
-    choice = select_model(swings(), tmp_path / "run", SelectionOptions(plan))
+    once = MECHANISM.replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
+    one_fold = plan_in(tmp_path, once)
+    choice = select_model(swings(), tmp_path / "run", SelectionOptions(one_fold))
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     of = {c["name"]: c for c in summary["candidates"]}
     assert of["mechanism"]["starts"]["model-10"]["mean"] < 0.02
-    assert len(of["hybrid"]["folds"]) == 3
+    assert len(of["hybrid"]["folds"]) == 1
     for name in ("mechanism", "hybrid"):
         model = tn.load_model(tmp_path / "run" / of[name]["models"][0])
         assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
@@ -766,9 +768,8 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
 
 def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
     content = MECHANISM.replace('when = "no-system"\n', "").replace(
-        '[[candidates]]\nname = "hybrid"',
-        '[[candidates]]\nname = "grey"\nrecipe = "grey.toml"\n\n[[candidates]]\nname = "hybrid"',
-        1,
+        'name = "hybrid"\nrecipe = "hybrid.toml"\ncorrects = ["mechanism"]',
+        'name = "grey"\nrecipe = "grey.toml"',
     )
     (file := tmp_path / "swing.py").write_text("from swinging import SWING as SYSTEM\n")
     plan = plan_in(tmp_path, content)

@@ -66,9 +66,6 @@ STRUCTURES = [
     ((SLIDE, ANGLE), (20, 20, 5), 6, "tanh", False, 3, 75, True),
     ((SLIDE,), (12, 9), None, "silu", True, 2, 50, True),
     ((ANGLE, OTHER), (20, 20, 5), None, "softplus", False, 4, 2, False),
-    ((SLIDE, ANGLE), (7,), 6, "leaky_relu", True, 1, 50, False),
-    ((ANGLE,), (12, 9), 6, "tanh", True, 4, 17, False),
-    ((ANGLE, OTHER), (12, 9), None, "leaky_relu", False, 3, 75, True),
 ]
 
 
@@ -183,7 +180,7 @@ def test_constants_of_numpy_in_a_system_work_with_every_hold(hold):
     )
     signal = tn.input_signal(model, record)
     states = np.asarray(tn.rollout(model, np.array([0.1, 0.0]), signal))
-    x = jnp.array([0.1, 0.0])
+    x, step = jnp.array([0.1, 0.0]), jax.jit(lambda x, u: model.step(x, u))
     for k, u in enumerate(signal.u):
-        x = model.step(x, jnp.asarray(u))
+        x = step(x, jnp.asarray(u))
         np.testing.assert_allclose(states[k + 1], x, atol=1e-9)

@@ -250,8 +250,15 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
         with_forces(elastic, ("stribeck:elbow",), ())
 
 
-@pytest.mark.parametrize("encoder", ["link", "motor"])
-@pytest.mark.parametrize("law", ["curve", "load", "spring", "maxwell", "lag"])
+@pytest.mark.parametrize(
+    ("law", "encoder"),
+    [
+        *((law, "motor") for law in ("curve", "load", "spring", "maxwell", "lag")),
+        # without a state and with one
+        ("spring", "link"),
+        ("maxwell", "link"),
+    ],
+)
 def test_forces_are_added_to_robots_with_elastic_gears(law, encoder):
     """At what the encoder measures; internal states come behind those of the gear."""
     robot = ROBOTS / "scara.urdf"

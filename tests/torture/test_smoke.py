@@ -15,7 +15,7 @@ def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     plain = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
     command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz,headers,verbs"]
     done = subprocess.run(
-        [*command, "--cases", "120", "--jobs", "1", "--minutes", "9", "--out", str(tmp_path)],
+        [*command, "--cases", "64", "--jobs", "1", "--minutes", "9", "--out", str(tmp_path)],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -23,7 +23,7 @@ def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     )
     assert done.returncode == 0, done.stdout + done.stderr
     parts = {p["part"]: p for p in json.loads((tmp_path / "torture.json").read_text())["parts"]}
-    assert parts["fuzz"]["cases"] == 120
-    assert parts["headers"]["cases"] == parts["verbs"]["cases"] == 15
+    assert parts["fuzz"]["cases"] == 64
+    assert parts["headers"]["cases"] == parts["verbs"]["cases"] == 8
     assert parts["fuzz"]["accepted"] > 0
-    assert parts["fuzz"]["refused"] > 80
+    assert parts["fuzz"]["refused"] > 40

@@ -23,8 +23,6 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, solve_toeplitz
-from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from tustinnet.errors import InputError
 from tustinnet.signals.encoder import encoder_count
@@ -369,6 +367,8 @@ class _MotionScale:
         Never by a later one: a controller says what the velocity was, and the difference from it
         would say the acceleration.
         """
+        from scipy.signal import lfilter  # takes a second, and few records need it
+
         columns = []
         for x, count in zip(q.T, self.counts, strict=True):
             fast, taps = np.sqrt(np.mean(np.diff(x) ** 2)) / self.dt, np.zeros(0)
@@ -469,6 +469,8 @@ def _measurement_noise(ratio: float) -> Array:
 def _filter(
     columns: Array, records: Sequence[slice], b: Array | list[float], a: Array | list[float]
 ) -> Array:
+    from scipy.signal import lfilter  # takes a second, and few records need it
+
     return np.concatenate([lfilter(b, a, columns[rows], axis=0) for rows in records])
 
 
@@ -586,6 +588,8 @@ def _search(
         "fatol": 1e-3,
         "maxiter": 80,
     }
+    from scipy.optimize import minimize  # takes half a second, and few records need it
+
     result = minimize(lambda p: one.loss(response(p)), start, method="Nelder-Mead", options=options)
     best = np.array(response(result.x)[1:])[free]
     steps, curvature = _jackknife_steps(one, hold, place @ best, place)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.spatial
 from jaxtyping import Float
 
 from tustinnet.channels import Channels
@@ -291,4 +290,6 @@ def _spread_points(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]
 def _nearest(
     values: Float[np.ndarray, "n d"], points: Float[np.ndarray, "k d"]
 ) -> Float[np.ndarray, " n"]:
+    import scipy.spatial  # takes time to load, and few calls need it
+
     return scipy.spatial.KDTree(points).query(values)[0]

@@ -130,7 +130,8 @@ def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
         record_in_loop(system, truth, 3, 3.0, knows_controller=knows, knows_gains=False)
         for knows in (True, False)
     )
-    first, plain = (tn.identify(data, system, "inverse-dynamics") for data in (in_loop, alone))
+    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    first, plain = (tn.identify(data, system, recipe) for data in (in_loop, alone))
     for name, value in plain.values.items():
         assert first.values[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
     assert plain.horizons

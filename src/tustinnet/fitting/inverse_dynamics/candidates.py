@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Bool, Float
 
 from tustinnet.data.inspection import rotating_coordinates
@@ -224,6 +223,8 @@ def _try_motors(choice: Choice, offers: _Offers, should_stop: Callable[[], bool]
 
 def _propose_motors(choice: Choice, offers: _Offers) -> list[str]:
     """The pairs of coordinates whose missing forces motors of theirs explain best."""
+    import scipy.optimize  # takes half a second, and what is not identified needs none of it
+
     coordinates = coordinates_of(choice.forces.space, choice.vector)
     missing = [own.slopes @ coordinates + own.rest for own in choice.columns]
     size, left = np.sqrt(np.mean(np.concatenate(missing) ** 2, axis=0)), dict[str, float]()

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Float
 
 from tustinnet.fitting.inverse_dynamics.sums import ForceSums
@@ -268,6 +267,8 @@ def solve_in_box(
             return x
         at_bound = (at_bound & ~inwards) | beyond
     # exchanging several at a time may go round in a circle; one at a time never does
+    import scipy.optimize  # takes half a second, and is rarely needed
+
     scale = np.sqrt(np.diag(matrix))
     triangle = np.linalg.cholesky(matrix / np.outer(scale, scale)).T
     right = -np.linalg.solve(triangle.T, gradient / scale)

@@ -13,8 +13,6 @@ from itertools import combinations
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-import scipy.optimize
-import scipy.sparse
 from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
@@ -172,6 +170,8 @@ def estimate_by_equation_error(
     cached = lru_cache(1)(lambda point: balance(np.frombuffer(point)))
 
     margin = 1e-9 * (space.upper - space.lower)
+    import scipy.optimize  # takes half a second, and what is not identified needs none of it
+
     solution = scipy.optimize.least_squares(
         lambda point: (cached(point.tobytes())[0] / unit).ravel(),
         np.clip(vector, space.lower + margin, space.upper - margin),
@@ -204,6 +204,8 @@ def _sums_over_windows(
         begins: first sample of each window; the last one ends where the signal does.
         weight: weights of the samples of a window.
     """
+    import scipy.sparse  # takes time to load
+
     columns = (begins[:, None] + np.arange(len(weight))).ravel()
     rows = np.arange(len(begins) + 1) * len(weight)
     shape = len(begins), begins[-1] + len(weight)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Float
 
 from tustinnet.fitting.residual import Residual
@@ -233,6 +232,8 @@ class _Step(NamedTuple):
 def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _Step:
     """The minimum of the damped quadratic model, within the bounds and a factor of e."""
     space, vector, products = cost.space, point.vector, point.products
+    import scipy.optimize  # takes half a second, and what is not identified needs none of it
+
     reduced = eliminate_initial_states(products, damping)
     curvature = cost.prior.curvature(space, vector)
     matrix = reduced.matrices.sum(axis=0) + np.diag(curvature)
