@@ -247,7 +247,7 @@ class Program:
         """The number of nodes that are computed, those of loops in every turn."""
         return len(self.nodes) + sum(loop.length * loop.body.executed for loop in self.loops)
 
-    @property
+    @cached_property
     def operations(self) -> int:
         """The number of operations on numbers and vectors written in it, loops included."""
         outside = sum(node.op in OPERATIONS or node.op in PRODUCTS for node in self.nodes)

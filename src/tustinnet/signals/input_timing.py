@@ -24,7 +24,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, solve_toeplitz
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from tustinnet.errors import InputError
 from tustinnet.signals.encoder import encoder_count
@@ -376,7 +375,7 @@ class _MotionScale:
                 taps = np.linalg.pinv(np.vander(-np.arange(n) * self.dt, 3))[1]
                 if count / np.sqrt(12) * np.linalg.norm(taps) <= 0.1 * fast:
                     break
-            columns.append(lfilter(taps, [1.0], x - x[0]))
+            columns.append(np.convolve(taps, x - x[0])[: len(x)])
         return np.stack(columns, 1)
 
     def functions(self, q: Array) -> tuple[Array, Array]:
@@ -469,6 +468,8 @@ def _measurement_noise(ratio: float) -> Array:
 def _filter(
     columns: Array, records: Sequence[slice], b: Array | list[float], a: Array | list[float]
 ) -> Array:
+    from scipy.signal import lfilter  # takes a second, and most cards declare their inputs
+
     return np.concatenate([lfilter(b, a, columns[rows], axis=0) for rows in records])
 
 

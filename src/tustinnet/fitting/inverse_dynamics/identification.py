@@ -30,6 +30,7 @@ from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force
 from tustinnet.fitting.inverse_dynamics.solver import (
     Prior,
     Solution,
+    coordinates_of,
     force_matrix,
     least_squares,
     solve,
@@ -240,7 +241,11 @@ def _fit(
             found = vector + (found - vector) / 2
             missing = forces.missing(found)
         after = _cost(missing, unit, prior, found)
-        is_converged = bool(before - after < _CONVERGED)
+        coordinates = coordinates_of(forces.space, found)
+        predicted = [own.slopes @ coordinates + own.rest for own in columns]
+        # made linear anew they change nothing where they were linear all the way
+        away = abs(_cost(predicted, unit, prior, found) - after)
+        is_converged = bool(min(away, before - after) < _CONVERGED)
         solution = solution._replace(vector=found)
         fit = _Fit(forces, solution, columns, sums, missing, is_converged)
         report(fit)
@@ -455,6 +460,7 @@ def _errors(
     """Errors of the estimates by the noise, and by the jackknife over folds.
 
     A fold that alone informs of a parameter, as the only record of a group does, is not left out.
+    Of what no fold knows more than the prior, none does: there rounding would say which fold it is.
 
     Args:
         fit: the estimates.
@@ -472,7 +478,7 @@ def _errors(
     left_out = [
         k
         for k, own in enumerate(matrices)
-        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * by_all)
+        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * (by_all - np.diag(precision)))
     ]
     if (n := len(left_out)) < FEWEST_RECORDS:
         return _Errors(noise, None)

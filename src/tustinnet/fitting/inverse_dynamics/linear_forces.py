@@ -35,6 +35,7 @@ from tustinnet.models.forces import AddedInertia, ForceWithMemory, Friction, Law
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 CANDIDATES = "search.candidates"
+_STEP = 1e-3  # of a value or a range, by which slopes are differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +125,20 @@ class LinearForces:
         return [own.followed_by(more) for own, more in zip(columns, beside, strict=True)]
 
     def _columns_alone(self, vector: ParameterVector) -> list[Columns]:
-        values, free = self.space.to_values(vector), self.alone.free_parameters
+        values = self.space.to_values(vector)
         point = LinearCoordinates(self.alone, values)
+        # machine code of derivatives would take far longer to make than differences, which are
+        # exact on one side, too: forces are linear in these coordinates
+        steps = {
+            p.name: _STEP * (values[p.name] if p.positive else p.upper - p.lower)
+            for p in self.alone.free_parameters
+        }
+        others = [{**values, name: values[name] + step} for name, step in steps.items()]
+        moved = [LinearCoordinates(self.alone, other).values - point.values for other in others]
+        by_coordinate = np.linalg.inv(np.transpose(moved))
         columns = []
         for along, part in zip(self.along, self.parts, strict=True):
-            slopes = along.slopes(values, free) @ point.inverse
+            slopes = along.changes(values, others) @ by_coordinate
             missing, needed = along.missing(values), along.needed(values)
             own = Columns(
                 slopes,
