@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
@@ -58,7 +58,8 @@ class Prior:
         for columns in self.bodies:
             self.precision[columns] = 0.0
         nominal = LinearCoordinates(space, space.to_values(self.centre)).values
-        self._nominal = [np.linalg.inv(_pseudo_inertia(nominal[c])) for c in self.bodies]
+        pseudo = [_pseudo_inertia(nominal[columns]) for columns in self.bodies]
+        self._nominal = np.linalg.inv(np.reshape(pseudo, (-1, 4, 4)))
         self.spread = np.sqrt(np.diag(np.linalg.inv(self.at(self.centre)[2])))
 
     def at(
@@ -77,15 +78,17 @@ class Prior:
             return cost, gradient, matrix
         point = point or LinearCoordinates(self.space, self.space.to_values(vector))
         by_vector = point.derivatives * self.space.derivatives(vector)
-        for columns, nominal, weight in zip(self.bodies, self._nominal, self._weights, strict=True):
-            inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
-            ratio = nominal @ _pseudo_inertia(point.values[columns])
-            cost += weight * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
-            own, turned = by_vector[np.ix_(columns, columns)], inverse @ _BASIS
-            slope = np.einsum("ab,kba->k", nominal - inverse, _BASIS)
-            gradient[columns] += weight * own.T @ slope
-            curvature = np.einsum("kab,lba->kl", turned, turned)
-            matrix[np.ix_(columns, columns)] += weight * own.T @ curvature @ own
+        bodies = np.array(self.bodies)
+        pseudo = np.einsum("bk,kij->bij", point.values[bodies], _BASIS)
+        inverse, ratio = np.linalg.inv(pseudo), self._nominal @ pseudo
+        divergence = np.trace(ratio, axis1=1, axis2=2) - np.linalg.slogdet(ratio)[1] - 4
+        own, turned = by_vector[_squares(bodies)], inverse[:, None] @ _BASIS
+        slope = np.einsum("bij,kji->bk", self._nominal - inverse, _BASIS)
+        curvature = np.einsum("bkij,blji->bkl", turned, turned)
+        gradient[bodies] += self._weights[:, None] * np.einsum("bkl,bk->bl", own, slope)
+        weighted = self._weights[:, None, None] * own.transpose(0, 2, 1) @ curvature @ own
+        matrix[_squares(bodies)] += weighted
+        cost += float(self._weights @ divergence)
         return cost, gradient, matrix
 
     def of_gains(
@@ -281,6 +284,11 @@ def _pseudo_inertia(p: Float[np.ndarray, " 10"]) -> Float[np.ndarray, "4 4"]:
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     second = np.trace(tensor) / 2 * np.eye(3) - tensor
     return np.block([[second, moment[:, None]], [moment[None], mass]])
+
+
+def _squares(columns: Int[np.ndarray, "n m"]) -> tuple[Int[np.ndarray, "..."], ...]:
+    """Indices of the square blocks of a matrix that some sets of columns make."""
+    return columns[:, :, None], columns[:, None]
 
 
 _BASIS = np.stack([_pseudo_inertia(row) for row in np.eye(10)])
