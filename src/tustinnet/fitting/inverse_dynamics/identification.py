@@ -30,7 +30,6 @@ from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force
 from tustinnet.fitting.inverse_dynamics.solver import (
     Prior,
     Solution,
-    coordinates_of,
     force_matrix,
     least_squares,
     solve,
@@ -241,11 +240,7 @@ def _fit(
             found = vector + (found - vector) / 2
             missing = forces.missing(found)
         after = _cost(missing, unit, prior, found)
-        coordinates = coordinates_of(forces.space, found)
-        predicted = [own.slopes @ coordinates + own.rest for own in columns]
-        # made linear anew they change nothing where they were linear all the way
-        away = abs(_cost(predicted, unit, prior, found) - after)
-        is_converged = bool(min(away, before - after) < _CONVERGED)
+        is_converged = bool(before - after < _CONVERGED)
         solution = solution._replace(vector=found)
         fit = _Fit(forces, solution, columns, sums, missing, is_converged)
         report(fit)

@@ -35,7 +35,7 @@ from tustinnet.models.forces import AddedInertia, ForceWithMemory, Friction, Law
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 CANDIDATES = "search.candidates"
-_STEP = 1e-3  # of a value or a range, by which slopes are differences
+_STEP = 1e-4  # of a value or a range, by which slopes are differences
 
 
 @dataclass(frozen=True, eq=False)

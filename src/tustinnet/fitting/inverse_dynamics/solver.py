@@ -26,6 +26,7 @@ _HALVINGS = 30
 _PASSES = 30  # of the search for the parameters that are at a bound
 _REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
 _NO_EFFECT = 1e-12  # of the largest singular value, below which a direction has none
+_DUST = 1e-10  # of the largest column, below which one is what rounding left of none
 _LEAST = 1e-9  # of a force, below which nothing is told apart
 
 
@@ -169,7 +170,7 @@ def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
     for _ in range(_REWEIGHTINGS):
         matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
         size = np.sqrt(np.diag(matrix)[:-1])
-        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > _DUST * size.max())
         inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _NO_EFFECT, True)
         found = -scale * (inverse @ (scale * matrix[:-1, -1]))
         left = total.squares(found)[0].sum(axis=1)
