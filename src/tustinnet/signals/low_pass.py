@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import irfft, next_fast_len, rfft
 
 from tustinnet.signals.spectra import welch
 
@@ -30,8 +29,9 @@ def low_pass(
     # written out, for scipy.signal takes longer to load than records take to be filtered
     n = len(signal)
     reach = min(n - 1, int(np.ceil(_PERIODS / (cutoff * dt))))
-    # as far behind the end as a length takes whose transforms are fast
-    behind = min(n - 1, next_fast_len(n + 2 * reach, real=True) - n - reach)
+    # behind the end as far as a multiple of a power of two, whose transform is fast
+    block = 2 ** max(0, (n + 2 * reach).bit_length() - 5)
+    behind = min(n - 1, reach - (n + 2 * reach) % -block)
     before, after = signal[reach:0:-1], signal[-2 : -behind - 2 : -1]
     whole = np.concatenate([2 * signal[:1] - before, signal, 2 * signal[-1:] - after])
     # without a straight line its ends meet, as those of a period do
@@ -39,7 +39,7 @@ def low_pass(
     line = whole[0] + slope * np.arange(len(whole))[:, None]
     frequency = np.fft.rfftfreq(len(whole), dt)[:, None]
     response = (2j * np.pi * frequency) ** derivative / (1 + (frequency / cutoff) ** (2 * _ORDER))
-    filtered = irfft(rfft(whole - line, axis=0) * response, len(whole), axis=0)
+    filtered = np.fft.irfft(np.fft.rfft(whole - line, axis=0) * response, len(whole), axis=0)
     trend = line if derivative == 0 else slope / dt if derivative == 1 else 0.0
     return (filtered + trend)[reach : reach + n]
 
