@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.linalg import schur
-from scipy.signal import lfilter
 
 
 @dataclass(frozen=True)
@@ -255,6 +254,8 @@ def _filter_triangular(
     triangular: Complex[np.ndarray, "n n"], forcing: np.ndarray
 ) -> Complex[np.ndarray, "segments samples n"]:
     """`w[k] = T w[k-1] + forcing[k]` of an upper triangular `T`, from `w[-1] = 0` on."""
+    from scipy.signal import lfilter  # takes a second, and most fits are of other families
+
     result = np.zeros(forcing.shape, complex)
     for i in reversed(range(len(triangular))):
         driven = forcing[..., i].astype(complex)

@@ -367,8 +367,6 @@ class _MotionScale:
         Never by a later one: a controller says what the velocity was, and the difference from it
         would say the acceleration.
         """
-        from scipy.signal import lfilter  # takes a second, and few records need it
-
         columns = []
         for x, count in zip(q.T, self.counts, strict=True):
             fast, taps = np.sqrt(np.mean(np.diff(x) ** 2)) / self.dt, np.zeros(0)
@@ -376,7 +374,7 @@ class _MotionScale:
                 taps = np.linalg.pinv(np.vander(-np.arange(n) * self.dt, 3))[1]
                 if count / np.sqrt(12) * np.linalg.norm(taps) <= 0.1 * fast:
                     break
-            columns.append(lfilter(taps, [1.0], x - x[0]))
+            columns.append(np.convolve(taps, x - x[0])[: len(x)])
         return np.stack(columns, 1)
 
     def functions(self, q: Array) -> tuple[Array, Array]:

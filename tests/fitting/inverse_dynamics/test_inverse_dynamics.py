@@ -11,6 +11,7 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.fitting.inverse_dynamics import identification
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.listener import Iteration
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
@@ -186,6 +187,20 @@ def test_a_filtered_sample_counts_by_the_band_that_is_left(twin):
     compared = part.compare(np.random.default_rng(0).normal(size=(len(part.q), 1)))
     independent = 2 * 0.9 * 5.0 * len(part.q) * part.dt
     assert part.weight * len(compared) == pytest.approx(independent, rel=0.15)
+
+
+def test_parameters_without_any_effect_bar_no_record(monkeypatch, result, twin, system):
+    """Rounding leaves information of either sign on what no motion tells, as a link at the base."""
+    exact = identification._matrices
+
+    def rounded(fit):
+        gradients, matrices = exact(fit)
+        untold = np.argmin(np.diag(matrices.sum(axis=0)))
+        matrices[:, untold, untold] = [-1e-47, *(len(matrices) - 1) * [0.0]]
+        return gradients, matrices
+
+    monkeypatch.setattr(identification, "_matrices", rounded)
+    assert tn.identify(twin, system, "inverse-dynamics").trust == result.trust == "records"
 
 
 def test_what_a_link_carries_is_weighed(system, truth):

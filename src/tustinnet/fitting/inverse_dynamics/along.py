@@ -20,7 +20,7 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.shooting.equations import SystemEquations
 from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group_indices
 from tustinnet.models.internal_states import Memory
-from tustinnet.models.lagrangian import LagrangianSystem, Parameter
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_names
 from tustinnet.signals.low_pass import low_pass, noise_bandwidth
 
@@ -30,7 +30,6 @@ _EVALUATED = 20  # samples for each period of it at which forces are evaluated, 
 _MOTION = 6.0  # cut-off of the motion by that of the forces: friction needs sharper reversals
 _INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
 _FEWEST = 20  # samples that must be left of a record
-_STEP = 1e-3  # of a value or a range, by which derivatives are differences
 
 
 class Obstacle(NamedTuple):
@@ -259,30 +258,23 @@ class ForcesAlong:
         """What the motion needs, as it is compared [N m or N]."""
         return self.part.compare(self._evaluate(self.at_rest, values))
 
-    def slopes(
-        self, values: Mapping[str, float], free: Sequence[Parameter]
-    ) -> Float[np.ndarray, "k n_q n_p"]:
-        """Derivatives of the missing forces by parameters.
-
-        They are central differences, exact where forces are quadratic in a parameter, as those of
-        rigid bodies are. Machine code of derivatives would take far longer to make than these.
+    def changes(
+        self, values: Mapping[str, float], others: Sequence[Mapping[str, float]]
+    ) -> Float[np.ndarray, "k n_q m"]:
+        """What other values change in the missing forces, as it is compared [N m or N].
 
         Args:
             values: the values of all parameters by name.
-            free: the parameters.
+            others: other values of all of them.
         """
         columns, own = [], self.with_parameters(self.points, values)
-        nominal = self._row(values)
-        for p in free:
-            step = _STEP * (values[p.name] if p.positive else p.upper - p.lower)
-            ends = []
-            for sign in (1, -1):
-                row = self._row({**values, p.name: values[p.name] + sign * step})
-                changed = np.flatnonzero(row != nominal)
-                own[:, self.points.shape[1] + changed] = row[changed]
-                ends.append(evaluate(self.formula, own))
-                own[:, self.points.shape[1] + changed] = nominal[changed]
-            columns.append((ends[0] - ends[1]) / (2 * step))
+        nominal, before = self._row(values), evaluate(self.formula, own)
+        for other in others:
+            row = self._row(other)
+            changed = np.flatnonzero(row != nominal)
+            own[:, self.points.shape[1] + changed] = row[changed]
+            columns.append(evaluate(self.formula, own) - before if len(changed) else 0 * before)
+            own[:, self.points.shape[1] + changed] = nominal[changed]
         stacked = np.stack(columns, axis=2)
         compared = self.part.compare(stacked.reshape(len(stacked), -1))
         return compared.reshape(len(compared), *stacked.shape[1:])

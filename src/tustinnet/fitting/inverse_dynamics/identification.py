@@ -455,6 +455,7 @@ def _errors(
     """Errors of the estimates by the noise, and by the jackknife over folds.
 
     A fold that alone informs of a parameter, as the only record of a group does, is not left out.
+    Of what no fold knows more than the prior, none does: there rounding would say which fold it is.
 
     Args:
         fit: the estimates.
@@ -472,7 +473,7 @@ def _errors(
     left_out = [
         k
         for k, own in enumerate(matrices)
-        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * by_all)
+        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * (by_all - np.diag(precision)))
     ]
     if (n := len(left_out)) < FEWEST_RECORDS:
         return _Errors(noise, None)

@@ -35,6 +35,7 @@ from tustinnet.models.forces import AddedInertia, ForceWithMemory, Friction, Law
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 
 CANDIDATES = "search.candidates"
+_STEP = 1e-4  # of a value or a range, by which slopes are differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +125,20 @@ class LinearForces:
         return [own.followed_by(more) for own, more in zip(columns, beside, strict=True)]
 
     def _columns_alone(self, vector: ParameterVector) -> list[Columns]:
-        values, free = self.space.to_values(vector), self.alone.free_parameters
+        values = self.space.to_values(vector)
         point = LinearCoordinates(self.alone, values)
+        # machine code of derivatives would take far longer to make than differences, which are
+        # exact on one side, too: forces are linear in these coordinates
+        steps = {
+            p.name: _STEP * (values[p.name] if p.positive else p.upper - p.lower)
+            for p in self.alone.free_parameters
+        }
+        others = [{**values, name: values[name] + step} for name, step in steps.items()]
+        moved = [LinearCoordinates(self.alone, other).values - point.values for other in others]
+        by_coordinate = np.linalg.inv(np.transpose(moved))
         columns = []
         for along, part in zip(self.along, self.parts, strict=True):
-            slopes = along.slopes(values, free) @ point.inverse
+            slopes = along.changes(values, others) @ by_coordinate
             missing, needed = along.missing(values), along.needed(values)
             own = Columns(
                 slopes,
@@ -161,18 +171,20 @@ class LinearForces:
         joined = _JoinedMotion.of(parts)
         needs_load = any(isinstance(f.law, Friction) and f.law.needs_load for f in forces)
         load = self._load(values) if needs_load else joined.q
-        columns = []
+        along, factors = [], []  # what each needs along its own direction, and of whom
         for force in forces:
-            needed = _needed_by(force, joined, force.along(load.T), values)
-            own = np.zeros((len(joined.q), joined.q.shape[1], needed.shape[1]))
+            along.append(_needed_by(force, joined, force.along(load.T), values))
+            at = np.zeros((joined.q.shape[1], along[-1].shape[1]))
             for i, factor in force.places:
-                own[:, i] += factor * needed
-            columns.append(own)
-        every = np.concatenate(columns, axis=2)
+                at[i] += factor
+            factors.append(at)
         ends = np.cumsum([len(part.q) for part in parts])[:-1]
+        every, factors = (
+            np.split(np.concatenate(along, axis=1), ends),
+            np.concatenate(factors, axis=1),
+        )
         return [
-            part.compare(own.reshape(len(own), -1)).reshape(-1, *own.shape[1:])
-            for part, own in zip(parts, np.split(every, ends), strict=True)
+            part.compare(own)[:, None] * factors for part, own in zip(parts, every, strict=True)
         ]
 
     def _load(self, values: Mapping[str, float]) -> Float[np.ndarray, "n n_q"]:
@@ -244,6 +256,8 @@ def _input_gains(system: LagrangianSystem, q: Float[np.ndarray, " n_q"]) -> dict
         return np.subtract(*ends)
 
     force, gains = pushed(nominal), dict[str, int]()
+    if np.array_equal(pushed({name: 2 * x for name, x in nominal.items()}), force):
+        return gains  # of most robots, at once
     for p in system.parameters:
         # a doubled gain doubles the force; derivatives would take longer to compile than these
         more = (

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
@@ -25,6 +25,7 @@ _HALVINGS = 30
 _PASSES = 30  # of the search for the parameters that are at a bound
 _REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
 _NO_EFFECT = 1e-12  # of the largest singular value, below which a direction has none
+_DUST = 1e-10  # of the largest column, below which one is what rounding left of none
 _LEAST = 1e-9  # of a force, below which nothing is told apart
 
 
@@ -57,7 +58,8 @@ class Prior:
         for columns in self.bodies:
             self.precision[columns] = 0.0
         nominal = LinearCoordinates(space, space.to_values(self.centre)).values
-        self._nominal = [np.linalg.inv(_pseudo_inertia(nominal[c])) for c in self.bodies]
+        pseudo = [_pseudo_inertia(nominal[columns]) for columns in self.bodies]
+        self._nominal = np.linalg.inv(np.reshape(pseudo, (-1, 4, 4)))
         self.spread = np.sqrt(np.diag(np.linalg.inv(self.at(self.centre)[2])))
 
     def at(
@@ -76,15 +78,17 @@ class Prior:
             return cost, gradient, matrix
         point = point or LinearCoordinates(self.space, self.space.to_values(vector))
         by_vector = point.derivatives * self.space.derivatives(vector)
-        for columns, nominal, weight in zip(self.bodies, self._nominal, self._weights, strict=True):
-            inverse = np.linalg.inv(_pseudo_inertia(point.values[columns]))
-            ratio = nominal @ _pseudo_inertia(point.values[columns])
-            cost += weight * (np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4)
-            own, turned = by_vector[np.ix_(columns, columns)], inverse @ _BASIS
-            slope = np.einsum("ab,kba->k", nominal - inverse, _BASIS)
-            gradient[columns] += weight * own.T @ slope
-            curvature = np.einsum("kab,lba->kl", turned, turned)
-            matrix[np.ix_(columns, columns)] += weight * own.T @ curvature @ own
+        bodies = np.array(self.bodies)
+        pseudo = np.einsum("bk,kij->bij", point.values[bodies], _BASIS)
+        inverse, ratio = np.linalg.inv(pseudo), self._nominal @ pseudo
+        divergence = np.trace(ratio, axis1=1, axis2=2) - np.linalg.slogdet(ratio)[1] - 4
+        own, turned = by_vector[_squares(bodies)], inverse[:, None] @ _BASIS
+        slope = np.einsum("bij,kji->bk", self._nominal - inverse, _BASIS)
+        curvature = np.einsum("bkij,blji->bkl", turned, turned)
+        gradient[bodies] += self._weights[:, None] * np.einsum("bkl,bk->bl", own, slope)
+        weighted = self._weights[:, None, None] * own.transpose(0, 2, 1) @ curvature @ own
+        matrix[_squares(bodies)] += weighted
+        cost += float(self._weights @ divergence)
         return cost, gradient, matrix
 
     def of_gains(
@@ -165,7 +169,7 @@ def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
     for _ in range(_REWEIGHTINGS):
         matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
         size = np.sqrt(np.diag(matrix)[:-1])
-        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > _DUST * size.max())
         inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _NO_EFFECT, True)
         found = -scale * (inverse @ (scale * matrix[:-1, -1]))
         left = total.squares(found)[0].sum(axis=1)
@@ -282,6 +286,11 @@ def _pseudo_inertia(p: Float[np.ndarray, " 10"]) -> Float[np.ndarray, "4 4"]:
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     second = np.trace(tensor) / 2 * np.eye(3) - tensor
     return np.block([[second, moment[:, None]], [moment[None], mass]])
+
+
+def _squares(columns: Int[np.ndarray, "n m"]) -> tuple[Int[np.ndarray, "..."], ...]:
+    """Indices of the square blocks of a matrix that some sets of columns make."""
+    return columns[:, :, None], columns[:, None]
 
 
 _BASIS = np.stack([_pseudo_inertia(row) for row in np.eye(10)])

@@ -123,11 +123,6 @@ class LinearCoordinates:
                 units[i] = unit
         return units
 
-    @cached_property
-    def inverse(self) -> Float[np.ndarray, "n_p n_p"]:
-        """Derivatives of the free parameters by the coordinates."""
-        return np.linalg.inv(self.derivatives)
-
     def spread(self, deviations: Float[np.ndarray, " n_p"]) -> Float[np.ndarray, " n_p"]:
         """Standard deviations of the coordinates by independent ones of the free parameters."""
         return np.sqrt(np.sum((self.derivatives * deviations) ** 2, axis=1))
