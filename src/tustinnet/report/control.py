@@ -173,6 +173,8 @@ def frequency_figure(responses: LoopResponses, channels: Channels) -> Figure:
         for j, channel in enumerate(channels.inputs):
             loops, colour = responses.loops[:, :, j], COLOURS[j % len(COLOURS)]
             angles = np.unwrap(np.angle(-loops), axis=1) - np.pi
+            # of a turn more or less at the lowest frequency rounding decides
+            angles -= 2 * np.pi * np.round(angles[:, :1] / (2 * np.pi) + 0.25)
             _banded(gain, hertz, _decibel(np.abs(loops)), colour, channel.name)
             _banded(phase, hertz, np.degrees(angles), colour, channel.name)
             for loop in loops[1:]:
