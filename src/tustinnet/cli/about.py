@@ -46,6 +46,11 @@ def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> st
     return ", ".join(steps)
 
 
+def data_words(data: str, card: Path | None = None) -> str:
+    """The arguments by which verbs find records, for a shell: DATA, and a card that was named."""
+    return shlex.join([data, *(() if card is None else ("--card", str(card)))])
+
+
 def version() -> str:
     """Name and version of the package."""
     return f"{NAME} {metadata.version(NAME)}"

@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from tustinnet.cli import terminal
+from tustinnet.cli.about import data_words
 
 
 def report_command(
@@ -46,8 +47,7 @@ class AutomaticReport:
     @property
     def data_words(self) -> str:
         """The arguments by which other verbs find the records: DATA, and a card that was named."""
-        words = [self.data, *([] if self.card is None else ["--card", str(self.card)])]
-        return shlex.join(words)
+        return data_words(self.data, self.card)
 
     def write(
         self,

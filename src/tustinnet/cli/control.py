@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tustinnet.cli import options, terminal
+from tustinnet.cli.about import data_words
 from tustinnet.cli.models import load_model
 from tustinnet.cli.records import load_records
 from tustinnet.cli.values import OptionReader, parse_pairs
@@ -398,7 +399,7 @@ def _refuse_beside_replay(context: typer.Context) -> None:
 
 
 def _notes_of_plan(plan: "Plan | None", header: "Mapping[str, Any]") -> list[str]:
-    """What its model's records do not show of a motion."""
+    """A note on a motion that lasts longer than the free runs by which its model was judged."""
     from tustinnet.store.header import judgement_in_header
 
     judgement = judgement_in_header(header)
@@ -461,7 +462,7 @@ def _replay(
         return
     terminal.print_tables(replay_table(replays))
     terminal.echo("\n".join(replay_sentences(replays, consistency)))
-    logs = shlex.join([data, *(() if card is None else ("--card", str(card)))])
+    logs = data_words(data, card)
     terminal.echo(
         f"next: tustinnet evaluate {shlex.quote(str(file))} {logs} (free runs of the model), "
         f"tustinnet fit {logs} --out refitted (a model by these logs, too), then control that"

@@ -1,10 +1,10 @@
 """Lines on what the check of records finds."""
 
-import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tustinnet.cli.about import data_words
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -56,8 +56,7 @@ def warning_lines(
     if serious:
         more = len(serious) - len(lines)
         counted = f"{more} more findings, and how" if more else "how"
-        command = f"tustinnet inspect {shlex.quote(data)}"
-        command += f" --card {shlex.quote(str(card))}" if card else ""
+        command = f"tustinnet inspect {data_words(data, card)}"
         lines.append(f"note: {counted} to mend them: {command}")
     return lines
 

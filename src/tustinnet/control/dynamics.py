@@ -17,8 +17,8 @@ from tustinnet.errors import InputError
 from tustinnet.export.source import step_by_samples
 from tustinnet.models.contract import Model
 from tustinnet.models.physical_values import physical_parameters, with_values
+from tustinnet.simulate.recent import keep_latest
 
-_RECENT = 8  # models whose steps are compiled and at hand
 _TURN_TOLERANCE = 1e-6  # of a state after a whole turn more of an angle
 
 Limits = Mapping[str, tuple[float, float]]
@@ -243,10 +243,6 @@ class ControlledModel:
         return tuple(result)
 
 
-_recent: list[ControlledModel] = []
-_sources: list[Model] = []
-
-
 def controlled(model: Model, delay: int = 0) -> ControlledModel:
     """A model as it is controlled; its step is read and compiled once while it is in use.
 
@@ -254,14 +250,13 @@ def controlled(model: Model, delay: int = 0) -> ControlledModel:
         InputError: a model in continuous time, without inputs, or with values by group; JAX
             computes in single precision.
     """
-    for source, made in zip(_sources, _recent, strict=True):
-        if source is model and made.delay == delay:
-            return made
-    made = ControlledModel(model, delay)
-    _sources.insert(0, model)
-    _recent.insert(0, made)
-    del _sources[_RECENT:], _recent[_RECENT:]
-    return made
+    return _controlled_by_delay(model, delay)
+
+
+@keep_latest(8)
+def _controlled_by_delay(model: Model, delay: int) -> ControlledModel:
+    """A model as it is controlled after a delay."""
+    return ControlledModel(model, delay)
 
 
 def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:

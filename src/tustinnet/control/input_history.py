@@ -7,10 +7,9 @@ from jaxtyping import Float
 
 from tustinnet.export.source import InputLayout, Source, find_input_layout, make_source
 from tustinnet.models.contract import Model
+from tustinnet.simulate.recent import keep_latest
 
 Vector = Float[np.ndarray, " _"]
-
-_RECENT = 8  # models whose steps are at hand
 
 
 class InputHistory:
@@ -56,7 +55,8 @@ def find_causal_layout(model: Model, delay: int = 0) -> InputLayout:
     return InputLayout(tuple(-lag for lag in range(max(lags) + 1)), matrix, layout.shape)
 
 
-def causal_source(model: Model, delay: int = 0) -> Source:
+@keep_latest(8)
+def causal_source(model: Model, delay: int) -> Source:
     """A model whose step is given inputs as a controller knows them, read once while it is in use.
 
     Args:
@@ -66,14 +66,5 @@ def causal_source(model: Model, delay: int = 0) -> Source:
     Raises:
         InputError: see `make_source`.
     """
-    for known, known_delay, source in _recent:
-        if known is model and known_delay == delay:
-            return source
     plain = make_source(model)
-    source = replace(plain, layout=find_causal_layout(plain.model, delay))
-    _recent.insert(0, (model, delay, source))
-    del _recent[_RECENT:]
-    return source
-
-
-_recent: list[tuple[Model, int, Source]] = []
+    return replace(plain, layout=find_causal_layout(plain.model, delay))

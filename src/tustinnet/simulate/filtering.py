@@ -14,6 +14,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.input_signal import input_signal
+from tustinnet.simulate.recent import keep_latest
 from tustinnet.simulate.simulation import step_equations
 
 Deviations = Float[Array | np.ndarray, " _"]
@@ -26,7 +27,6 @@ GATE = 8.0
 LOST_AFTER = 10  # samples in a row without use after which an estimate is lost: 0.1 s at 100 Hz
 # an estimate may diverge, as of a plant that has fallen over: whoever uses it sees that
 _DIVERGES = np.errstate(over="ignore", invalid="ignore")
-_RECENT = 4  # models whose steps are at hand
 
 
 @dataclass(frozen=True)
@@ -294,22 +294,14 @@ def checked_vector(name: str, value: Rows, size: int, where: str) -> Vector:
     return array
 
 
+@keep_latest(4)
 def _step_formula(model: Model, shape: tuple[int, ...]) -> Formula:
-    """The step of a model at many states and inputs; read once while the model is in use."""
-    for known, known_shape, formula in _recent:
-        if known is model and known_shape == shape:
-            return formula
+    """The step of a model at many states and inputs."""
     equations = step_equations(model.simplify(), shape)
     n_x, along = equations.n_x, equations.along
-    formula = Formula(
+    return Formula(
         lambda point: equations.function(point[:n_x], point[n_x:], None, None),
         n_x + equations.n_u,
         where=equations.where,
         slope=None if along is None else lambda point: along(point[:n_x], point[n_x:])[:, 1:],
     )
-    _recent.insert(0, (model, shape, formula))
-    del _recent[_RECENT:]
-    return formula
-
-
-_recent: list[tuple[Model, tuple[int, ...], Formula]] = []

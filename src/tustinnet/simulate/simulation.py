@@ -16,8 +16,7 @@ from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.sensors import delay_name
 from tustinnet.simulate.input_signal import InputSignal
-
-_RECENT = 8  # models whose equations are at hand
+from tustinnet.simulate.recent import keep_latest
 
 
 def step_equations(
@@ -186,17 +185,13 @@ class ModelEquations:
 
 def model_equations(model: Model, signal: InputSignal) -> ModelEquations:
     """Equations of a model for the engine; the model is read once while it is in use."""
-    shape = np.shape(signal.u)[2:]
-    for equations in _recent:
-        if equations.model is model and equations.shape == shape:
-            return equations
-    equations = ModelEquations(model, shape)
-    _recent.insert(0, equations)
-    del _recent[_RECENT:]
-    return equations
+    return _equations_by_shape(model, np.shape(signal.u)[2:])
 
 
-_recent: list[ModelEquations] = []
+@keep_latest(8)
+def _equations_by_shape(model: Model, shape: tuple[int, ...]) -> ModelEquations:
+    """Equations of a model that take inputs of a shape."""
+    return ModelEquations(model, shape)
 
 
 def simulate_runs(

@@ -179,12 +179,10 @@ class LinearForces:
                 at[i] += factor
             factors.append(at)
         ends = np.cumsum([len(part.q) for part in parts])[:-1]
-        every, factors = (
-            np.split(np.concatenate(along, axis=1), ends),
-            np.concatenate(factors, axis=1),
-        )
+        by_part = np.split(np.concatenate(along, axis=1), ends)
+        of_forces = np.concatenate(factors, axis=1)
         return [
-            part.compare(own)[:, None] * factors for part, own in zip(parts, every, strict=True)
+            part.compare(own)[:, None] * of_forces for part, own in zip(parts, by_part, strict=True)
         ]
 
     def _load(self, values: Mapping[str, float]) -> Float[np.ndarray, "n n_q"]:
