@@ -31,8 +31,8 @@ def test_held_records_are_identified_over_the_segments_that_they_allow(balancing
     assert result.converged
     assert worst(result, TRUTH) < 0.05
     assert set(result.horizons) == {e.name for e in balancing}
-    # an error doubles every 62 ms: a thousandfold is ten times
-    assert all(0.3 < seconds < 0.8 for seconds in result.horizons.values())
+    # an error doubles every 62 ms: from the encoder's noise to 0.3 of the motion in 4 or 5 times
+    assert all(0.2 < seconds < 0.4 for seconds in result.horizons.values())
     assert max(result.rmse.values()) < 1e-3
     assert result.trust == "records"
     assert len(result.initial_states["hold1"]) == 4
@@ -40,7 +40,9 @@ def test_held_records_are_identified_over_the_segments_that_they_allow(balancing
 
 
 def test_which_records_were_fitted_over_which_horizon_is_told(result):
-    sentences = [f for f in result.findings if "errors grow a thousandfold in about" in f]
+    sentences = [
+        f for f in result.findings if "errors of the start grow too much beyond about" in f
+    ]
     assert {name for f in sentences for name in f.split(":")[0].split(", ")} == {
         "hold1",
         "hold2",

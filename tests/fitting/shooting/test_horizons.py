@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import SWING, TRUTH, noises, simulated
+from swinging import DT, SWING, TRUTH, noises, simulated
 
 import tustinnet as tn
 from tustinnet.fitting.shooting.horizons import find_horizons, steps_before_growth
@@ -20,7 +20,7 @@ def test_errors_about_an_unstable_equilibrium_grow_by_their_eigenvalue():
     assert steps == pytest.approx(np.log(1000) / rate / dt, abs=10)
     assert steps_before_growth(a * [[1.0, 1.0], [-1.0, 1.0]], dt, 5) is None
     assert steps_before_growth(a[:20], dt, 5) is None
-    assert steps_before_growth(10 * a, dt, 5) == 20  # a swing at least
+    assert steps_before_growth(10 * a, dt, 5) == 10  # half a swing at least
 
 
 def test_a_record_that_stays_upright_has_a_horizon_and_one_that_swings_has_none():
@@ -106,6 +106,17 @@ def test_a_stable_stiff_plant_has_no_horizon(stiffness, block):
 def test_a_lightly_damped_oscillator_has_no_horizon():
     t = np.arange(0.0, 60.0, 0.01)
     assert horizon(OSCILLATOR, 0.1 * np.sin(10 * t)[:, None], 0.01, 16) is None
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_noise_may_not_grow_to_a_third_of_the_motion(noise):
+    t = DT * np.arange(1000)
+    motion = 0.1 * np.sin(5 * t) + noise * 0.1 / np.sqrt(2) * np.random.default_rng(0).normal(
+        size=1000
+    )
+    seconds = horizon(SWING, 0.4 + np.pi + motion[:, None], DT, 2, **TRUTH)
+    rate = np.sqrt(TRUTH["gravity"] / TRUTH["inertia"]) - TRUTH["damping"] / TRUTH["inertia"] / 2
+    assert seconds == pytest.approx(np.log(0.3 / noise) / rate, abs=0.1)
 
 
 def test_a_double_pendulum_that_tumbles_has_a_horizon():

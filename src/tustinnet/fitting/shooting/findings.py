@@ -130,7 +130,7 @@ def describe_horizons(
         elif is_from_recipe:
             cause = ""
         else:
-            cause = f"errors grow a thousandfold in about {seconds:.2g} s, "
+            cause = f"errors of the start grow too much beyond about {seconds:.2g} s, "
         sentences.append(f"{_listed(names)}: {cause}fitted over segments of {seconds:.2g} s")
     if whole := [e.name for e in records if e.name not in horizons]:
         sentences.append(f"{_listed(whole)}: fitted as a whole")

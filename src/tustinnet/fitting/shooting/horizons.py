@@ -3,7 +3,8 @@
 About an unstable equilibrium that a controller holds, an error in the state doubles again and
 again: the logged input, which held the plant, does not know of the simulation's errors. Such
 records are compared over segments. `find_horizons` takes records, a system and its parameters and
-returns a number of steps for each of these records.
+returns a number of steps for each of these records. How much an error may grow is a matter of the
+sensors: one as small as their noise must stay small beside the motion.
 
 Only growth that goes on counts. Along a stiff plant that is stable, as two masses with a belt
 between them, a small displacement of one mass soon becomes a large velocity, and grows no more.
@@ -17,14 +18,17 @@ from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.engines import evaluate
+from tustinnet.evaluate.horizons import FOLLOWED
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.closed_loop import without_controller_states
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.signals.outliers import white_noise
 
-_GROWTH = 1000.0  # falls from upright stay below 50; about a held upright position it has no end
-_SHORTEST = 4  # blocks: a swing can always be compared
+_GROWTH = 1000.0  # of errors, with sensors without noise: forces that a model lacks grow, too
+_LEAST_GROWTH = 10.0  # that of a fall which goes through upright once may be 50, of a held one any
+_SHORTEST = 2  # blocks: those across which the transient growth is read
 _LARGEST = 1e15  # norm of a matrix up to which its exponential is computed in earnest
 _SMALL = 0.5  # norm of a matrix whose exponential four terms of the series give to 1e-3
 _AT_ONCE = 50_000  # samples whose transitions are in memory together
@@ -38,11 +42,12 @@ def find_horizons(
     group_indices: Int[np.ndarray, "n_r n_g"],
     block: int,
 ) -> dict[str, int]:
-    """Finds the horizons of records: steps before an error of the state grows a thousandfold.
+    """Finds the horizons of records: steps before an error of the start grows too much.
 
     The equations of motion are linearised at every measured state; products of the transitions give
     the growth of an error of the state, every position and velocity in units of its spread along
-    the record.
+    the record. It is too much where it would take the noise of a sensor to the share of the motion
+    from which on a free run follows no more.
 
     Args:
         system: the system.
@@ -54,7 +59,7 @@ def find_horizons(
         block: steps of a quarter of a swing; a horizon is a multiple of it.
 
     Returns:
-        Steps by the record's name, at least a swing's. Records are not in it in which no error
+        Steps by the record's name, at least half a swing's. Records are not in it in which no error
         grows so much anywhere, nor those whose input never changes.
     """
     # a motor alone, its link held in place, would hide how an arm falls; what a controller
@@ -85,14 +90,31 @@ def find_horizons(
             jacobian = evaluate(equations.state_derivative, points, derivatives=True)
             measured = jacobian.reshape(-1, n_x, n_x)[:, channels.measured, channels.measured]
             a[part] = measured / unit[:, None] * unit
-        if np.isfinite(a).all() and (steps := steps_before_growth(a, e.dt, block)):
+        growth = _bearable_growth(e, spread)
+        if np.isfinite(a).all() and (steps := steps_before_growth(a, e.dt, block, growth)):
             horizons[e.name] = steps
     return horizons
 
 
+def _bearable_growth(e: Experiment, spread: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_x"]:
+    """Growth of an error of each measured state that leaves noise small beside the motion.
+
+    An initial velocity is known as well as its position is, each in units of its spread.
+    """
+    noise = np.maximum(white_noise(e.q), e.channels.resolution / np.sqrt(12))
+    relative = spread[: len(noise)] / np.maximum(noise, np.finfo(float).tiny)
+    growth = np.clip(FOLLOWED * relative, _LEAST_GROWTH, _GROWTH)
+    return np.concatenate([growth, growth])
+
+
 @np.errstate(over="ignore", invalid="ignore")  # an error that overflows has grown
-def steps_before_growth(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int) -> int | None:
-    """Steps in which `dx/dt = A(t) dx` lets no error grow a thousandfold, wherever it begins.
+def steps_before_growth(
+    a: Float[np.ndarray, "n n_x n_x"],
+    dt: float,
+    block: int,
+    growth: Float[np.ndarray, " n_x"] | float = _GROWTH,
+) -> int | None:
+    """Steps in which `dx/dt = A(t) dx` lets no error grow too much, wherever it begins.
 
     Growth is counted in multiples of the transient growth. Where an element of the transition grows
     to `C e^(rt)`, that is `C`, read from its growth across one block and across two. It depends on
@@ -102,9 +124,10 @@ def steps_before_growth(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int
         a: A at every sample.
         dt: sampling period [s].
         block: steps between the beginnings that are tried.
+        growth: of an error of each state, what is too much.
 
     Returns:
-        A multiple of the block, at least 4 of them; None where no error grows so much.
+        A multiple of the block, at least 2 of them; None where no error grows so much.
     """
     blocks = len(a) // block
     if blocks <= _SHORTEST:
@@ -121,7 +144,7 @@ def steps_before_growth(a: Float[np.ndarray, "n n_x n_x"], dt: float, block: int
     transient = np.maximum(np.median(transients, axis=0), 1.0)
 
     def has_grown(errors: np.ndarray) -> bool:
-        return not np.linalg.norm(errors / transient, axis=(1, 2)).max() <= _GROWTH
+        return not np.linalg.norm(errors / transient / growth, axis=(1, 2)).max() <= 1
 
     doubled = [across_block]  # from every block's beginning over 1, 2, 4, ... blocks
     while not has_grown(doubled[-1]) and 2 ** len(doubled) <= blocks:
