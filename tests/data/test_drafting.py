@@ -12,6 +12,7 @@ from simulated.laboratories import EVERY, Truth, differences
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.names import read_name
 from tustinnet.data.drafting.numbers import examine
 
 Laboratory = Callable[[Path], Truth]
@@ -290,6 +291,22 @@ def test_any_columns_make_a_card_that_loads_or_are_refused(seed: int, tmp_path: 
         return
     (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
     tn.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "unit"),
+    [
+        ("x_dot_cm", "velocity", "cm/s"),
+        ("angle_rate_deg", "velocity", "deg/s"),
+        ("theta_ddot_rad", "acceleration", "rad/s^2"),
+        ("dx_mm", "position", "mm"),  # may be a displacement
+    ],
+)
+def test_a_rate_in_the_unit_of_its_position_is_per_second(
+    name: str, quantity: str, unit: str
+) -> None:
+    reading = read_name(name)
+    assert (reading.quantity, reading.unit) == (quantity, unit)
 
 
 def test_a_set_point_has_the_unit_of_what_follows_it(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from tustinnet.check.card_lines import (
     file_parts,
     input_line,
     time_line,
-    times_too_large,
     top_line,
 )
 from tustinnet.check.finding import SEVERITIES, Finding, Severity
@@ -27,6 +26,8 @@ from tustinnet.signals.timescales import timescales
 from tustinnet.wording import counted
 
 _BITS = range(8, 33)  # of counters
+_UNUSED = "measured = false"
+"""The entry for a velocity column with which no fit is to begin."""
 
 _VELOCITIES = {"rad": ("rad/s", "deg/s", "rpm", "rev/s"), "m": ("m/s", "cm/s", "mm/s")}
 
@@ -391,7 +392,7 @@ def velocities(view: RecordView) -> Iterator[Finding]:
                 j,
                 f"has outliers at sample {_list_rows(rows + lead)}, unlike",
                 f"by up to {np.abs(v[rows, j] - usual).max():.3g}",
-                "measured = false",
+                _UNUSED,
                 "warning",
             )
             v[rows, j] = usual
@@ -413,7 +414,7 @@ def _compare_velocity(
     # noise of one of both alone may change the gain by as much as the correlation
     deviation = abs(gain - 1) - (1 - correlation)
     size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
-    key = "measured = false"
+    key = _UNUSED
     if best != j and others[best] > max(LEVELS.high_correlation, abs(correlation) + 0.1):
         relation = f"is that of {e.coordinates[best].name}, not"
         size = f"r = {correlation:.2f}, with that {others[best]:.3f}"
@@ -425,6 +426,8 @@ def _compare_velocity(
     elif correlation > LEVELS.high_correlation and deviation > LEVELS.gain_of_velocity:
         relation, key = "has another scale than", _velocity_unit(view, j, gain)
         severity = "severe" if deviation > LEVELS.other_gain else "warning"
+        if key == _UNUSED and not e.v_measured:
+            relation = ""  # whatever its scale is, nothing is to be done
     else:
         relation, severity = "", "note"
     if relation:
@@ -433,20 +436,20 @@ def _compare_velocity(
         period = timescales([e.q[:, j]]).period
         if lag > LEVELS.lag_share * min(period, 400.0):
             size = f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples"
-            yield _velocity_finding(view, j, "lags behind", size, "measured = false", "warning")
+            yield _velocity_finding(view, j, "lags behind", size, _UNUSED, "warning")
 
 
 def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
-    """The unit of a velocity column that is some times the slope, as an entry of the card."""
+    """The entry of the card for a velocity column that is some times the slope."""
     if abs(gain - 1) < LEVELS.same_velocity_unit:
-        return "measured = false"
+        return _UNUSED
     c = view.experiment.coordinates[j]
     card = view.coordinate_card(c.name)
     declared = card.velocity_factor() if card and card.velocity else 1.0
     for name in _VELOCITIES.get(c.unit, ()):
         if abs(velocity_factor(name, c.unit) * gain / declared - 1) < LEVELS.same_velocity_unit:
             return f'unit = "{name}"'
-    return f"unit: {times_too_large(gain)}"
+    return _UNUSED
 
 
 def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[float, float, float]:

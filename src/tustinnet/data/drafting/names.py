@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import cast
@@ -35,6 +35,7 @@ INPUTS: tuple[Quantity, ...] = (
 )
 
 _LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
+_SURE_UNITS: tuple[Quantity, ...] = ("velocity", "acceleration")
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
@@ -154,6 +155,9 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         quantities["control"], word["control"] = 8.0, "action"
     if {"output", "ausgang"} & {*words} and {"pid", "controller", "regler"} & {*words}:
         quantities["control"], word["control"] = 4.0, "output of a controller"
+    if unit_quantity == "position" and (rate := _stated_rate(quantities, word)):
+        unit_quantity = rate  # `x_dot_cm` has the unit of its position, per second
+        unit += "/s" if rate == "velocity" else "/s^2"
     if unit_quantity is not None:
         surely = in_brackets or unit_quantity in _SURE_UNITS
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
@@ -178,9 +182,6 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         _kind(words, unit),
         _object(words),
     )
-
-
-_SURE_UNITS = ("velocity", "acceleration")
 
 
 def _read_quantities(
@@ -213,6 +214,16 @@ def _read_quantities(
     if quantities.get("error", 0.0) >= 3:
         quantities["error"] += 5.0  # `position error [mm]` is an error
     return quantities, word
+
+
+def _stated_rate(
+    quantities: Mapping[Quantity, float], word: Mapping[Quantity, str]
+) -> Quantity | None:
+    """The derivative that a word says, as `speed` does; `dx` may be a displacement."""
+    rate = max(_SURE_UNITS, key=lambda q: quantities.get(q, 0.0))
+    symbol = _SYMBOL.fullmatch(word.get(rate, ""))
+    is_stated = quantities.get(rate, 0.0) >= _STATED and not (symbol and symbol["before"])
+    return rate if is_stated else None
 
 
 def _is_about_axis(words: Sequence[str]) -> bool:
