@@ -19,7 +19,6 @@ from tustinnet.check.card_lines import (
     coordinate_line,
     file_line,
     input_line,
-    times_too_large,
     top_line,
     without_record,
 )
@@ -287,7 +286,7 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         what, evidence, key = what + "has the opposite sign", "", "sign = -1"
     elif check == "swap":
         what, evidence = what + "are swapped", ""
-        key = f"column: that of {names[1]}, and the reverse"
+        key = f"exchange `column` with that of {names[1]}"
     elif check == "gain":
         what, evidence = what + "has another gain", f"{1 / factor:.4g} times that in the others; "
         key = f"scale = {factor:.4g}" if is_input else _gain_key(view, name, factor)
@@ -321,12 +320,14 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
 def _gain_key(view: RecordView, name: str, factor: float) -> str:
     """The key of a coordinate that changes its positions by a factor."""
     block = view.coordinate_card(name)
-    if block is not None and block.counts_per_revolution and block.unit == "counts":
-        return f"counts_per_revolution = {block.counts_per_revolution / factor:.6g}"
+    if block is not None and block.unit == "counts":
+        if block.counts_per_revolution:
+            return f"counts_per_revolution = {block.counts_per_revolution / factor:.6g}"
+        return f"resolution = {factor * (block.resolution or 1.0):.6g}"
     for unit, other in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
         if abs(factor / other - 1) < LEVELS.same_unit:
             return f'unit = "{unit}"'
-    return f"unit: {times_too_large(1 / factor)}"
+    return f"scale = {factor * (block.scale if block else 1.0):.4g}"
 
 
 def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -> Iterator[Finding]:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import FEWEST, card_entry
 
+WHICH_COLUMN = "correct `column`, or leave the block out"
+
 
 def top_line(entry: str) -> str:
     """A line above the tables of the card."""
@@ -24,12 +26,6 @@ def coordinate_line(name: str, entry: str) -> str:
 def input_line(name: str, entry: str) -> str:
     """A line in the block of an input."""
     return f"under [[inputs]] {name}: {entry}"
-
-
-def times_too_large(factor: float) -> str:
-    """How wrong the numbers of a column are that are some times the true ones."""
-    size = f"{factor:.4g} times too large" if factor > 1 else f"{1 / factor:.4g} times too small"
-    return f"its numbers are {size}"
 
 
 def file_line(e: Experiment, entry: str) -> str:

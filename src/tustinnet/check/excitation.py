@@ -5,13 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tustinnet.check.card_lines import coordinate_line, input_line
+from tustinnet.check.card_lines import WHICH_COLUMN, coordinate_line, input_line
 from tustinnet.check.finding import Finding
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.wording import counted
-
-_WHICH_COLUMN = "column: is it the right one? else leave the block out"
 
 
 def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -24,7 +22,7 @@ def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
                 "warning",
                 f"{i.name} moves in no record",
                 f"{values[0]:.4g} {i.unit} in all {counted(len(values), 'sample')}",
-                input_line(i.name, _WHICH_COLUMN),
+                input_line(i.name, WHICH_COLUMN),
                 i.name,
             )
             yield replace(finding, records=())
@@ -49,7 +47,7 @@ def same_sensors(views: Sequence[RecordView]) -> Iterator[Finding]:
                     "warning",
                     f"{other.name} and {c.name} are one signal",
                     f"{c.name} is {gain:.4g} times the other within {error:.2g} {c.unit}",
-                    coordinate_line(c.name, _WHICH_COLUMN),
+                    coordinate_line(c.name, WHICH_COLUMN),
                     c.name,
                 )
                 yield replace(finding, records=())

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.check.card_lines import (
+    WHICH_COLUMN,
     coordinate_line,
     file_parts,
     input_line,
@@ -138,7 +139,7 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
                 "warning",
                 f"{c.name} never changes" + " by more than one count" * flickers,
                 f"{e.q[0, j]:.4g} {c.unit} in all {counted(len(e), 'sample')}",
-                coordinate_line(c.name, "column: is it the right one?"),
+                coordinate_line(c.name, WHICH_COLUMN),
                 c.name,
             )
 
@@ -162,7 +163,7 @@ def wild_angle(view: RecordView) -> Iterator[Finding]:
                 "warning",
                 f"{c.name} moves more than a quarter turn in {share:.0%} of the periods",
                 "another unit, or sampled too slowly?",
-                coordinate_line(c.name, "unit: which one?"),
+                coordinate_line(c.name, "correct `unit`"),
                 c.name,
             )
 
@@ -216,7 +217,7 @@ def _meaning_of_jumps(
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
             return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
         if (other := _turn_of_other(view, j, typical)) is not None:
-            remedy = coordinate_line(c.name, f"column: that of {other}?")
+            remedy = coordinate_line(c.name, f"exchange `column` with that of {other}")
             return f"the turn of {other}, swapped?", remedy
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < LEVELS.same_wrap:
