@@ -243,10 +243,12 @@ def _with_inertias(system: LagrangianSystem, added: Sequence[PlacedForce]) -> di
     inertia = system.inertia
     if inertia is not None:
         alone, coupled = inertia.mass_matrix, {i for row in directions for i in np.flatnonzero(row)}
+        inverse = inertia.inverse
         inertia = replace(
             inertia,
             mass_matrix=lambda q, p: alone(q, p) + matrix(p),
             uncoupled=tuple(i for i in inertia.uncoupled if i not in coupled),
+            inverse=inverse and (lambda q, v, a, p: inverse(q, v, a, p) + matrix(p) @ a),
         )
     return {"kinetic": kinetic, "inertia": inertia}
 

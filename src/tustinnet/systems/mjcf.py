@@ -398,15 +398,9 @@ def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator
         place = f"{where}, actuator '{name or i}'"
         if model.actuator_trntype[i] not in _AT_JOINTS:
             raise InputError(place, "not at a joint", 'joint="..."', "leave it out")
-        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-            raise InputError(
-                place,
-                "it integrates its input, as <intvelocity> does",
-                "a servo whose input is its goal",
-                "write it as <position>, and the integral of its input as the input in the logs",
-            )
+        integrates = bool(model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR)
         if (
-            model.actuator_dyntype[i]
+            (model.actuator_dyntype[i] and not integrates)
             or model.actuator_gaintype[i] != _FIXED_GAIN
             or model.actuator_biastype[i] not in (_NO_BIAS, _AFFINE_BIAS)
         ):
@@ -432,8 +426,17 @@ def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator
                     has_input_range and model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]
                 ),
                 _limits_of(model.actuator_forcelimited[i], model.actuator_forcerange[i]),
+                integrates,
+                _limits_of(model.actuator_actlimited[i], model.actuator_actrange[i]),
             )
         )
+        if integrates and actuators[-1].goal != "kp":
+            raise InputError(
+                place,
+                "it integrates its input, which is no goal of a position",
+                "a gain that is that of its feedback of the position",
+                "write it as <intvelocity>",
+            )
     return tuple(actuators)
 
 

@@ -145,7 +145,8 @@ class RobotJoint:
 class RobotActuator:
     """An actuator at a joint: `gear f`, with `f = gain u - kp q - kv v + bias`.
 
-    Its position q and speed v are `gear` times those of the joint. Both u and f have limits.
+    Its position q and speed v are `gear` times those of the joint. Both u and f have limits. Of one
+    that integrates, the integral of the input is in the place of u.
 
     Attributes:
         name: its name, that of the input.
@@ -157,6 +158,8 @@ class RobotActuator:
         bias: its force without input [N m or N].
         input_range: smallest and largest input that counts, None without.
         force_range: smallest and largest force of its own [N m or N], None without.
+        integrates: whether its input is the speed of its goal.
+        goal_range: smallest and largest integral of the input, None without.
     """
 
     name: str
@@ -168,6 +171,8 @@ class RobotActuator:
     bias: float = 0.0
     input_range: Range | None = None
     force_range: Range | None = None
+    integrates: bool = False
+    goal_range: Range | None = None
 
     @property
     def gains(self) -> dict[str, float]:

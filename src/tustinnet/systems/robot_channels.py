@@ -132,7 +132,8 @@ class RobotChannels:
         if actuator.joint in self.options.motor_constants:
             return "A"
         if actuator.gear == 1.0 and actuator.goal is not None:
-            return units.position if actuator.goal == "kp" else units.speed
+            is_position = actuator.goal == "kp" and not actuator.integrates
+            return units.position if is_position else units.speed
         is_force = actuator.gear * actuator.gain == 1.0 and not (actuator.gains or actuator.bias)
         return units.force if is_force else ANY_UNIT
 

@@ -6,10 +6,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.models import forces
 from tustinnet.models.added import PlacedForce, compute_friction
 from tustinnet.models.chains import Chain
+from tustinnet.models.internal_states import Memory
 from tustinnet.models.lagrangian import Inertia, UnmeasuredCoordinates, solve_positive
 from tustinnet.systems.robot import Range, RobotActuator
 
@@ -40,16 +43,40 @@ class Drive:
     joint_range: Range | None = None
 
     def force(self, q: Any, v: Any, u: Any, p: Mapping[str, Any]) -> Any:
-        """The force at the joint under an input `u`, at a position and speed of the coordinate."""
+        """The force at the joint under an input `u`, at a position and speed of the coordinate.
+
+        Of an actuator that integrates, `u` is the integral.
+        """
         a = self.actuator
         gains = {name: p[f"{self.label}.{name}"] for name in a.gains}
         travel, speed = self.ratio * q + self.offset, self.ratio * v
         asked = u if self.motor_constant is None else p[self.motor_constant] * u
-        force = gains.get(a.goal or "gain", a.gain) * _within(a.input_range, asked) + a.bias
+        limits = a.goal_range if a.integrates else a.input_range
+        force = gains.get(a.goal or "gain", a.gain) * _within(limits, asked) + a.bias
         for name, motion in (("kp", travel), ("kv", speed)):
             if name in gains:
                 force = force - gains[name] * a.gear * motion
         return a.gear * _within(a.force_range, force)
+
+    def followed_goal(self, q: Any, v: Any, p: Mapping[str, Any]) -> Any:
+        """The goal of an actuator that integrates, where it moves along without a force."""
+        a = self.actuator
+        lag = p[f"{self.label}.kv"] / p[f"{self.label}.kp"] if a.kv else 0.0
+        return _within(a.goal_range, a.gear * (self.ratio * (q + lag * v) + self.offset))
+
+    def acting(self, record: Experiment, column: int) -> np.ndarray:
+        """The input of a record that acts, (n,): of an actuator that integrates, its goal.
+
+        Args:
+            record: the record.
+            column: index of the input.
+        """
+        u, a = record.u[:, column], self.actuator
+        if not a.integrates:
+            return u
+        at_first = a.gear * (self.ratio * record.q[0, self.coordinate] + self.offset)
+        speeds = np.asarray(_within(a.input_range, u[:-1]))
+        return at_first + np.cumsum([0.0, *(speeds * np.diff(record.t))])
 
 
 def _within(ends: Range | None, x: Any) -> Any:
@@ -165,6 +192,53 @@ class RobotEquations:
         acting = self._actuator_forces(self._motors(q), self._motors(v), u, p)
         return self._on_coordinates([0.0 * f for f in acting], list(acting))
 
+    @property
+    def integrating(self) -> dict[int, Drive]:
+        """Drives whose goals are the integrals of their inputs, by the index of the input."""
+        return {i: d for i, d in enumerate(self.drives) if d.actuator.integrates}
+
+    def with_goals(self, q: Any, v: Any, z: Any, u: Any, p: Any) -> Any:
+        """The inputs, in the place of those that are integrated their integrals `z`, (n_u,)."""
+        reached = dict(zip(self.integrating, z, strict=True))
+        return jnp.stack([reached.get(i, u[i]) for i in range(len(self.drives))])
+
+    @property
+    def goals(self) -> Memory:
+        """The goals that are integrals of inputs, as internal states."""
+        drives = self.integrating
+
+        def rate(q: Any, v: Any, z: Any, u: Any, p: Any) -> Any:
+            return jnp.stack([_within(d.actuator.input_range, u[i]) for i, d in drives.items()])
+
+        def settle(z: Any, p: Any) -> Any:
+            limits = (d.actuator.goal_range for d in drives.values())
+            return jnp.stack([_within(ends, x) for ends, x in zip(limits, z, strict=True)])
+
+        def spread(p: Any) -> Any:
+            """How far from its goal a servo holds what loads it most."""
+            return jnp.stack(
+                [
+                    self.largest_forces[d.coordinate] / (p[f"{d.label}.kp"] * abs(d.actuator.gear))
+                    for d in drives.values()
+                ]
+            )
+
+        names = tuple(f"{d.label}.goal" for d in drives.values())
+        has_limits = any(d.actuator.goal_range for d in drives.values())
+        return Memory(
+            names,
+            rate,
+            initial=lambda q, v, u, p: self._followed_goals(self._motors(q), self._motors(v), p),
+            spread=spread,
+            searched=names,
+            settle=settle if has_limits else None,
+        )
+
+    def _followed_goals(self, q: Any, v: Any, p: Any) -> Any:
+        """The goals that a motion of the motors follows without a force."""
+        drives = self.integrating.values()
+        return jnp.stack([d.followed_goal(q[d.coordinate], v[d.coordinate], p) for d in drives])
+
     def _mass_matrix(self, q: Any, p: Any) -> Any:
         """Mass matrix of links and motors."""
         chain, size = self.chain.mass_matrix(self._links(q), p), q.shape[0]
@@ -198,6 +272,8 @@ class RobotEquations:
         A motor without one is where its actuator twists the gear; a link without one where the
         load of the gear does.
         """
+        if self.integrating:
+            u = self.with_goals(q, v, self._followed_goals(q, v, p), u, p)
         driving = self._actuator_forces(q, v, u, p)
         loads = self._gear_loads(q, v, u, p) if self.at_motor else driving
         positions = []

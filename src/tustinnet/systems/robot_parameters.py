@@ -58,7 +58,7 @@ def recorded_motion(channels: RobotChannels, records: Sequence[Experiment]) -> l
         for column, d in enumerate(channels.drives):
             if d.coordinate == k:
                 acting = (
-                    d.force(e.q[:, k], e.velocities()[:, k], e.u[:, column], values)
+                    d.force(e.q[:, k], e.velocities()[:, k], d.acting(e, column), values)
                     for e in records
                 )
                 force += abs(d.ratio) * max(float(np.abs(f).max()) for f in acting)

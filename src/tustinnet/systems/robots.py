@@ -245,7 +245,7 @@ class RobotFile(ChannelSource):
                 tree.joints[n].effort or tree.largest_load(k)[1] for k, n in enumerate(tree.free)
             ),
         )
-        return LagrangianSystem(
+        system = LagrangianSystem(
             name=tree.robot.name,
             coordinates=tree.coordinates,
             inputs=channels.inputs,
@@ -260,6 +260,9 @@ class RobotFile(ChannelSource):
             limits=tuple(channels.limits(k) for k in range(len(tree.free))),
             unmeasured=equations.unmeasured,
         )
+        if not equations.integrating:
+            return system
+        return replace(system, **system.inside(equations.goals, equations.with_goals))
 
 
 def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile] | None:

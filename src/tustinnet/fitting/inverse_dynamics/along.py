@@ -225,7 +225,7 @@ def missing_forces(equations: SystemEquations) -> Formula:
     def missing(point: Array) -> Array:
         q, v, a, z, u, row = jnp.split(point, ends)
         model = system.model(equations.values_in_row(row))
-        return model.mass_matrix(q) @ a - model.conservative(q, v) - model.applied(q, v, z, u)
+        return model.imbalance(jnp.concatenate([q, v, z]), u, a)
 
     first = int(ends[-1])
     free = range(first, first + equations.n_p)

@@ -47,9 +47,11 @@ def choose_cutoff(
     if vector is None:
         vector = space.to_vector(space.nominal)
     cutoff, prior = _BANDS * _motion_band(records), Prior(space)
-    limit = HIGHEST / records[0].dt
+    limit, looked = HIGHEST / records[0].dt, 0.0
     for _ in range(_ROUNDS):
-        highest = min(_FURTHER * cutoff, limit)
+        if (highest := min(_FURTHER * cutoff, limit)) == looked:
+            break
+        looked = highest
         parts = tuple(filter_record(e, highest) for e in records)
         columns = LinearForces(system, space, parts).columns(vector)
         pieces = [

@@ -28,6 +28,7 @@ from tustinnet.fitting.shooting.problem import (
     Problem,
     SearchState,
     make_cost_function,
+    make_model,
     position_errors,
     report_step,
     score_validation,
@@ -35,6 +36,7 @@ from tustinnet.fitting.shooting.problem import (
 from tustinnet.fitting.shooting.uncertainty import estimate_uncertainty, shift_of_estimate
 from tustinnet.simulate.horizon import pieces
 from tustinnet.simulate.substeps import MOST_CHOSEN, PROBED_SECONDS, enough_substeps
+from tustinnet.simulate.substeps import choose_substeps as needed_substeps
 
 ESTIMATE = "equation-error estimate"  # what the listener calls the first step
 
@@ -363,9 +365,11 @@ def choose_substeps(problem: Problem, state: SearchState) -> SearchState:
     target = _TARGET * min(counts) if counts else _TARGET_SPAN * travel
     samples = max(2, round(PROBED_SECONDS / problem.records[0].dt))
     start = problem.measured_start
-    segments = problem.free_runs(
-        [pieces(e, state.horizons.get(e.name), start)[0][:samples] for e in problem.records]
-    )
+    heads = [pieces(e, state.horizons.get(e.name), start)[0][:samples] for e in problem.records]
+    if not state.space.names:  # the program of free runs serves, too
+        model = make_model(problem, state).continuous
+        return replace(state, substeps=needed_substeps(model, heads, target))
+    segments = problem.free_runs(heads)
     substeps = enough_substeps(
         lambda n: np.concatenate(position_errors(problem, state, segments, n)), target
     )
