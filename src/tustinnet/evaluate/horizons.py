@@ -9,11 +9,11 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse_by_unit
 from tustinnet.models.contract import Model
+from tustinnet.simulate.horizon import FOLLOWED
 from tustinnet.simulate.starts import start_named
 from tustinnet.wording import counted
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # [s], as far as records go
-FOLLOWED = 0.3  # of the standard deviation of a coordinate: an error that no longer follows it
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.simulate.start_rules import Start
 
+FOLLOWED = 0.3  # of the standard deviation of a coordinate: an error that no longer follows it
+
 
 def horizon_samples(
     horizon: float | None, experiments: Sequence[Experiment], start: Start, where: str = "horizon"

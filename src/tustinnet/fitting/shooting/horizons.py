@@ -18,13 +18,13 @@ from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.engine.engines import evaluate
-from tustinnet.evaluate.horizons import FOLLOWED
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.closed_loop import without_controller_states
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.outliers import white_noise
+from tustinnet.simulate.horizon import FOLLOWED
 
 _GROWTH = 1000.0  # of errors, with sensors without noise: forces that a model lacks grow, too
 _LEAST_GROWTH = 10.0  # that of a fall which goes through upright once may be 50, of a held one any
