@@ -40,9 +40,12 @@ def held_once(identified_once, tmp_path_factory) -> Held:
     asked = ("control", identified_once / "model.safetensors", "--at", "angle=180")
     asked += ("--limits", "torque=-6000:6000mN*m", "--safe", "torque=0.5", "--starts", 5)
     text, messages = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(messages):
-        with pytest.raises(SystemExit) as ended:
-            run([str(word) for word in (*asked, "--out", out)])
+    with (
+        contextlib.redirect_stdout(text),
+        contextlib.redirect_stderr(messages),
+        pytest.raises(SystemExit) as ended,
+    ):
+        run([str(word) for word in (*asked, "--out", out)])
     assert not ended.value.code, messages.getvalue()
     return Held(out, text.getvalue(), messages.getvalue())
 
