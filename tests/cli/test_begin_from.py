@@ -37,7 +37,7 @@ def header_of(path) -> dict:
     return tn.read_header(path)
 
 
-STILL = ("--set", "stages.*.epochs=1", "--set", "stages.*.rate=1e-30", "--quiet")
+STILL = ("--set", "stages.*.epochs=1", "--set", "stages.*.rate=1e-30", "--quiet", "--no-report")
 
 
 def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
@@ -82,7 +82,7 @@ def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
 
 
 def test_a_correction_goes_on_with_its_physics_or_with_another(grey, folder, tmp_path, capsys):
-    recipe, given = tmp_path / "tiny.toml", ("--system", grey.system, "--quiet")
+    recipe, given = tmp_path / "tiny.toml", ("--system", grey.system, "--quiet", "--no-report")
     recipe.write_text("""
 name = "tiny"
 [model]
@@ -121,7 +121,7 @@ keep = "last"
 
 
 def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_path, capsys, refused):
-    model, given = grey.model, ("--system", grey.system, "--quiet")
+    model, given = grey.model, ("--system", grey.system, "--quiet", "--no-report")
     out = tmp_path / "again"
     fit = ("fit", folder, "--from", model, *given)
     code, told, err = tustinnet(capsys, *fit, "--out", out, "--json")

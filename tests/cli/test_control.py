@@ -1,14 +1,19 @@
 """The verb that designs a controller, on the small pendulum."""
 
+import contextlib
+import io
 import json
+import shutil
 import subprocess
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from test_verbs import tustinnet
 
 import tustinnet as tn
+from tustinnet.cli.main import run
 from tustinnet.store.data_set_folder import write_data_set
 from tustinnet.store.header import read_header
 from tustinnet.store.model_file import copy_with_header
@@ -21,12 +26,38 @@ def model(identified) -> Path:
     return identified / "model.safetensors"
 
 
-def test_a_controller_holds_the_pendulum_upright(model, tmp_path, capsys):
-    out = tmp_path / "held"
-    code, text, messages = tustinnet(
-        capsys, "control", model, "--at", "angle=180deg", *LIMITS, "--starts", 5, "--out", out
-    )
-    assert code == 0, messages
+class Held(NamedTuple):
+    """A controller that holds the pendulum upright: its folder, and what was said."""
+
+    out: Path
+    text: str
+    messages: str
+
+
+@pytest.fixture(scope="module")
+def held_once(identified_once, tmp_path_factory) -> Held:
+    out = tmp_path_factory.mktemp("control") / "held"
+    asked = ("control", identified_once / "model.safetensors", "--at", "angle=180")
+    asked += ("--limits", "torque=-6000:6000mN*m", "--safe", "torque=0.5", "--starts", 5)
+    text, messages = io.StringIO(), io.StringIO()
+    with (
+        contextlib.redirect_stdout(text),
+        contextlib.redirect_stderr(messages),
+        pytest.raises(SystemExit) as ended,
+    ):
+        run([str(word) for word in (*asked, "--out", out)])
+    assert not ended.value.code, messages.getvalue()
+    return Held(out, text.getvalue(), messages.getvalue())
+
+
+@pytest.fixture
+def held(held_once, tmp_path) -> Path:
+    """A copy of that folder, which a test may change."""
+    return Path(shutil.copytree(held_once.out, tmp_path / "held"))
+
+
+def test_a_controller_holds_the_pendulum_upright(held_once):
+    out, text, _ = held_once
     assert "unstable" in text
     assert "controllable; observable" in text
     assert "no records were given (--data)" in text
@@ -231,30 +262,12 @@ def test_predictive_control_is_designed_played_and_written(model, tmp_path, caps
         assert "'--mpc'" in messages
 
 
-def test_the_exported_loop_compiles_and_ends_at_the_goal(model, tmp_path, capsys):
-    out = tmp_path / "held"
-    assert (
-        tustinnet(
-            capsys,
-            "control",
-            model,
-            "--at",
-            "angle=180 deg",
-            *LIMITS,
-            "--starts",
-            1,
-            "--out",
-            out,
-            "--safe",
-            "torque=0.5",
-        )[0]
-        == 0
-    )
-    feedback = tn.control.read_controller(out)
+def test_the_exported_loop_compiles_and_ends_at_the_goal(held):
+    feedback = tn.control.read_controller(held)
     assert isinstance(feedback, tn.control.Feedback)
     np.testing.assert_array_equal(feedback.safe, [0.5])
-    subprocess.run(["make", "-s"], cwd=out, check=True)
-    rows = subprocess.run(["./main"], cwd=out, check=True, capture_output=True, text=True).stdout
+    subprocess.run(["make", "-s"], cwd=held, check=True)
+    rows = subprocess.run(["./main"], cwd=held, check=True, capture_output=True, text=True).stdout
     angle = float(rows.splitlines()[-1].split(",")[1])
     assert abs(angle - np.pi) < 0.1
 
@@ -326,25 +339,10 @@ def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_p
     assert "equilibrium" in messages
 
 
-def test_a_number_alone_is_in_the_unit_of_the_column_and_said_back(model, tmp_path, capsys):
-    code, _, messages = tustinnet(
-        capsys,
-        "control",
-        model,
-        "--at",
-        "angle=180",
-        "--limits",
-        "torque=-6000:6000mN*m",
-        "--starts",
-        1,
-        "--out",
-        tmp_path / "held",
-        "--quiet",
-    )
-    assert code == 0
-    assert "--at: angle = 180 deg (3.142 rad)" in messages
-    assert "--limits: torque = -6000:6000 mN*m (-6:6 N m)" in messages
-    at = json.loads((tmp_path / "held" / "design.json").read_text())["at"]
+def test_a_number_alone_is_in_the_unit_of_the_column_and_said_back(held_once):
+    assert "--at: angle = 180 deg (3.142 rad)" in held_once.messages
+    assert "--limits: torque = -6000:6000 mN*m (-6:6 N m)" in held_once.messages
+    at = json.loads((held_once.out / "design.json").read_text())["at"]
     assert at == {"angle": pytest.approx(np.pi)}
 
 
@@ -368,10 +366,8 @@ def write_log(controller: Path, to: Path) -> Path:
     return to
 
 
-def test_the_verb_replays_a_log(model, tmp_path, capsys):
-    out, logs = tmp_path / "held", tmp_path / "logs"
-    told = ("control", model, "--at", "angle=180deg", *LIMITS, "--starts", 1, "--out", out)
-    assert tustinnet(capsys, *told)[0] == 0
+def test_the_verb_replays_a_log(held, tmp_path, capsys):
+    out, logs = held, tmp_path / "logs"
     write_log(out, logs)
     code, text, messages = tustinnet(capsys, "control", out, "--replay", logs)
     assert code == 0, messages

@@ -59,6 +59,7 @@ def test_the_command_chooses_and_judges_on_them(tmp_path, capsys):
     (tmp_path / "free.py").write_text(SYSTEM)
     plan, system = plan_in(tmp_path, PLAN), tmp_path / "free.py"
     verb = ("fit", logs, "--plan", plan, "--budget", "5min", "--out", out, "--system", system)
+    verb += ("--no-report",)
     code, printed, err = tustinnet(capsys, *verb)
     assert code == 0, err
     assert "* chosen: " in printed

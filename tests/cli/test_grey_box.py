@@ -23,6 +23,7 @@ from tustinnet.store.header import read_header
 from tustinnet.systems import qube_servo2_twin, twin
 
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
+QUIET = ("--quiet", "--no-report")
 
 
 def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified):
@@ -103,6 +104,7 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
 
 def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):
     arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", identified]
+    arguments += ["--no-report"]
     before = (identified / "model.safetensors").read_bytes()
     code, _, err = tustinnet(capsys, *arguments)
     assert code == 1
@@ -448,7 +450,7 @@ def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
     for arguments in (
         ["evaluate", model, folder],
         ["evaluate", model, model, folder],
-        ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", "--quiet"],
+        ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", *QUIET],
     ):
         code, out, err = tustinnet(capsys, *arguments, "--system", system)
         assert code == 0, err
@@ -544,7 +546,7 @@ def test_variants_of_a_system_are_compared(identified, folder, system, tmp_path,
         files.append(tmp_path / f"{name}.py")
         files[-1].write_text(text)
         models.append(tmp_path / name / "model.safetensors")
-        arguments = ["fit", folder, "--recipe", "grey", "--system", files[-1], "--quiet"]
+        arguments = ["fit", folder, "--recipe", "grey", "--system", files[-1], *QUIET]
         assert tustinnet(capsys, *arguments, "--out", models[-1].parent)[0] == 0
 
     def compare(models, files):
@@ -595,7 +597,7 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
         "--json",
         "--out",
         tmp_path / "out",
-        "--quiet",
+        *QUIET,
     )
     assert code == 0
     assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}

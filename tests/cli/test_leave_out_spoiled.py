@@ -28,7 +28,8 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
         out = tmp_path / f"out{len(option)}"
         arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", out]
         arguments += ["--set", "search.initial=anchored", "--set", "search.substeps=1"]
-        code, printed, err = tustinnet(capsys, *arguments, *option, "--quiet")
+        arguments += option or ["--no-report"]
+        code, printed, err = tustinnet(capsys, *arguments, "--quiet")
         assert code == 0, err
         header = tn.read_header(out / "model.safetensors")["spoiled"]
         summary = json.loads((out / "summary.json").read_text())
@@ -62,6 +63,8 @@ def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     assert {name.split("[")[0] for name in scored} == {f"run{i}" for i in range(6)}
     assert "run2" not in scored
     assert tn.read_header(out / "model.safetensors")["spoiled"] == summary["spoiled"]
+    one_fold = PLAN.replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
+    (tmp_path / "plan.toml").write_text(one_fold)
     code, printed, err = tustinnet(capsys, *fit, "--overwrite")
     assert code == 0, err
     assert "* spoiled: run2, " in printed

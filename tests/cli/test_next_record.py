@@ -249,30 +249,31 @@ def test_a_design_is_for_the_group_that_is_named(tmp_path, capsys):
 
 def test_what_no_motion_can_be_designed_for_is_one_line(place, run_folder, tmp_path, capsys):
     design = ("--design", "--out", tmp_path / "motion")
-    robot = (*design, "--system", ARM)
+    robot = (*design, "--system", place.system)
+    limits = ("--within", "angle=-2:2", "--within", "angle_dot=-4:4", "--limits", "torque=-9:9")
     refuse(
         capsys,
-        "no limits of the position of 'roll'; expected limits of every position and "
-        "velocity; for instance --within roll=-1:1",
+        "no limits of the position of 'angle'; expected limits of every position and "
+        "velocity; for instance --within angle=-1:1",
         *robot,
     )
-    refuse(capsys, "velocity of 'roll'", *robot, *ROLL[:2])
-    refuse(capsys, "no limits of the input 'roll_torque' at 'roll'", *robot, *ROLL[:4])
-    refuse(capsys, "no 'rol'; expected one of shoulder", *robot, "--within", "rol=-1:1")
-    refuse(capsys, "no input 'roll'", *robot, "--limits", "roll=-1:1")
-    refuse(capsys, "one direction alone", *robot, "--within", "roll_dot=1:2")
-    refuse(capsys, "it needs", *robot, *ROLL, "--limits", "lift_force=-1:1")
-    refuse(capsys, "--seconds: -1", *robot, *ROLL, "--seconds", -1)
-    refuse(capsys, "--frequency: nan", *robot, *ROLL, "--frequency", "nan")
-    refuse(capsys, "0.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.05)
-    refuse(capsys, "2.5 periods in 10 s", *robot, *ROLL, "--frequency", 0.25)
-    refuse(capsys, "a tenth of the sampling rate", *robot, *ROLL, "--rate", 5)
-    refuse(capsys, "--rate: 0", *robot, *ROLL, "--rate", 0)
-    refuse(capsys, "--margin: 1", *robot, *ROLL, "--margin", 1)
-    refuse(capsys, "--starts: 0", *robot, *ROLL, "--starts", 0)
-    refuse(capsys, "--seed: -1", *robot, *ROLL, "--seed", -1)
-    refuse(capsys, "--budget: 'soon'", *robot, *ROLL, "--budget", "soon")
-    refuse(capsys, "which nothing in the system is per", *robot, *ROLL, "--group", "payload=1kg")
+    refuse(capsys, "velocity of 'angle'", *robot, *limits[:2])
+    refuse(capsys, "no limits of the input 'torque' at 'angle'", *robot, *limits[:4])
+    refuse(capsys, "no 'angel'; expected one of angle", *robot, "--within", "angel=-1:1")
+    refuse(capsys, "no input 'angle'", *robot, "--limits", "angle=-1:1")
+    refuse(capsys, "one direction alone", *robot, "--within", "angle_dot=1:2")
+    refuse(capsys, "it needs", *robot, *limits[:4], "--limits", "torque=-0.01:0.01")
+    refuse(capsys, "--seconds: -1", *robot, *limits, "--seconds", -1)
+    refuse(capsys, "--frequency: nan", *robot, *limits, "--frequency", "nan")
+    refuse(capsys, "0.5 periods in 10 s", *robot, *limits, "--frequency", 0.05)
+    refuse(capsys, "2.5 periods in 10 s", *robot, *limits, "--frequency", 0.25)
+    refuse(capsys, "a tenth of the sampling rate", *robot, *limits, "--rate", 5)
+    refuse(capsys, "--rate: 0", *robot, *limits, "--rate", 0)
+    refuse(capsys, "--margin: 1", *robot, *limits, "--margin", 1)
+    refuse(capsys, "--starts: 0", *robot, *limits, "--starts", 0)
+    refuse(capsys, "--seed: -1", *robot, *limits, "--seed", -1)
+    refuse(capsys, "--budget: 'soon'", *robot, *limits, "--budget", "soon")
+    refuse(capsys, "which nothing in the system is per", *robot, *limits, "--group", "payload=1kg")
     pendulum = ARM.parent / "double_pendulum.urdf"
     refuse(capsys, "1 input of 2 coordinates", *design, "--system", pendulum)
     refuse(capsys, "made for the records", *design, "--system", "mechanism")

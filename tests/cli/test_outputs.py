@@ -240,7 +240,7 @@ def test_a_folder_that_another_run_has_is_left_to_it(verb, place, refused):
         refused(*asked(place, place.out), names="another run is writing there")
 
 
-def test_a_fit_keeps_its_folder_until_the_report_is_there(place, monkeypatch, capsys):
+def test_a_fit_keeps_its_folder_until_the_report_is_there(place, tiny_recipe, monkeypatch, capsys):
     """Another one would write its model beside the figures and the report of this one."""
     asked, _ = FOLDERS["fit"]
     taken = []
@@ -255,7 +255,8 @@ def test_a_fit_keeps_its_folder_until_the_report_is_there(place, monkeypatch, ca
 
     monkeypatch.setattr(AutomaticReport, "write", write)
     short = ("--set", "stages.*.epochs=1", "--quiet")
-    assert tustinnet(capsys, *asked(place, place.out), *short)[0] == 0
+    tiny = place._replace(recipe=tiny_recipe)
+    assert tustinnet(capsys, *asked(tiny, place.out), *short)[0] == 0
     assert taken == [True]
 
 

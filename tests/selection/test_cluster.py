@@ -131,7 +131,8 @@ def done(machine, context: RunContext, job: Job) -> JobResult:
     return results[0]
 
 
-def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path):
+def test_a_job_whose_workers_always_die_is_told_as_a_failure(machine, tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "_call", machine._call.options(max_retries=0))
     system = SystemFile(Path("deadly.py"), PARTED)
     context = RunContext(swings(), SCORING, tmp_path, system=system)
     found = done(machine, context, Job("grey", read_recipe("grey"), 1))

@@ -65,7 +65,7 @@ STRUCTURES = [
     ((ANGLE, OTHER), (12, 9), 6, "relu", True, 5, 17, False),
     ((SLIDE, ANGLE), (20, 20, 5), 6, "tanh", False, 3, 75, True),
     ((SLIDE,), (12, 9), None, "silu", True, 2, 50, True),
-    ((ANGLE, OTHER), (20, 20, 5), None, "softplus", False, 4, 2, False),
+    ((ANGLE, OTHER), (9,), None, "softplus", False, 4, 2, False),
 ]
 
 

@@ -259,32 +259,31 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
         ("maxwell", "link"),
     ],
 )
-def test_forces_are_added_to_robots_with_elastic_gears(law, encoder):
+def test_forces_are_added_to_robots_with_elastic_gears(law, encoder, hanging):
     """At what the encoder measures; internal states come behind those of the gear."""
-    robot = ROBOTS / "scara.urdf"
-    system = tn.load_robot(robot, elastic={"elbow": 100.0}, encoders={"elbow": encoder})
+    system = tn.load_robot(hanging, elastic={"hip": 100.0}, encoders={"hip": encoder})
     at_input = LAWS[law].is_at_input
-    name = f"{law}:{system.inputs[1].name if at_input else 'elbow'}"
+    name = f"{law}:{system.inputs[0].name if at_input else 'hip'}"
     (force,) = parse_forces(system, [name])
     ends, drive = (-0.7, 0.8), 2.0
     motion = Motion(3.0, 0.5, 0.5, 1.0, ends, dt=0.005, longest=10.0, drive=drive)
     new = tuple(
-        p.for_input(system.inputs[1], motion)
+        p.for_input(system.inputs[0], motion)
         if at_input
-        else p.for_coordinate(system.coordinates[1], "N", motion)
+        else p.for_coordinate(system.coordinates[0], "N", motion)
         for p in force.brought.values()
     )
     more = with_forces(system, (name,), new)
     other = "link" if encoder == "motor" else "motor"
     has_state = law in ("maxwell", "lag")
-    assert more.internal == (f"elbow.{other}", f"elbow.{other}_speed", name)[: 2 + has_state]
+    assert more.internal == (f"hip.{other}", f"hip.{other}_speed", name)[: 2 + has_state]
     values = {p.name: jnp.asarray(p.upper if p in new else p.nominal) for p in more.parameters}
-    measured, u = jnp.array([0.1, 0.4, 0.0, 0.3, 0.5, 0.6, 0.1, 0.2]), jnp.ones(4)
+    measured, u = jnp.array([0.4, 0.6]), jnp.ones(1)
     rates = []
     for one in (system, more):
         model = one.model({name: values[name] for name in one.nominal()})
         # where the lag has not reached what is asked for, and the spring is stretched
-        rates.append(model.derivative(model.initial_state(measured, u) + 0.05, u)[4:10])
+        rates.append(model.derivative(model.initial_state(measured, u) + 0.05, u)[1:4])
     assert np.abs(rates[1] - rates[0]).max() > 1e-3
 
 
@@ -378,7 +377,7 @@ def test_the_stiffness_of_a_gear_is_identified(hanging):
     system = tn.load_robot(hanging, elastic={"hip": 60.0})
     true = system.nominal() | {"hip.gear_stiffness": 100.0, "hip.armature": 0.01}
     model = system.model({name: jnp.asarray(value) for name, value in true.items()})
-    dt, count, rng = 0.002, 1500, np.random.default_rng(0)
+    dt, count, rng = 0.002, 1000, np.random.default_rng(0)
     step, t = (
         tn.compiled_step(tn.discretise(model, dt, 4, inputs=system.inputs)),
         dt * np.arange(count),

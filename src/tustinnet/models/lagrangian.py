@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -341,13 +341,8 @@ class LagrangianSystem:
         memory, hidden, inertia = self.states.memory, self.states.unmeasured, self.inertia
         n, n_z, n_h = len(self.coordinate_names), len(memory.names), len(hidden.states)
         sizes = {"q": n, "v": n, "z": n_z, "u": len(self.inputs), "x": len(self.coordinates)}
-        given: dict[str, Any] = {
-            letter: jax.ShapeDtypeStruct((size,), jnp.float32) for letter, size in sizes.items()
-        }
         # without the optional ones: a function that requires one is refused
-        given["p"] = {
-            x.name: jax.ShapeDtypeStruct((), jnp.float32) for x in self.parameters if not x.optional
-        }
+        names = tuple(x.name for x in self.parameters if not x.optional)
         functions: list[tuple[str, Callable[..., Any] | None, str, tuple[int, ...]]] = [
             ("kinetic", self.kinetic, "qvp", ()),
             ("potential", self.potential, "qp", ()),
@@ -370,9 +365,9 @@ class LagrangianSystem:
             where = f"system '{self.name}', {name}"
             if function in (memory.rate, memory.force, memory.initial):
                 letters = self._with_inputs(function, letters, where)
-            arguments = [given[letter] for letter in letters]
+            given = tuple(names if letter == "p" else sizes[letter] for letter in letters)
             try:
-                result = jax.eval_shape(lambda *a, f=function: jnp.asarray(f(*a)), *arguments)
+                found = _shape(function, given)
             except KeyError as error:
                 if error.args[0] in self.optional:
                     raise InputError(
@@ -396,10 +391,10 @@ class LagrangianSystem:
                     "a function of jax arrays",
                     remedy or "write it with jax.numpy",
                 ) from error
-            if result.shape != shape:
+            if found != shape:
                 raise InputError(
                     where,
-                    f"returns shape {result.shape}",
+                    f"returns shape {found}",
                     f"{shape}" if shape else "a scalar",
                     "energies are scalars, forces have a value per coordinate",
                 )
@@ -412,6 +407,20 @@ class LagrangianSystem:
             problem, _, expected = str(error).partition("; expected ")
             remedy = "u are the inputs, p the parameters by name"
             raise InputError(where, problem, expected, remedy) from error
+
+
+@lru_cache(maxsize=256)  # files are loaded again with every model of theirs
+def _shape(
+    function: Callable[..., Any], given: tuple[int | tuple[str, ...], ...]
+) -> tuple[int, ...]:
+    """The shape that a function returns of vectors of some sizes, and of numbers by their names."""
+    arguments = [
+        jax.ShapeDtypeStruct((x,), jnp.float32)
+        if isinstance(x, int)
+        else {name: jax.ShapeDtypeStruct((), jnp.float32) for name in x}
+        for x in given
+    ]
+    return jax.eval_shape(lambda *a: jnp.asarray(function(*a)), *arguments).shape
 
 
 def tracing_remedy(error: BaseException) -> str:

@@ -6,6 +6,7 @@ searched for, `robot_equations` the forces, `robot_options` the options of `load
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +228,7 @@ class RobotFile(ChannelSource):
             tuple(k for k, name in enumerate(tree.free) if name in names)
             for names in (options.elastic, options.backlash, options.encoders)
         )
-        equations = RobotEquations(
+        equations = _make_equations(
             Chain(tuple(tree.bodies), tree.robot.gravity, armatures),
             tuple(tree.free),
             tuple(channels.drives),
@@ -263,6 +264,12 @@ class RobotFile(ChannelSource):
         if not equations.integrating:
             return system
         return replace(system, **system.inside(equations.goals, equations.with_goals))
+
+
+@lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
+def _make_equations(*parts: Any) -> RobotEquations:
+    """The equations of a robot, one object of equal parts: only then its methods are equal."""
+    return RobotEquations(*parts)
 
 
 def robot_in(model: Model | ContinuousModel) -> tuple[LagrangianModel, RobotFile] | None:
