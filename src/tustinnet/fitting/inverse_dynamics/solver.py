@@ -274,10 +274,12 @@ def solve_in_box(
     import scipy.optimize  # takes half a second, and is rarely needed
 
     scale = np.sqrt(np.diag(matrix))
-    triangle = np.linalg.cholesky(matrix / np.outer(scale, scale)).T
-    right = -np.linalg.solve(triangle.T, gradient / scale)
-    ends = lower * scale, upper * scale
-    return np.asarray(scipy.optimize.lsq_linear(triangle, right, ends, method="bvls").x) / scale
+    curvatures, directions = np.linalg.eigh(matrix / np.outer(scale, scale))
+    # rounding may turn the sign of what hardly curves
+    roots = np.sqrt(np.maximum(curvatures, np.finfo(float).eps * curvatures[-1]))
+    right = -(directions.T @ (gradient / scale)) / roots
+    rows, ends = roots[:, None] * directions.T, (lower * scale, upper * scale)
+    return np.asarray(scipy.optimize.lsq_linear(rows, right, ends, method="bvls").x) / scale
 
 
 def _pseudo_inertia(p: Float[np.ndarray, " 10"]) -> Float[np.ndarray, "4 4"]:
