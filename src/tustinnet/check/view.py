@@ -14,7 +14,7 @@ from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.signals import transients
-from tustinnet.signals.outliers import white_noise
+from tustinnet.signals.outliers import sensor_noise
 
 Block = TypeVar("Block", CoordinateCard, InputCard)
 
@@ -57,7 +57,7 @@ class RecordView:
     @cached_property
     def noise(self) -> Float[np.ndarray, " n_q"]:
         """Standard deviation of the white part of each coordinate, (n_q,) [rad or m]."""
-        return np.maximum(white_noise(self.experiment.q), np.array(self.counts) / np.sqrt(12))
+        return sensor_noise(self.experiment.q, np.array(self.counts))
 
     def wild_share(self, j: int, factor: float = 1.0) -> float:
         """Share of the periods in which an angle moves by more than a quarter turn, if many.

@@ -34,6 +34,18 @@ def white_noise(q: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
     return size * TO_DEVIATION / _THIRD_DIFFERENCE
 
 
+def sensor_noise(
+    q: Float[np.ndarray, "n c"], counts: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, " c"]:
+    """Standard deviation of the noise of sensors, (c,): at least that of rounding to counts.
+
+    Args:
+        q: their signals.
+        counts: steps in which each counts, 0 where it does not.
+    """
+    return np.maximum(white_noise(q), counts / np.sqrt(12))
+
+
 def find_jumps(
     t: Float[np.ndarray, " n"], q: Float[np.ndarray, " n"], count: float
 ) -> Int[np.ndarray, " jumps"]:

@@ -23,7 +23,7 @@ from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.closed_loop import without_controller_states
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.signals.outliers import white_noise
+from tustinnet.signals.outliers import sensor_noise
 from tustinnet.simulate.horizon import FOLLOWED
 
 _GROWTH = 1000.0  # of errors, with sensors without noise: forces that a model lacks grow, too
@@ -101,7 +101,7 @@ def _bearable_growth(e: Experiment, spread: Float[np.ndarray, " n_x"]) -> Float[
 
     An initial velocity is known as well as its position is, each in units of its spread.
     """
-    noise = np.maximum(white_noise(e.q), e.channels.resolution / np.sqrt(12))
+    noise = sensor_noise(e.q, e.channels.resolution)
     relative = spread[: len(noise)] / np.maximum(noise, np.finfo(float).tiny)
     growth = np.clip(FOLLOWED * relative, _LEAST_GROWTH, _GROWTH)
     return np.concatenate([growth, growth])
