@@ -6,6 +6,7 @@ not white.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -46,32 +47,10 @@ def choose_cutoff(
         space = make_search_space(system, {}, {}, expand_parameters(system, records))
     if vector is None:
         vector = space.to_vector(space.nominal)
-    cutoff, prior = _BANDS * _motion_band(records), Prior(space)
-    limit, looked = HIGHEST / records[0].dt, 0.0
+    cutoff, limit = _BANDS * _motion_band(records), HIGHEST / records[0].dt
+    explained = cache(lambda highest: _explained_band(system, space, vector, records, highest))
     for _ in range(_ROUNDS):
-        if (highest := min(_FURTHER * cutoff, limit)) == looked:
-            break
-        looked = highest
-        parts = tuple(filter_record(e, highest) for e in records)
-        columns = LinearForces(system, space, parts).columns(vector)
-        pieces = [
-            (own[piece], part.step * part.dt)
-            for own, part in zip(columns, parts, strict=True)
-            for piece in fold_pieces(own, len(columns))
-        ]
-        edges = np.linspace(0.0, highest, _BINS + 1)
-        power = np.zeros((2, len(system.coordinates), _BINS))
-        for half in (0, 1):
-            sums = sum_up([piece for piece, _ in pieces[1 - half :: 2]])
-            found = coordinates_of(space, solve(sums, prior, vector).vector)
-            for piece, period in pieces[half::2]:
-                missing = piece.slopes @ found + piece.rest
-                power = power + _power(np.stack([missing, piece.applied]), period, edges)
-        missing, applied = power
-        share = np.median(missing / np.maximum(applied, 1e-300), axis=0)
-        smooth = np.convolve(share, np.ones(3) / 3, mode="valid")
-        beyond = np.flatnonzero(smooth > 1 - _EXPLAINED) + 1
-        cutoff = max(float(edges[beyond[0]]) if len(beyond) else highest, cutoff / 2)
+        cutoff = max(explained(min(_FURTHER * cutoff, limit)), cutoff / 2)
     return min(cutoff, limit)
 
 
@@ -93,6 +72,44 @@ def compared_samples(seconds: float, cutoff: float) -> float:
         cutoff: frequency up to which forces are compared [Hz].
     """
     return SAMPLES * cutoff * seconds
+
+
+def _explained_band(
+    system: LagrangianSystem,
+    space: SearchSpace,
+    vector: ParameterVector,
+    records: Sequence[Experiment],
+    highest: float,
+) -> float:
+    """Frequency up to which a fit to one half of the records explains forces of the other [Hz].
+
+    Args:
+        system: the system, without a controller in the loop.
+        space: the search space.
+        vector: values about which forces are linear.
+        records: the records.
+        highest: frequency up to which it is looked for [Hz].
+    """
+    parts, prior = tuple(filter_record(e, highest) for e in records), Prior(space)
+    columns = LinearForces(system, space, parts).columns(vector)
+    pieces = [
+        (own[piece], part.step * part.dt)
+        for own, part in zip(columns, parts, strict=True)
+        for piece in fold_pieces(own, len(columns))
+    ]
+    edges = np.linspace(0.0, highest, _BINS + 1)
+    power = np.zeros((2, len(system.coordinates), _BINS))
+    for half in (0, 1):
+        sums = sum_up([piece for piece, _ in pieces[1 - half :: 2]])
+        found = coordinates_of(space, solve(sums, prior, vector).vector)
+        for piece, period in pieces[half::2]:
+            missing = piece.slopes @ found + piece.rest
+            power = power + _power(np.stack([missing, piece.applied]), period, edges)
+    missing, applied = power
+    share = np.median(missing / np.maximum(applied, 1e-300), axis=0)
+    smooth = np.convolve(share, np.ones(3) / 3, mode="valid")
+    beyond = np.flatnonzero(smooth > 1 - _EXPLAINED) + 1
+    return float(edges[beyond[0]]) if len(beyond) else highest
 
 
 def _motion_band(records: Sequence[Experiment]) -> float:
