@@ -20,7 +20,6 @@ from simulated.faults import FAULTS, LATE_FAULTS, MACHINES, Fault, simulate_logs
 import tustinnet as tn
 from tustinnet.check.check import check
 from tustinnet.check.drafting import draft_files
-from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
 from tustinnet.data.catalog import locate
 from tustinnet.data.declaration import declare, parse_toml
@@ -30,6 +29,7 @@ from tustinnet.data.loading import load_folder
 from tustinnet.data.readers import is_log
 from tustinnet.data.spoiled import find_without_model
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding
 from tustinnet.report.tables import Table
 
 _SEEDS = (1, 2, 3)  # of the clean machines; faults are planted into those of seed 0

@@ -302,7 +302,7 @@ def fit_and_score(folder: Path, budget: str, system: bool, command: str, runs: P
         "claimed": first["mean"],
         "claimed_error": first["standard_error"],
         "linear": linear.get("mean"),
-        "sentences": tuple(summary["sentences"]),
+        "sentences": tuple(f["text"] for f in summary["findings"]),
         "typical": () if claim is None else (claim["typical"], claim["low"], claim["high"]),
         "used": result["wall"]
         - tried

@@ -440,7 +440,7 @@ def payload(count: int) -> None:
         ]
         start_time = time.perf_counter()
         result = tn.identify(tn.DataSet("arm", tuple(records)), robot, "inverse-dynamics")
-        (sentence,) = [s for s in result.findings if "carries" in s]
+        (sentence,) = [f.text for f in result.findings if f.code == "carries"]
         print(f"{seed}: {sentence}; {time.perf_counter() - start_time:.0f} s", flush=True)
 
 

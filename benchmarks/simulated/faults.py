@@ -14,7 +14,7 @@ import numpy as np
 
 from simulated import machines
 from simulated.measurement import Machine, Run, measure, simulate
-from tustinnet.check.finding import Finding
+from tustinnet.finding import Finding
 
 MACHINES: dict[str, Callable[[], Machine]] = {
     "double-pendulum": machines.double_pendulum,
@@ -224,7 +224,7 @@ class Fault:
         # a fault of one record that is said of several is not located
         is_located = len(self.records) != 1 or len(f.records) == 1
         return (
-            f.check in self.checks
+            f.code in self.checks
             and f.is_serious
             and is_right_record
             and is_right_channel
@@ -563,28 +563,32 @@ FAULTS: tuple[Fault, ...] = (
         "degrees that wrap declared as radians",
         "unbalanced-disc",
         _set_card('unit = "deg"', 'unit = "rad"'),
-        ("counter", "angle unit"),
+        ("counter", "angle unit", "angle scale", "fast angle"),
         channels=("disc",),
     ),
     Fault(
         "degrees declared as radians",
         "gantry-crane",
         _set_card('unit = "deg"', 'unit = "rad"'),
-        ("angle unit",),
+        (
+            "angle unit",
+            "angle scale",
+            "fast angle",
+        ),
         channels=("load",),
     ),
     Fault(
         "radians declared as degrees",
         "unbalanced-disc",
         _scale_column(_deg, np.pi / 180),
-        ("angle unit", "counter"),
+        ("angle unit", "angle scale", "fast angle", "counter"),
         channels=("disc",),
     ),
     Fault(
         "half of the counts in a turn",
         "double-pendulum",
         _set_card("counts_per_revolution = 2400", "counts_per_revolution = 1200"),
-        ("angle unit", "counter"),
+        ("angle unit", "angle scale", "fast angle", "counter"),
         channels=("lower",),
     ),
     # sensors
@@ -772,7 +776,7 @@ FAULTS: tuple[Fault, ...] = (
         "degrees in one record",
         "reaction-wheel",
         _gain("levels2", "pendulum_counts", 180 / np.pi),
-        ("gain", "angle unit"),
+        ("gain", "angle unit", "angle scale", "fast angle"),
         ("levels2",),
         ("pendulum",),
     ),

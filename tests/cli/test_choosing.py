@@ -11,6 +11,7 @@ from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
 from tustinnet.cli.select import print_choice, read_options
+from tustinnet.finding import found
 from tustinnet.report.tables import Table
 
 PLAN = """
@@ -68,12 +69,13 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_notes_are_printed_once(monkeypatch, capsys, quiet):
-    choice: Any = SimpleNamespace(sentences=("chosen: a", "left out: b"), notes=("left out: b",))
+    left_out = found("committee failed", committee="b", why="too late")
+    choice: Any = SimpleNamespace(findings=(found("records diverge"), left_out), notes=(left_out,))
     monkeypatch.setattr(
         "tustinnet.report.selection.candidates_table", lambda choice: Table(["a"], [["1"]])
     )
     print_choice(choice, quiet=quiet)  # without `quiet` they were printed while it was made
-    assert ("* left out: b" in capsys.readouterr().out) == quiet
+    assert ("* b: left out, too late" in capsys.readouterr().out) == quiet
 
 
 @pytest.mark.parametrize(

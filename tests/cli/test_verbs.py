@@ -12,9 +12,9 @@ import pytest
 
 import tustinnet as tn
 from tustinnet.check.check import check_record
-from tustinnet.check.finding import merge_findings
 from tustinnet.cli.findings import warning_lines
 from tustinnet.cli.main import run
+from tustinnet.finding import merge_findings
 
 
 def tustinnet(capsys: pytest.CaptureFixture, *arguments: object) -> tuple[int, str, str]:

@@ -95,7 +95,7 @@ def test_leaving_out_cuts_stretches_and_drops_records_but_never_those_of_the_tes
     whole = replace(stretch, record="run4", samples=None, seconds=None)
     on_test = replace(stretch, record="last")
     named = replace(stretch, record="run0", is_left_out=False)
-    remaining, sentences = leave_out(data, [stretch, whole, on_test, named])
+    remaining, findings = leave_out(data, [stretch, whole, on_test, named])
     assert [x.name for x in remaining] == [
         "run0",
         "run1",
@@ -105,7 +105,7 @@ def test_leaving_out_cuts_stretches_and_drops_records_but_never_those_of_the_tes
         "run5",
         "last",
     ]
-    assert [s.split(":")[1].strip() for s in sentences] == ["run2, 3 to 4.48 s", "run4"]
+    assert [f.values["place"] for f in findings] == ["run2, 3 to 4.48 s", "run4"]
     np.testing.assert_array_equal(remaining["run2[225:400]"].q, e.q[225:])
 
 

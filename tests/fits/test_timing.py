@@ -56,7 +56,7 @@ def test_a_delay_that_nobody_declared_is_found_with_its_error():
     assert found.hold == "zero-order"
     assert found.delay == pytest.approx(DT, abs=0.1 * DT)
     assert timing.lags == ()
-    (sentence,) = timing.sentences
+    (sentence,) = map(str, timing.findings)
     assert sentence.startswith("input 'voltage' acts with a delay of 0.0")
     assert " s (1 periods); hold zero-order" in sentence
     assert all(e.inputs == timing.data[0].inputs for e in timing.data)
@@ -67,7 +67,7 @@ def test_an_actuator_that_lags_is_no_delay():
     assert timing.lags == ("voltage",)
     (found,) = timing.data.channels.inputs
     assert found.delay == 0.0
-    (sentence,) = timing.sentences
+    (sentence,) = map(str, timing.findings)
     assert sentence.startswith("input 'voltage' acts through a first-order lag of 0.06")
     assert sentence.endswith("without delay; the force `lag` adds it to equations of motion")
 
@@ -79,19 +79,19 @@ def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():
     data = tn.DataSet("late", tuple(replace(e, channels=channels) for e in data))
     timing = determine_timing(data)
     assert timing.data is data
-    assert timing.sentences == ()
+    assert timing.findings == ()
 
 
 def test_a_declared_delay_tells_the_hold_and_what_is_declared_stays():
     timing = determine_timing(records("first-order", DT, "unknown", DT))
     (found,) = timing.data.channels.inputs
     assert (found.hold, found.delay) == ("first-order", DT)
-    (sentence,) = timing.sentences
+    (sentence,) = map(str, timing.findings)
     assert "acts with the declared delay of 0.02 s; hold first-order" in sentence
     data = records("zero-order", 0.5 * DT, "first-order", 0.5 * DT)
     timing = determine_timing(data, SWING)
     assert timing.data.channels.inputs == data.channels.inputs
-    assert timing.sentences == ()
+    assert timing.findings == ()
 
 
 @pytest.mark.parametrize(
@@ -111,19 +111,19 @@ def test_the_card_decides_over_the_system_which_decides_over_the_records():
     declared = replace(SWING, inputs=(Input("voltage", "V", "zero-order"),))
     timing = determine_timing(records("zero-order", 0.0), declared)
     assert timing.data.channels.inputs[0].hold == "zero-order"
-    assert timing.sentences == ("input 'voltage' acts without delay",)
+    assert [*map(str, timing.findings)] == ["input 'voltage' acts without delay"]
     timing = determine_timing(records("first-order", 0.0, "first-order"), declared)
     assert timing.data.channels.inputs[0].hold == "first-order"
-    assert timing.sentences[0].startswith("hold of 'voltage': first-order as in the data card")
+    assert timing.findings[0].text.startswith("hold of 'voltage': first-order as in the data card")
 
 
 def test_where_records_say_nothing_the_usual_timing_is_taken_and_said_where_it_was_asked_for():
     quiet = determine_timing(records("zero-order", DT, samples=40))
-    assert quiet.sentences == ()
+    assert quiet.findings == ()
     assert quiet.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
     asked = determine_timing(records("zero-order", DT, "unknown", None, samples=40))
     assert asked.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
-    (sentence,) = asked.sentences
+    (sentence,) = map(str, asked.findings)
     assert "zero-order and no delay taken where they are not known" in sentence
 
 
@@ -137,7 +137,7 @@ def test_records_without_inputs_have_no_timing():
 def test_what_was_found_stands_among_the_findings_of_an_identification():
     data = records("zero-order", DT)
     result = tn.identify(data, SWING)
-    assert result.findings[0].startswith("input 'voltage' acts with a delay of 0.0")
+    assert result.findings[0].text.startswith("input 'voltage' acts with a delay of 0.0")
     assert result.model.inputs[0].delay == pytest.approx(DT, abs=0.1 * DT)
     values = {e.name: e.value for e in result.estimates}
     assert values["gravity"] == pytest.approx(TRUTH["gravity"], rel=0.01)

@@ -28,5 +28,5 @@ def test_a_busy_machine_is_named_with_the_budget_that_does_the_same(tmp_path, mo
     options = SelectionOptions(plan, budget=60.0)
     choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
     line = "other programs used 60 % of the processors: `budget=` 150s does here what 60 s do "
-    assert [note.startswith(line) for note in choice.sentences].count(True) == 1
+    assert [note.text.startswith(line) for note in choice.findings].count(True) == 1
     assert said[-1].startswith(line)

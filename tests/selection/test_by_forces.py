@@ -125,7 +125,7 @@ def test_forces_stand_beside_the_free_runs_that_decide(made):
     summary = json.loads((folder / "summary.json").read_text())
     for candidate in summary["candidates"]:
         assert 0 < candidate["unexplained"]["angle"] < 0.5
-    (sentence,) = [s for s in choice.sentences if "that it does not explain: angle" in s]
+    (sentence,) = [s.text for s in choice.findings if s.code == "forces unexplained"]
     assert sentence.startswith("forces along these records")
     assert choice.context.scoring.horizon is None
     table = candidates_table(choice)
@@ -176,8 +176,8 @@ def test_values_by_group_are_begun_with_where_the_fold_has_the_group():
 def applicable(plan: str, system: LagrangianSystem | None, data=None) -> tuple[list[str], str]:
     """Names of the candidates of a plan that can take part, and why others cannot."""
     context = RunContext(data or swings(), Scorer(3, "model-20"), system=system)
-    candidates, sentences = applicable_candidates(read_plan(plan), context, None)
-    return [c.name for c in candidates], "; ".join(sentences)
+    candidates, findings = applicable_candidates(read_plan(plan), context, None)
+    return [c.name for c in candidates], "; ".join(f.text for f in findings)
 
 
 @pytest.mark.parametrize("plan", packaged_plans())
@@ -259,7 +259,7 @@ def test_a_robot_is_judged_in_the_loop_of_its_controller(tmp_path):
         reporter=Reporter(messages.append),
     )
     assert messages[0].startswith("judged by free runs in the loop of the controller in the data")
-    assert messages[0] in choice.sentences
+    assert messages[0] in [f.text for f in choice.findings]
     assert choice.context.scoring.horizon is None
     (result,) = choice.candidates.results
     assert len(result.rmse()) == 4

@@ -94,7 +94,7 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
     assert sum(": done in " in line for line in said) == sum(
         len(r.fits) for r in there.candidates.results
     )
-    assert (there.best, there.sentences[1:]) == (here.best, here.sentences[1:])
+    assert (there.best, there.findings[1:]) == (here.best, here.findings[1:])
     for name in ("grey", "network", "hybrid"):
         assert there.result(name).fits_by_fold == here.result(name).fits_by_fold
     found, wanted = arrays_below(tmp_path / "there"), arrays_below(tmp_path / "here")

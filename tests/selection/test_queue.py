@@ -365,7 +365,7 @@ def test_whole_records_of_which_nobody_follows_enough_decide_nothing(share, by_p
     if by_pieces:  # what was solved and identified is scored again, before networks are tried
         again = [r.name for r in found.queue.remaining() if r.rmse() == {"r": 0.1}]
         assert sorted(again) == ["grey", "linear"]
-        assert f"judged over pieces of {horizon:.3g} s instead" in found.queue.notes[0]
+        assert f"judged over pieces of {horizon:.3g} s instead" in found.queue.notes[0].text
 
 
 def test_trainings_that_their_limit_stopped_go_on_in_the_time_that_is_left(left):

@@ -93,7 +93,7 @@ def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
     bands = Calibration.from_header(header, "model")
     assert sorted(bands.records) == sorted(e.name for e in swings())
     assert bands.start == made.choice.context.scoring.start
-    assert any("bands (simulate `band=`) of up to 83 %" in of for of in made.choice.sentences)
+    assert any("bands (simulate `band=`) of up to 83 %" in of.text for of in made.choice.findings)
     assert header["identification"]["estimates"]  # without its errors it had no alternatives
 
 
@@ -227,7 +227,7 @@ def test_summary_and_header_say_what_was_found(made):
 
 
 def test_plain_words_say_how_good_it_is_and_why_this_one(made):
-    told = made.choice.sentences
+    told = [f.text for f in made.choice.findings]
     assert told[0].startswith(f"chosen: {made.choice.best}, ")
     assert "free runs of 5 records that its models were not fitted to: " in told[1]
     assert "% of the error of standing still (" in told[1]
@@ -249,15 +249,14 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     ]
     candidates = replace(choice.candidates, results=tuple(fewer))
     cut = replace(choice, candidates=candidates, best=name)
-    assert "free runs of 2 of the 5 records that its models" in cut.sentences[1]
-    close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.sentences for level in (9.0, 0.0)]
+    assert "free runs of 2 records (of 5) that its models" in cut.findings[1].text
+    close = [monkeypatch.setattr(chosen, "_POOR", level) or cut.findings for level in (9.0, 0.0)]
     assert len(close[1]) == len(close[0]) + 1
-    assert "no candidate follows these records closely" in "\n".join(close[1])
+    assert "no candidate follows these records closely" in "\n".join(map(str, close[1]))
     small = replace(choice.reference.scores[0], rmse=1e-6)
     lost = replace(choice, reference=replace(choice.reference, scores=(small,)))
-    assert "nothing follows these records better than standing still: look" in "\n".join(
-        lost.sentences
-    )
+    (short,) = [f.text for f in lost.findings if f.code == "nothing follows"]
+    assert short.startswith("nothing follows these records better than standing still; look at ")
 
 
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
@@ -275,26 +274,23 @@ def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
 
 def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little(made):
     even, uneven = (with_errors(made.choice, *e) for e in ((0.1, 0.1, 0.2), (0.01, 0.01, 0.01, 9)))
-    assert "typically 0.13 rad, " in even.sentences[3]
-    assert not any("pessimistic" in line for line in even.sentences)
-    assert "pessimistic for most records, as few of them make it: r3;" in uneven.sentences[4]
-    assert "192 % of the error of standing still (1.18 rad); worst r3" in uneven.sentences[1]
-    two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").sentences[4]
+    assert "typically 0.13 rad, " in even.findings[3].text
+    assert not any("pessimistic" in line.text for line in even.findings)
+    assert "pessimistic for most records, as few of them make it: r3;" in uneven.findings[4].text
+    assert "192 % of the error of standing still (1.18 rad); worst r3" in uneven.findings[1].text
+    two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").findings[4].text
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9
     assert with_errors(made.choice, 0.1, 0.2).claim is None
-    cut = replace(even, is_cut=True).sentences
-    assert sum(line.startswith("optimistic: pieces of one record") for line in cut) == 1
+    cut = replace(even, is_cut=True).findings
+    assert [f.code for f in cut].count("pieces are alike") == 1
 
 
 def test_a_candidate_is_not_compared_with_the_average_of_its_own_seeds(made):
     choice = replace(made.choice, best="hybrid, seeds averaged")
     assert choice.candidates.are_alike("hybrid", choice.best)
-    [line] = [
-        line for line in choice.sentences if " the next, " in line or " is better by " in line
-    ]
-    assert "the next, hybrid:" not in line
-    assert not line.startswith("hybrid is better")
+    [compared] = [f for f in choice.findings if f.code.endswith((" better", " better few"))]
+    assert compared.values["other"] != "hybrid"
 
 
 def test_the_time_of_a_selection_is_that_of_its_parts(made):
@@ -376,7 +372,7 @@ def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_
     choice, _ = selected(tmp_path)
     horizon = choice.context.scoring.horizon
     assert horizon == pytest.approx(0.1 * 200 * 0.02, abs=0.25)
-    assert f"judged over pieces of {horizon:.3g} s instead" in choice.sentences[-1]
+    assert f"judged over pieces of {horizon:.3g} s instead" in choice.findings[-1].text
     assert len(fitted) == len(set(fitted)) == 3
     assert np.isfinite(list(choice.result("network").rmse().values())).all()
 
@@ -517,7 +513,7 @@ def test_an_interruption_ends_with_the_best_so_far_and_a_resumed_run_goes_on(tmp
     assert choice.best == "grey"
     assert choice.origins["grey"].startswith("the ")
     assert "interrupted: ends with the best so far, grey; once more: at once" in said
-    assert choice.sentences[-1].startswith("interrupted: the best so far was taken")
+    assert choice.findings[-1].text.startswith("interrupted: the best so far was taken")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["best"] == "grey"
     model = tn.load_model(tmp_path / "run" / "model.safetensors", SWING)
     assert tn.evaluate(model, [swings()[0]], "model-10")[0].rmse < 0.1
@@ -559,7 +555,7 @@ def test_an_interruption_of_what_comes_after_the_candidates_ends_with_the_best(
     monkeypatch.setattr("tustinnet.selection.select.score_committees", committees)
     choice, _ = selected(tmp_path)
     assert choice.best == "network"
-    assert choice.sentences[-1].startswith("interrupted: ")
+    assert choice.findings[-1].text.startswith("interrupted: ")
 
 
 def outcomes(choice: Choice) -> list[tuple[str, str]]:
@@ -579,7 +575,7 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
         stopped, _ = selected(tmp_path)
     assert outcomes(stopped) == [("out of time", "out of time")] * 3
     assert np.isfinite(list(stopped.result("network").rmse().values())).all()
-    assert any("3 of its 3 trainings were stopped by the budget" in s for s in stopped.sentences)
+    assert any("trainings stopped by the budget: 3 of 3" in s.text for s in stopped.findings)
     header = read_header(stopped.context.folder / stopped.result("network").fits[0].model)
     assert header["training"]["outcome"] == "out of time"
     resumed, _ = selected(tmp_path, "resume")
@@ -645,11 +641,11 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
     assert (
         "grey, fold 0: its share of the budget was spent: its last finished stage is scored" in said
     )
-    assert any("3 of its 3 identifications were stopped" in s for s in stopped.sentences)
+    assert any("identifications stopped by the budget: 3 of 3" in s.text for s in stopped.findings)
     resumed, ended = select("resume")
     assert [e for e, _ in ended] == ["done"] * 3
     assert all(outcome.startswith("converged") for _, outcome in ended)
-    assert not any("stopped by the budget" in s for s in resumed.sentences)
+    assert not any("stopped by the budget" in s.text for s in resumed.findings)
 
 
 def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones(
@@ -676,7 +672,7 @@ def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has
     text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
     options = SelectionOptions(plan_in(tmp_path, text), budget=20.0)
     choice = select_model(swings(), tmp_path / "run", options)
-    assert any("stopped by the budget: " in line for line in choice.sentences)
+    assert any("stopped by the budget: " in line.text for line in choice.findings)
 
 
 def test_one_record_is_cut_and_told(tmp_path):
@@ -697,7 +693,7 @@ def test_one_record_is_cut_and_told(tmp_path):
         ),
     )
     choice, _ = selected(tmp_path, data=long)
-    assert "cut into 6 pieces in time" in choice.sentences[-1]
+    assert "cut into 6 pieces in time" in choice.findings[-1].text
     assert len(choice.result("network").rmse()) == 6
 
 
@@ -725,7 +721,7 @@ def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
     assert said[0] == "left out, requires a system (`system=`): grey, hybrid"
     assert choice.best == "network"
-    assert choice.sentences[-1] == said[0]
+    assert choice.findings[-1].text == said[0]
 
 
 MECHANISM = """

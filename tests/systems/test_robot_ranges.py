@@ -174,12 +174,12 @@ def test_a_bound_says_where_it_is_from_and_how_to_move_it(wrist: Path) -> None:
         Estimate("hand.mass[1kg]", "kg", 0.14, None, None, None, 0.14, 3.5, "lower"),
         Estimate("turn.coulomb", "N m", 0.0, None, None, None, 0.0, 1.0, "lower"),
     ]
-    first, second, third, advice = describe_bounds(estimates, None, system)
+    first, second, third, advice = map(str, describe_bounds(estimates, None, system))
     assert "range: 10 times the inertia that it moves by the file" in first
     assert "range: 1/5 to 5 times the value in the file" in second
     assert "nothing of the machine as long as the model does not follow" in third
     assert "`changes=` 'model.forces=[\"constant\"]'" in third
-    followed = describe_bounds(estimates, 1.0, system)
+    followed = [f.text for f in describe_bounds(estimates, 1.0, system)]
     assert "'turn.coulomb' is 0, its lower bound: the records show nothing of it" in followed
     assert "tn.load_robot('wrist.urdf', per={'hand': 'payload'}, ranges={'turn.viscous'" in advice
     assert "'hand.mass': (0.014, 3.5)" in advice

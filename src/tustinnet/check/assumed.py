@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tustinnet.check.card_lines import coordinate_line, input_line, time_line, top_line
-from tustinnet.check.finding import Finding
 from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card, TimeCard
 from tustinnet.data.declaration import Declaration
+from tustinnet.finding import Finding
 
 ASSUMED = "assumed"  # name of the check
 _WORDS = {"counts_per_revolution": "counts in a turn", "dt": "sampling period [s]"}
@@ -26,14 +26,14 @@ def assumed_keys(views: Sequence[RecordView], card: Card) -> Iterator[Finding]:
         size = f"the records then last {seconds:.4g} s together"
         yield _finding("", card.time, card.time.assumed, size, time_line(_DELETE))
     for label, join in card.join.items():
-        remedy = f"under [join.{label}]: {_DELETE}"
+        mend = f"under [join.{label}]: {_DELETE}"
         if "unit" in join.assumed:
             size = f"the times of its files are in {join.unit}"
-            yield _finding(label, join, ("unit",), size, remedy)
+            yield _finding(label, join, ("unit",), size, mend)
         if "starts_together" in join.assumed:
-            what = f"the files of {label} were assumed to begin together with those of the records"
-            size = "their clocks have nothing in common"
-            yield Finding(ASSUMED, "note", what, size, remedy, (), label, str(join.column))
+            yield Finding(
+                "assumed together", {}, "note", mend, channel=label, column=str(join.column)
+            )
     for j, c in enumerate(card.coordinates):
         if c.assumed:
             size = _range_text([v.experiment.q[:, j] for v in views], first.coordinates[j].unit)
@@ -45,18 +45,19 @@ def assumed_keys(views: Sequence[RecordView], card: Card) -> Iterator[Finding]:
 
 
 def _finding(
-    channel: str, block: Declaration, keys: Sequence[str], size: str, remedy: str
+    channel: str, block: Declaration, keys: Sequence[str], size: str, mend: str
 ) -> Finding:
     """The finding about the assumed keys of one table of the card."""
-    words = " and ".join(_WORDS.get(key, key) for key in keys)
     entries = [getattr(block, key) for key in keys]
-    values = " and ".join(e if isinstance(e, str) else f"{e:.6g}" for e in entries)
-    verb = "was" if len(keys) == 1 and "counts_per_revolution" not in keys else "were"
-    owner = f" of {channel}" if channel else " of the times" if isinstance(block, TimeCard) else ""
-    what = f"the {words}{owner} {verb} assumed to be {values}"
-    return Finding(
-        ASSUMED, "note", what, size, remedy, (), channel, str(getattr(block, "column", ""))
-    )
+    values = {
+        "keys": [_WORDS.get(key, key) for key in keys],
+        "owner": channel or ("the times" if isinstance(block, TimeCard) else ""),
+        "verb": "was" if len(keys) == 1 and "counts_per_revolution" not in keys else "were",
+        "values": [e if isinstance(e, str) else f"{e:.6g}" for e in entries],
+        "evidence": size,
+    }
+    column = str(getattr(block, "column", ""))
+    return Finding(ASSUMED, values, "note", mend, channel=channel, column=column)
 
 
 def _range_text(columns: Sequence[np.ndarray], unit: str) -> str:

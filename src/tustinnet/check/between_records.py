@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +23,6 @@ from tustinnet.check.card_lines import (
     top_line,
     without_record,
 )
-from tustinnet.check.finding import Finding
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.motion_model import (
     Equations,
@@ -36,6 +36,7 @@ from tustinnet.check.motion_model import (
 )
 from tustinnet.check.view import RecordView
 from tustinnet.data.spoiled import card_entry
+from tustinnet.finding import Finding
 
 _OFFSETS = np.array([-1, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])  # of the range
 _LAGS = np.array([-8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 16.0])  # samples
@@ -280,40 +281,35 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
     name = names[0] if names else ""
     channel = next((c for c in (*e.coordinates, *e.inputs) if c.name == name), None)
     is_input = channel in e.inputs
-    factor, dt = float(np.exp(size)), e.dt
-    what = f"{' and '.join(names)} "
+    factor, dt, values = float(np.exp(size)), e.dt, dict[str, Any]()
     if check == "sign":
-        what, evidence, key = what + "has the opposite sign", "", "sign = -1"
+        key = "sign = -1"
     elif check == "swap":
-        what, evidence = what + "are swapped", ""
         key = f"exchange `column` with that of {names[1]}"
+        values.update(channels=names)
     elif check == "gain":
-        what, evidence = what + "has another gain", f"{1 / factor:.4g} times that in the others; "
+        values.update(gain=1 / factor)
         key = f"scale = {factor:.4g}" if is_input else _gain_key(view, name, factor)
     elif check == "offset" and channel is not None:
-        what, evidence = what + "has another zero", f"{-size:+.3g} {channel.unit}; "
+        values.update(offset=-size, unit=channel.unit)
         block = view.coordinate_card(name)
         scale = block.factor() * block.sign if block else 1.0
         key = f"offset = {(block.offset if block else 0.0) - size / scale:.4g}"
     elif check == "lag":
         # what must be delayed to fit came too early
-        what += f"comes {'early' if size > 0 else 'late'}"
-        evidence = f"by {1e3 * abs(size) * dt:.3g} ms, {abs(size):.1f} samples; "
+        values.update(direction="early" if size > 0 else "late")
+        values.update(milliseconds=1e3 * abs(size) * dt, samples=abs(size))
         key = f"delay = {size * dt:.3g}" if is_input else ""
     else:
-        what = "the record is of another sampling period, or of a machine that is as much slower,"
-        evidence = f"{1e3 * factor * dt:.4g} ms against {1e3 * dt:.4g} ms; "
+        values.update(milliseconds=1e3 * factor * dt, declared=1e3 * dt)
         key = f"dt = {factor * dt:.4g}"
-    drop = verdict.after / verdict.before
     line = (input_line if is_input else coordinate_line)(name, key) if name else top_line(key)
-    # a size may stand for a change of the machine; a sign and a swap cannot
     return view.finding(
         check,
-        "warning" if verdict.suspicion.has_number else "severe",
-        f"{what} in this record" if name else what.rstrip(","),
-        f"{evidence}the model of the others leaves {drop:.2g} of its residual then",
         f"in a card of its own, {line}" if key else without_record(e),
         name,
+        left=verdict.after / verdict.before,
+        **values,
     )
 
 
@@ -345,9 +341,7 @@ def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -
                 e = view.experiment
                 yield view.finding(
                     "other machine",
-                    "warning",
-                    "the record is of another machine, payload or friction",
-                    f"the model of the others leaves {cost[r] / usual:.3g} times the usual "
-                    f"residual, one of its own {own / usual:.3g} times",
                     file_line(e, card_entry(e, 0, len(e), {"machine": "other"})),
+                    of_others=cost[r] / usual,
+                    of_own=own / usual,
                 )

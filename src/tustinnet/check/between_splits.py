@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.check.card_lines import file_line, without_record
-from tustinnet.check.finding import Finding, Severity
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import card_entry
+from tustinnet.finding import Finding
 from tustinnet.signals.stretches import stretch_keys
+from tustinnet.words.sentence import Severity
 
 
 def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -39,9 +40,8 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
             is_inside = stop >= last and first >= start
             yield Finding(
                 "overlap",
+                {"rows": shared, "file": file, "begin": begin},
                 _severity(a, b),
-                "two records share rows of a file",
-                f'{shared} rows of "{file}" from row {begin} on',
                 without_record(b) if is_inside else file_line(b, card_entry(b, *kept)),
                 (a.name, b.name),
                 time=float((begin - start) * a.dt),
@@ -64,13 +64,17 @@ def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
         if changes < max(LEVELS.fewest_shared, LEVELS.least_shared * shorter):
             continue
         found.add((i, j))
-        shift = (other_start - start) * a.dt
-        shifted = f", {shift:+.3g} s later" if shift else ""
+        is_whole = length > 0.98 * shorter
         yield Finding(
             "copy",
+            {
+                "is_whole": is_whole,
+                "is_part": not is_whole,
+                "samples": length,
+                "total": shorter,
+                "later": (other_start - start) * a.dt or None,
+            },
             _severity(a, b),
-            "two records are equal" if length > 0.98 * shorter else "two records share samples",
-            f"{length} of {shorter} samples are the same{shifted}",
             without_record(b),
             (a.name, b.name),
             time=float(a.t[start] - a.t[0]),
@@ -78,11 +82,9 @@ def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
     for i, j, difference, share, lag in _alike(records, found):
         a, b = records[i], records[j]
         yield Finding(
-            "copy",
+            "near copy",
+            {"difference": difference, "share": share, "apart": lag * a.dt},
             _severity(a, b),
-            "two records are nearly equal",
-            f"they differ by {difference:.2%} of their deviation over {share:.0%} of the shorter "
-            f"one, {lag * a.dt:+.3g} s apart",
             without_record(b),
             (a.name, b.name),
         )

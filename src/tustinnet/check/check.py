@@ -7,14 +7,14 @@ import numpy as np
 from tustinnet.check import between_splits, excitation, in_record
 from tustinnet.check.assumed import assumed_keys
 from tustinnet.check.between_records import compare_records
-from tustinnet.check.finding import Finding, merge_findings, sort_findings
 from tustinnet.check.scale_of_angles import scale_of_angles
 from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
 from tustinnet.data.experiment import Experiment
+from tustinnet.finding import Finding, merge_findings, sort_findings
 
 # findings in a record that explain all that records show against one another
-_EXPLAINS = {"angle unit", "counter", "dead sensor"}
+_EXPLAINS = {"fast angle", "counter", "dead sensor"}
 
 
 def check(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
@@ -64,13 +64,13 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
         yield from look(views)
     excited = [f for look in excitation.CHECKS for f in look(views)]
     yield from excited
-    broken = {(f.channel, name) for f in alone if f.check in _EXPLAINS for name in f.records}
+    broken = {(f.channel, name) for f in alone if f.code in _EXPLAINS for name in f.records}
     sound = [v for v in views if not any(name == v.experiment.name for _, name in broken)]
     if len(sound) < max(1, len(views) / 2):
         return
     scales = list(scale_of_angles(sound))
     yield from scales
     # without its input, or in another unit, nothing can be asked of the motion
-    if scales or any(f.check == "still input" for f in excited):
+    if scales or any(f.code == "still input" for f in excited):
         return
     yield from compare_records(sound)

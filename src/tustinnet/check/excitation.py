@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from tustinnet.check.card_lines import WHICH_COLUMN, coordinate_line, input_line
-from tustinnet.check.finding import Finding
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
-from tustinnet.wording import counted
+from tustinnet.finding import Finding
 
 
 def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -19,11 +18,11 @@ def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
         if not np.ptp(values):
             finding = views[0].finding(
                 "still input",
-                "warning",
-                f"{i.name} moves in no record",
-                f"{values[0]:.4g} {i.unit} in all {counted(len(values), 'sample')}",
                 input_line(i.name, WHICH_COLUMN),
                 i.name,
+                value=values[0],
+                unit=i.unit,
+                samples=len(values),
             )
             yield replace(finding, records=())
 
@@ -44,11 +43,12 @@ def same_sensors(views: Sequence[RecordView]) -> Iterator[Finding]:
             if error <= max(LEVELS.same_sensor * count, 1e-9 * float(y.std())):
                 finding = views[0].finding(
                     "same sensor",
-                    "warning",
-                    f"{other.name} and {c.name} are one signal",
-                    f"{c.name} is {gain:.4g} times the other within {error:.2g} {c.unit}",
                     coordinate_line(c.name, WHICH_COLUMN),
                     c.name,
+                    other=other.name,
+                    gain=gain,
+                    error=error,
+                    unit=c.unit,
                 )
                 yield replace(finding, records=())
 

@@ -17,14 +17,14 @@ from tustinnet.check.card_lines import (
     time_line,
     top_line,
 )
-from tustinnet.check.finding import SEVERITIES, Finding, Severity
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
 from tustinnet.data.units import velocity_factor
+from tustinnet.finding import Finding, found
 from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
-from tustinnet.wording import counted
+from tustinnet.words.sentence import SEVERITIES, Severity
 
 _BITS = range(8, 33)  # of counters
 _UNUSED = "measured = false"
@@ -49,10 +49,11 @@ def period(view: RecordView) -> Iterator[Finding]:
         return
     yield view.finding(
         "period",
-        "severe" if abs(deviation) > LEVELS.far_period else "warning",
-        "the log has another sampling period than the card",
-        f"{1e3 * mean:.5g} ms against dt = {1e3 * e.dt:.5g} ms: {deviation:+.1%}",
         top_line(f"dt = {mean:.6g}"),
+        severity="severe" if abs(deviation) > LEVELS.far_period else "warning",
+        milliseconds=1e3 * mean,
+        declared=1e3 * e.dt,
+        deviation=deviation,
     )
 
 
@@ -72,10 +73,11 @@ def time_unit(view: RecordView) -> Iterator[Finding]:
         return
     yield view.finding(
         "time unit",
-        "warning",
-        f"the timestamps look like {unit}, not {card.time.unit}",
-        f"they are {step:.4g} apart, which makes a period of {median:.3g} s",
         time_line(f'unit = "{unit}"'),
+        unit=unit,
+        declared=card.time.unit,
+        step=step,
+        period=median,
     )
 
 
@@ -91,15 +93,14 @@ def gaps(view: RecordView) -> Iterator[Finding]:
         (int(np.searchsorted(e.t, a + half)), int(np.searchsorted(e.t, b - half)))
         for a, b in recording.gaps
     ]
-    count = f"{len(lengths)} gaps, the longest" if len(lengths) > 1 else "a gap"
-    treatment = "filled by interpolation" if e.recording is not None else "left as it is"
     yield view.finding(
         "gap",
-        "warning",
-        "samples are missing",
-        f"{count} of {1e3 * (stop - start):.4g} ms, {lengths[worst] - 1:.0f} samples, {treatment}",
         file_parts(e, cuts),
         time=start - float(e.t[0]),
+        count=len(lengths),
+        milliseconds=1e3 * (stop - start),
+        samples=lengths[worst] - 1,
+        treatment="filled by interpolation" if e.recording is not None else "left as they are",
     )
 
 
@@ -116,12 +117,11 @@ def sampling(view: RecordView) -> Iterator[Finding]:
         if scales.period < LEVELS.few_samples and not is_noise:
             yield view.finding(
                 "sampling",
-                "warning" if scales.period < LEVELS.fewer_samples else "note",
-                f"{c.name} is sampled slowly for its motion",
-                f"{scales.period:.1f} samples in a period of {1e3 * scales.period * e.dt:.3g} ms, "
-                f"10 or more are usual",
                 "record with a shorter period; no line of the card mends it",
                 c.name,
+                severity="warning" if scales.period < LEVELS.fewer_samples else "note",
+                samples=scales.period,
+                milliseconds=1e3 * scales.period * e.dt,
             )
 
 
@@ -136,11 +136,12 @@ def dead_sensor(view: RecordView) -> Iterator[Finding]:
         if flickers or not view.moving[j]:
             yield view.finding(
                 "dead sensor",
-                "warning",
-                f"{c.name} never changes" + " by more than one count" * flickers,
-                f"{e.q[0, j]:.4g} {c.unit} in all {counted(len(e), 'sample')}",
                 coordinate_line(c.name, WHICH_COLUMN),
                 c.name,
+                flickers=flickers,
+                value=e.q[0, j],
+                unit=c.unit,
+                samples=len(e),
             )
 
 
@@ -159,12 +160,7 @@ def wild_angle(view: RecordView) -> Iterator[Finding]:
     for j, c in enumerate(view.experiment.coordinates):
         if share := view.wild_share(j):
             yield view.finding(
-                "angle unit",
-                "warning",
-                f"{c.name} moves more than a quarter turn in {share:.0%} of the periods",
-                "another unit, or sampled too slowly?",
-                coordinate_line(c.name, "correct `unit`"),
-                c.name,
+                "fast angle", coordinate_line(c.name, "correct `unit`"), c.name, share=share
             )
 
 
@@ -180,29 +176,30 @@ def jumps(view: RecordView) -> Iterator[Finding]:
             continue
         sizes = _jump_sizes(e.q[:, j], rows)
         worst = float(np.abs(sizes).max())
-        check, severity, meaning = "jump", "warning", _meaning_of_jumps(view, j, sizes)
-        if meaning is None:
-            cause = "bad rows, lost counts, runs in a row?"
-            remedy = file_parts(e, [(int(k), int(k)) for k in rows])
-        else:
-            cause, remedy = meaning
-            check, severity = "counter", "severe" if len(rows) >= LEVELS.often else "warning"
-        in_counts = f", {worst / view.counts[j]:.0f} counts" if view.counts[j] else ""
+        cause, mend = _meaning_of_jumps(view, j, sizes) or (
+            None,
+            file_parts(e, [(int(k), int(k)) for k in rows]),
+        )
+        is_sure = cause is not None and len(rows) >= LEVELS.often
         yield view.finding(
-            check,
-            severity,
-            f"{c.name} jumps at sample {_list_rows(rows)}: {cause}",
-            f"{counted(len(rows), 'jump')} of up to {worst:.5g} {c.unit}{in_counts}",
-            remedy,
+            "jump" if cause is None else "counter",
+            mend,
             c.name,
             view.seconds(int(rows[0])),
+            severity="severe" if is_sure else "warning",
+            rows=rows.tolist(),
+            cause=cause,
+            count=len(rows),
+            largest=worst,
+            unit=c.unit,
+            counts=worst / view.counts[j] if view.counts[j] else None,
         )
 
 
 def _meaning_of_jumps(
     view: RecordView, j: int, sizes: Float[np.ndarray, " jumps"]
-) -> tuple[str, str] | None:
-    """Cause and remedy of jumps of a size that counters and units have, None of others."""
+) -> tuple[Finding, str] | None:
+    """Cause of jumps of a size that counters and units have, and the line; None of others."""
     c, count = view.experiment.coordinates[j], view.counts[j]
     block = view.coordinate_card(c.name)
     size = np.abs(sizes)
@@ -215,15 +212,15 @@ def _meaning_of_jumps(
     turn = 2 * np.pi
     if c.kind == "angular":
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
-            return "an encoder that wraps", coordinate_line(c.name, "unwrap = true")
+            return found("encoder wraps"), coordinate_line(c.name, "unwrap = true")
         if (other := _turn_of_other(view, j, typical)) is not None:
-            remedy = coordinate_line(c.name, f"exchange `column` with that of {other}")
-            return f"the turn of {other}, swapped?", remedy
+            mend = coordinate_line(c.name, f"exchange `column` with that of {other}")
+            return found("turn of another", other=other), mend
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < LEVELS.same_wrap:
-            return "an angle in degrees that wraps", coordinate_line(c.name, 'unit = "deg"')
+            return found("degrees wrap"), coordinate_line(c.name, 'unit = "deg"')
         if abs(typical / np.deg2rad(turn) - 1) < LEVELS.same_wrap:
-            return "an angle in radians that wraps", coordinate_line(c.name, 'unit = "rad"')
+            return found("radians wrap"), coordinate_line(c.name, 'unit = "rad"')
     if not count:
         return None
     for bits in _BITS:
@@ -233,8 +230,8 @@ def _meaning_of_jumps(
         if jump > 3 * LEVELS.counts * count and abs(typical - jump) < max(
             3 * count, LEVELS.same_jump * jump
         ):
-            remedy = "no line of the card: add the overflows to the column in the file"
-            return f"a counter of {bits} bits that overflows", remedy
+            mend = "no line of the card: add the overflows to the column in the file"
+            return found("counter overflows", bits=bits), mend
     return None
 
 
@@ -317,22 +314,23 @@ def standstills(view: RecordView) -> Iterator[Finding]:
     e = view.experiment
     for j, c in enumerate(e.coordinates):
         frozen, clipped = _standstills(view, j)
-        found = []
+        kinds = []
         if frozen:
-            what = f"{c.name} repeats a value while it moves"
-            found.append(("frozen sensor", what, file_parts(e, frozen), frozen))
+            kinds.append(("frozen sensor", file_parts(e, frozen), frozen))
         if len(clipped) > 1:
-            what = f"{c.name} stays at an end of its range, reached and left at speed"
-            remedy = "no line of the card: the end of the sensor, or a stop of the mechanism?"
-            found.append(("clipped sensor", what, remedy, clipped))
-        for check, what, remedy, runs in found:
+            mend = "no line of the card: the end of the sensor, or a stop of the mechanism?"
+            kinds.append(("clipped sensor", mend, clipped))
+        for code, mend, runs in kinds:
             samples = [stop - first for first, stop in runs]
-            size = (
-                f"{counted(len(runs), 'time')}, {counted(sum(samples), 'sample')}, "
-                f"{1e3 * max(samples) * e.dt:.4g} ms at a stretch"
+            yield view.finding(
+                code,
+                mend,
+                c.name,
+                view.seconds(runs[0][0]),
+                count=len(runs),
+                samples=sum(samples),
+                milliseconds=1e3 * max(samples) * e.dt,
             )
-            start = view.seconds(runs[0][0])
-            yield view.finding(check, "warning", what, size, remedy, c.name, start)
 
 
 def encoder(view: RecordView) -> Iterator[Finding]:
@@ -348,11 +346,12 @@ def encoder(view: RecordView) -> Iterator[Finding]:
             key = f"counts_per_revolution = {2 * np.pi / count:.6g}"
         yield view.finding(
             "encoder count",
-            "warning",
-            f"{c.name}: encoder count {count:.5g} {c.unit} found",
-            f"{c.resolution:.5g} {c.unit} declared, {count / c.resolution:.4g} times",
             coordinate_line(c.name, key),
             c.name,
+            count=count,
+            declared=c.resolution,
+            ratio=count / c.resolution,
+            unit=c.unit,
         )
 
 
@@ -367,11 +366,11 @@ def padded_velocities(view: RecordView) -> Iterator[Finding]:
         is_used = e.v_measured
         yield view.finding(
             "padded velocity",
-            "warning" if is_used else "note",
-            "velocity columns are padded with zero rows",
-            f"{lead} at the beginning, {trail} at the end, in which the positions move"
-            + ", so that all velocities are taken from the positions" * is_used,
             "velocity = { ..., measured = false }" if is_used else "none is needed",
+            severity="warning" if is_used else "note",
+            first=lead,
+            last=trail,
+            is_used=is_used,
         )
 
 
@@ -391,8 +390,8 @@ def velocities(view: RecordView) -> Iterator[Finding]:
             yield _velocity_finding(
                 view,
                 j,
-                f"has outliers at sample {_list_rows(rows + lead)}, unlike",
-                f"by up to {np.abs(v[rows, j] - usual).max():.3g}",
+                found("has outliers", rows=(rows + lead).tolist()),
+                found("by up to", largest=np.abs(v[rows, j] - usual).max()),
                 _UNUSED,
                 "warning",
             )
@@ -414,30 +413,27 @@ def _compare_velocity(
     best = int(np.argmax(others))
     # noise of one of both alone may change the gain by as much as the correlation
     deviation = abs(gain - 1) - (1 - correlation)
-    size = f"{gain:.4g} times the slope, r = {correlation:.3f}"
-    key = _UNUSED
+    how = found("times the slope", gain=gain, correlation=correlation)
+    key, relation, severity = _UNUSED, None, "severe"
     if best != j and others[best] > max(LEVELS.high_correlation, abs(correlation) + 0.1):
-        relation = f"is that of {e.coordinates[best].name}, not"
-        size = f"r = {correlation:.2f}, with that {others[best]:.3f}"
-        severity = "severe"
+        relation = found("is that of another", other=e.coordinates[best].name)
+        how = found("correlates with another", correlation=correlation, other=others[best])
     elif correlation < -LEVELS.high_correlation:
-        relation, severity = "has the opposite sign of", "severe"
+        relation = found("has the opposite sign")
     elif correlation < LEVELS.low_correlation:
-        relation, severity = "disagrees with", "warning"
+        relation, severity = found("disagrees"), "warning"
     elif correlation > LEVELS.high_correlation and deviation > LEVELS.gain_of_velocity:
-        relation, key = "has another scale than", _velocity_unit(view, j, gain)
+        key = _velocity_unit(view, j, gain)
         severity = "severe" if deviation > LEVELS.other_gain else "warning"
-        if key == _UNUSED and not e.v_measured:
-            relation = ""  # whatever its scale is, nothing is to be done
-    else:
-        relation, severity = "", "note"
-    if relation:
-        yield _velocity_finding(view, j, relation, size, key, severity)
+        if key != _UNUSED or e.v_measured:  # else nothing is to be done, whatever its scale is
+            relation = found("has another scale")
+    if relation is not None:
+        yield _velocity_finding(view, j, relation, how, key, severity)
     if correlation > LEVELS.high_correlation and lag > LEVELS.lag_of_velocity:
         period = timescales([e.q[:, j]]).period
         if lag > LEVELS.lag_share * min(period, 400.0):
-            size = f"{1e3 * lag * e.dt:.3g} ms, {lag:.1f} samples"
-            yield _velocity_finding(view, j, "lags behind", size, _UNUSED, "warning")
+            how = found("milliseconds", milliseconds=1e3 * lag * e.dt, samples=lag)
+            yield _velocity_finding(view, j, found("lags"), how, _UNUSED, "warning")
 
 
 def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
@@ -473,7 +469,7 @@ def _best_lag(x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"]) -> tuple[f
 
 
 def _velocity_finding(
-    view: RecordView, j: int, relation: str, size: str, key: str, severity: Severity
+    view: RecordView, j: int, relation: Finding, how: Finding, key: str, severity: Severity
 ) -> Finding:
     """A finding about a velocity column, a degree milder where no fit uses it."""
     c = view.experiment.coordinates[j]
@@ -481,12 +477,12 @@ def _velocity_finding(
         severity = SEVERITIES[SEVERITIES.index(severity) + 1]
     return view.finding(
         "velocity",
-        severity,
-        f"{c.name}: the velocity column {relation} the change of the positions",
-        size,
         coordinate_line(c.name, f"velocity = {{ {key} }}"),
         c.name,
+        severity=severity,
         is_velocity=True,
+        relation=relation,
+        how=how,
     )
 
 
@@ -498,20 +494,17 @@ def input_spikes(view: RecordView) -> Iterator[Finding]:
     e = view.experiment
     for i, u in zip(e.inputs, e.u.T, strict=True):
         if len(rows := outliers.find_spikes(u)):
-            size = float(np.abs(u[rows] - np.median(u)).max())
+            size = np.abs(u - np.median(u))
             yield view.finding(
                 "spike",
-                "warning",
-                f"{i.name} has spikes at sample {_list_rows(rows)}",
-                f"by {size:.3g} {i.unit}, others stay within {_usual_size(u, rows):.3g}: bad rows?",
                 file_parts(e, [(int(k), int(k) + 1) for k in rows]),
                 i.name,
                 view.seconds(int(rows[0])),
+                rows=rows.tolist(),
+                largest=size[rows].max(),
+                usual=np.delete(size, rows).max(),
+                unit=i.unit,
             )
-
-
-def _usual_size(u: np.ndarray, rows: np.ndarray) -> float:
-    return float(np.abs(np.delete(u, rows) - np.median(u)).max())
 
 
 def limits(view: RecordView) -> Iterator[Finding]:
@@ -528,18 +521,14 @@ def limits(view: RecordView) -> Iterator[Finding]:
             wide = f"limits = [{min(low, u.min()):.4g}, {max(high, u.max()):.4g}]"
             yield view.finding(
                 "limits",
-                "warning",
-                f"{i.name} goes beyond its limits: the actuator gave less than the log says",
-                f"by {reach:.3g} {i.unit} in {counted(beyond.sum(), 'sample')}, "
-                f"{beyond.mean():.1%}",
                 input_line(i.name, wide),
                 i.name,
                 view.seconds(int(np.argmax(beyond))),
+                beyond=reach,
+                unit=i.unit,
+                samples=int(beyond.sum()),
+                share=beyond.mean(),
             )
-
-
-def _list_rows(rows: Int[np.ndarray, " r"]) -> str:
-    return ", ".join(str(int(r)) for r in rows[:5]) + (" ..." if len(rows) > 5 else "")
 
 
 CHECKS: tuple[Callable[[RecordView], Iterator[Finding]], ...] = (

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 
 from tustinnet.channels import Hold
 from tustinnet.check.check import check
-from tustinnet.check.finding import Finding
 from tustinnet.data.card import Card
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import held_equilibrium, saturated_share, transient_end
 from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.finding import Finding
 from tustinnet.signals import transients
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tustinnet.check.card_lines import coordinate_line
-from tustinnet.check.finding import Finding
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.motion_model import make_regressors, unexplained_share
 from tustinnet.check.view import RecordView
 from tustinnet.data.units import ANGLE
+from tustinnet.finding import Finding
 
 _RECORDS = 5  # of them, from everywhere in the list
 _UNITS = {unit: ANGLE[unit] for unit in ("deg", "rad")}
@@ -68,18 +68,17 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
         name = views[0].experiment.coordinates[scale.index].name
         extent = np.ptp(np.concatenate([v.experiment.q[:, scale.index] for v in views]))
         is_unit = scale.key == "unit"
-        doubt = "" if evidence.is_clear else ", or one that a spring or a controller holds"
+        value = json.dumps(scale.value) if is_unit else scale.value
         finding = views[0].finding(
-            "angle unit",
-            "severe" if is_unit and evidence.is_clear else "warning",
-            f"{name} moves like an angle in another {'unit' if is_unit else 'scale'} than declared"
-            + (doubt if is_unit else ", or behind a gear"),
-            f"its range is {extent:.3g} rad; with angles {scale.factor:.3g} times as large the "
-            f"model leaves {evidence.after:.2%} of the accelerations, not {evidence.before:.2%}",
-            coordinate_line(
-                name, f"{scale.key} = {json.dumps(scale.value) if is_unit else scale.value}"
-            ),
+            "angle unit" if is_unit else "angle scale",
+            coordinate_line(name, f"{scale.key} = {value}"),
             name,
+            severity="severe" if is_unit and evidence.is_clear else "warning",
+            is_doubtful=not evidence.is_clear,
+            extent=extent,
+            factor=scale.factor,
+            after=evidence.after,
+            before=evidence.before,
         )
         yield replace(finding, records=())
 

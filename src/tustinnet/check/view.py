@@ -1,20 +1,22 @@
 """A record as the checks look at it: with its velocities, its noise, and its lines in the card."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.check.finding import Finding, Severity
 from tustinnet.check.levels import LEVELS
 from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.finding import Finding, found
 from tustinnet.signals import transients
 from tustinnet.signals.outliers import sensor_noise
+from tustinnet.words import WORDS
+from tustinnet.words.sentence import Severity
 
 Block = TypeVar("Block", CoordinateCard, InputCard)
 
@@ -84,31 +86,34 @@ class RecordView:
 
     def finding(
         self,
-        check: str,
-        severity: Severity,
-        what: str,
-        size: str,
-        remedy: str,
+        code: str,
+        mend: str,
         channel: str = "",
         time: float | None = None,
         *,
+        severity: Severity | None = None,
         is_velocity: bool = False,
+        **values: Any,
     ) -> Finding:
         """A finding in this record, with the column of its channel.
 
         Args:
-            check: name of the check.
-            severity: its severity.
-            what: the property.
-            size: how it shows.
-            remedy: the line of the card.
+            code: name of the check.
+            mend: the line of the card.
             channel: name of a coordinate or input.
             time: where it begins [s].
+            severity: its severity, where it is not the usual one of the check.
             is_velocity: whether it concerns the velocity column of the coordinate.
+            values: what its sentence names.
         """
-        column = column_of(self.card, channel, is_velocity=is_velocity)
-        return Finding(
-            check, severity, what, size, remedy, (self.experiment.name,), channel, column, time
+        return replace(
+            found(code, **values),
+            severity=severity or WORDS[code].severity,
+            mend=mend,
+            records=(self.experiment.name,),
+            channel=channel,
+            column=column_of(self.card, channel, is_velocity=is_velocity),
+            time=time,
         )
 
 

@@ -9,8 +9,8 @@ from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 if TYPE_CHECKING:
-    from tustinnet.check.finding import Finding
     from tustinnet.data.experiment import Experiment
+    from tustinnet.finding import Finding
     from tustinnet.signals.equilibria import HeldEquilibrium
 
 _MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
@@ -25,7 +25,7 @@ def describe_findings(findings: "Iterable[Finding]", total: int) -> list[str]:
         lines.append(f"    {finding.size}")
         if place := _place(finding, total):
             lines.append(f"    in {place}")
-        lines.append(f"    mend: {finding.remedy}")
+        lines.append(f"    mend: {finding.mend}")
     return lines
 
 
@@ -52,7 +52,7 @@ def warning_lines(
     lines = []
     for finding in serious[:_MOST_LINES]:
         place = _place(finding, total)
-        lines.append(f"{finding.severity}: {finding.text}" + (f"  [{place}]" if place else ""))
+        lines.append(f"{finding.severity}: {finding.statement}" + (f"  [{place}]" if place else ""))
     if serious:
         more = len(serious) - len(lines)
         counted = f"{more} more findings, and how" if more else "how"
@@ -65,7 +65,7 @@ def assumed_lines(findings: "Iterable[Finding]") -> list[str]:
     """A line about what a card assumes, for commands that go on; none where it assumes nothing."""
     from tustinnet.check.assumed import ASSUMED
 
-    facts = [f.what for f in findings if f.check == ASSUMED]
+    facts = [f.what for f in findings if f.code.startswith(ASSUMED)]
     if not facts:
         return []
     more = len(facts) - _MOST_NAMED
@@ -98,9 +98,9 @@ def require_sound(findings: "Iterable[Finding]") -> None:
             where = f"record '{finding.records[0]}'" if finding.records else "records"
             raise InputError(
                 where,
-                finding.text,
+                finding.statement,
                 "records without severe findings and warnings",
-                f"{finding.remedy}; or omit --strict",
+                f"{finding.mend}; or omit --strict",
             )
 
 

@@ -81,7 +81,7 @@ def inspect(
             | {"spoiled": [part.as_plain() for part in find_without_model(e, r.held)]}
             for e, r in zip(records, inspection.reports, strict=True)
         ]
-        findings = [dataclasses.asdict(f) for f in inspection.findings]
+        findings = [f.as_plain() for f in inspection.findings]
         terminal.print_json(
             {"data": data_set.name, "experiments": experiments, "findings": findings}
         )

@@ -129,7 +129,7 @@ def make_reporter(progress: "FitProgress", *, quiet: bool) -> "Reporter":
 
 
 def draw_choice(choice: "Choice") -> None:
-    """Writes the table of candidates with sentences, their figure, and some free runs."""
+    """Writes the table of candidates with findings, their figure, and some free runs."""
     from tustinnet.report.drawing import write_figure
     from tustinnet.report.figures import free_run_figure
     from tustinnet.report.selection import candidates_figure, candidates_table, free_runs
@@ -137,8 +137,8 @@ def draw_choice(choice: "Choice") -> None:
     from tustinnet.store.run_folder import TABLE
 
     folder = choice.context.folder
-    sentences = "".join(f"* {sentence}\n" for sentence in choice.sentences)
-    write_into(folder, TABLE, f"{candidates_table(choice).markdown()}\n{sentences}")
+    findings = "".join(f"* {finding}\n" for finding in choice.findings)
+    write_into(folder, TABLE, f"{candidates_table(choice).markdown()}\n{findings}")
     write_figure(candidates_figure(choice), folder, "figures/candidates.png")
     for name, runs in free_runs(choice).items():
         write_figure(
@@ -147,7 +147,7 @@ def draw_choice(choice: "Choice") -> None:
 
 
 def print_choice(choice: "Choice", *, quiet: bool) -> None:
-    """Prints the table of candidates, and sentences on the choice.
+    """Prints the table of candidates, and findings on the choice.
 
     Args:
         choice: the choice.
@@ -156,9 +156,9 @@ def print_choice(choice: "Choice", *, quiet: bool) -> None:
     from tustinnet.report.selection import candidates_table
 
     terminal.print_tables(candidates_table(choice))
-    for sentence in choice.sentences:
-        if quiet or sentence not in choice.notes:
-            terminal.echo(f"* {sentence}")
+    for finding in choice.findings:
+        if quiet or finding not in choice.notes:
+            terminal.echo(f"* {finding}")
 
 
 def print_files(choice: "Choice", report: str = "") -> None:

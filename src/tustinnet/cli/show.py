@@ -89,7 +89,7 @@ def _identification_lines(header: dict[str, Any]) -> Lines:
     lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed]
     if "outcome" in identification:
         lines.append(("outcome", identification["outcome"]))
-    return lines + [("finding", finding) for finding in identification.get("findings", ())]
+    return lines + [("finding", finding["text"]) for finding in identification.get("findings", ())]
 
 
 def _score_lines(header: dict[str, Any]) -> Lines:

@@ -15,6 +15,7 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import quote
 from tustinnet.data.experiment import Experiment
+from tustinnet.finding import Finding, found
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
@@ -132,8 +133,8 @@ def _remaining(e: Experiment, stretches: Sequence[tuple[int, int]]) -> list[tupl
     return [(a, b) for a, b in edges.tolist() if b - a >= FEWEST]
 
 
-def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tuple[str, ...]]:
-    """Records without the parts that spoil a fit, and a sentence on each part that is left out.
+def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tuple[Finding, ...]]:
+    """Records without the parts that spoil a fit, and a finding on each part that is left out.
 
     Records of the split `test` stay as they are. A part without which a split, or a set without
     splits, would have no records stays, too.
@@ -143,7 +144,7 @@ def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tup
         parts: the parts; those that are only named stay.
     """
     experiments: list[Experiment] = []
-    sentences: list[str] = []
+    findings: list[Finding] = []
     for e in data:
         of_record = [p for p in parts if p.record == e.name and p.is_left_out and e.split != "test"]
         stretches = [p.samples or (0, len(e)) for p in of_record]
@@ -154,9 +155,9 @@ def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tup
         if is_last or not of_record:
             experiments.append(e)
             continue
-        sentences += [f"left out: {p.place}: {p.reason}" for p in of_record]
+        findings += [found("left out", place=p.place, reason=p.reason) for p in of_record]
         experiments += [replace(e[a:b], name=f"{e.name}[{a}:{b}]") for a, b in kept]
-    return replace(data, experiments=tuple(experiments)), tuple(sentences)
+    return replace(data, experiments=tuple(experiments)), tuple(findings)
 
 
 def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[SpoiledPart]:
@@ -213,8 +214,10 @@ def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
     return parts
 
 
-def spoiled_header(parts: Sequence[SpoiledPart], left_out: Sequence[str]) -> dict[str, Any]:
+def spoiled_header(parts: Sequence[SpoiledPart], left_out: Sequence[Finding]) -> dict[str, Any]:
     """The entry of files on parts that spoil a fit and on those left out; empty without any."""
     if not parts and not left_out:
         return {}
-    return {KEY: {"parts": [p.as_plain() for p in parts], "left_out": list(left_out)}}
+    return {
+        KEY: {"parts": [p.as_plain() for p in parts], "left_out": [f.as_plain() for f in left_out]}
+    }

@@ -8,10 +8,10 @@ import numpy as np
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse_by_unit
+from tustinnet.finding import Finding, found
 from tustinnet.models.contract import Model
 from tustinnet.simulate.horizon import FOLLOWED
 from tustinnet.simulate.starts import start_named
-from tustinnet.wording import counted
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # [s], as far as records go
 
@@ -83,19 +83,18 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
     return seconds
 
 
-def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> str:
-    """A sentence on how long free runs of whole records follow them."""
+def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> Finding:
+    """How long free runs of whole records follow them."""
     seconds = seconds_followed(records, whole)
     lengths = [
         e.dt * (len(e) - 1 - start_named(s.start).first)
         for e, s in zip(records, whole, strict=True)
     ]
     to_the_end = sum(a >= b for a, b in zip(seconds, lengths, strict=True))
-    limit = f"{100 * FOLLOWED:.0f} % of its standard deviation"
-    if to_the_end == len(records):
-        whole_records = counted(len(records), "whole record")
-        return f"follows {whole_records} to the end: no coordinate's RMS error reaches {limit}"
-    return (
-        f"follows whole records for {np.median(seconds):.2g} s in the median, until a coordinate's "
-        f"RMS error so far is {limit}; {to_the_end} of {len(records)} to the end"
+    return found(
+        "follows to the end" if to_the_end == len(records) else "follows for",
+        records=len(records),
+        limit=FOLLOWED,
+        seconds=np.median(seconds),
+        to_the_end=to_the_end,
     )

@@ -115,7 +115,7 @@ def identify(
             stops returns the model of its last finished stage, and says so in `outcome`.
 
     Returns:
-        The model, its parameters with errors and correlations, and findings as sentences.
+        The model, its parameters with errors and correlations, and findings.
 
     Raises:
         InputError: records of another system, a value outside its range, a mass matrix that is

@@ -11,6 +11,7 @@ from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
 from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe_reading import read_recipe
@@ -20,8 +21,8 @@ from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.systems.files import AnySystem
 
 
-def leave_out_visible(data: DataSet) -> tuple[DataSet, tuple[str, ...]]:
-    """Leaves out the parts that show to spoil a fit without a model; a sentence on each, too."""
+def leave_out_visible(data: DataSet) -> tuple[DataSet, tuple[Finding, ...]]:
+    """Leaves out the parts that show to spoil a fit without a model, with a finding on each."""
     parts = [part for e in data for part in find_without_model(e, held_equilibrium(e))]
     return leave_out(data, parts)
 
@@ -31,8 +32,8 @@ def leave_out_unexplained(
     system: AnySystem | None = None,
     should_stop: ShouldStopSearch = never_stop_search,
     on_message: Callable[[str], None] = lambda sentence: None,
-) -> tuple[DataSet, tuple[str, ...]]:
-    """Leaves out the parts of records that a model does not explain; a sentence on each, too.
+) -> tuple[DataSet, tuple[Finding, ...]]:
+    """Leaves out the parts of records that a model does not explain, with a finding on each.
 
     Args:
         data: the records, whose holds and delays are known.
@@ -48,7 +49,7 @@ def leave_out_unexplained(
     try:
         fit = identify_task(task, Member(), SILENT, should_stop)
     except UnfinishedSearchError:
-        return data, ("spoiled records: no time was left to search for them",)
+        return data, (found("spoiled no time"),)
     except Exception as error:  # of any kind: all records are fitted to
-        return data, (f"spoiled records: not searched for: {error_message(error)}",)
+        return data, (found("spoiled not searched", why=error_message(error)),)
     return leave_out(data, find_spoiled(fit.model, roles.all))

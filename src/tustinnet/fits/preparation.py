@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.finding import Finding, found
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.left_out import leave_out_unexplained, leave_out_visible
 from tustinnet.fits.timing import determine_timing
@@ -17,19 +18,19 @@ class PreparedRecords:
 
     Attributes:
         data: the records; their inputs have holds and delays, unless these are not to be found.
-        timing: sentences on holds and delays, with the evidence.
-        left_out: sentences on the parts of records that were left out.
+        timing: findings on holds and delays, with the evidence.
+        left_out: findings on the parts of records that were left out.
         lags: names of the inputs whose actuators lag, or may lag.
     """
 
     data: DataSet
-    timing: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
+    timing: tuple[Finding, ...] = ()
+    left_out: tuple[Finding, ...] = ()
     lags: tuple[str, ...] = ()
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences on all that was done."""
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on all that was done."""
         return (*self.timing, *self.left_out)
 
 
@@ -95,11 +96,11 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
         def is_over(deadline: Deadline = deadline) -> bool:
             return deadline.has_passed() or options.should_stop()
 
-        before = records.sentences
+        before = records.findings
         records = step.run(records, options, is_over)
-        for sentence in records.sentences:
-            if sentence not in before:
-                options.on_message(sentence)
+        for finding in records.findings:
+            if finding not in before:
+                options.on_message(finding.text)
         options.on_step(step.name)
     return records
 
@@ -107,8 +108,8 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
 def _leave_out_visible(
     records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
 ) -> PreparedRecords:
-    data, sentences = leave_out_visible(records.data)
-    return replace(records, data=data, left_out=(*records.left_out, *sentences))
+    data, findings = leave_out_visible(records.data)
+    return replace(records, data=data, left_out=(*records.left_out, *findings))
 
 
 def _determine_timing(
@@ -117,18 +118,18 @@ def _determine_timing(
     timing = determine_timing(
         records.data, options.system, keeps_unknown_delays=options.keeps_unknown_delays
     )
-    return replace(records, data=timing.data, timing=timing.sentences, lags=timing.lags)
+    return replace(records, data=timing.data, timing=timing.findings, lags=timing.lags)
 
 
 def _leave_out_unexplained(
     records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
 ) -> PreparedRecords:
-    data, sentences = leave_out_unexplained(
+    data, findings = leave_out_unexplained(
         records.data, options.system, should_stop, options.on_message
     )
-    if not sentences and not records.left_out:
-        sentences = ("spoiled records: none found, nothing was left out",)
-    return replace(records, data=data, left_out=(*records.left_out, *sentences))
+    if not findings and not records.left_out:
+        findings = (found("spoiled none"),)
+    return replace(records, data=data, left_out=(*records.left_out, *findings))
 
 
 # what shows without a model comes first, so that it does not disturb what follows; a model can tell

@@ -21,6 +21,7 @@ from tustinnet.evaluate.scores import (
     scores_header,
 )
 from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.finding import Finding
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fits.request import PreparedFit
 from tustinnet.fitting.fit import MakeListener
@@ -82,7 +83,7 @@ class Run:
         system: the system's file, where one was given.
         origin: the account of the model that the fits began with, empty where they began anew.
         spoiled: parts of the records that the best model does not explain.
-        left_out: sentences on the parts of records that were left out before.
+        left_out: findings on the parts of records that were left out before.
     """
 
     members: tuple[MemberRun, ...]
@@ -93,7 +94,7 @@ class Run:
     system: SystemFile | None = None
     origin: Mapping[str, Any] = field(default_factory=dict)
     spoiled: tuple[SpoiledPart, ...] = ()
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[Finding, ...] = ()
 
     @property
     def best(self) -> MemberRun:
@@ -204,7 +205,7 @@ class Run:
                     "rmse": rmse_by_record(run.scores),
                     "train_seconds": run.result.seconds,
                     **run.result.details.get("training", {}),
-                    "findings": list(run.result.findings),
+                    "findings": [f.as_plain() for f in run.result.findings],
                     "model": (run.folder / MODEL).relative_to(self.folder).as_posix(),
                 }
                 for run in self.members

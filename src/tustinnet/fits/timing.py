@@ -13,11 +13,11 @@ from tustinnet.channels import Hold, Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.signals.input_timing import (
     DeclaredTiming,
     InputTiming,
-    Measured,
     estimate_input_timing,
 )
 from tustinnet.systems.files import AnySystem
@@ -33,12 +33,12 @@ class Timing:
 
     Attributes:
         data: the records.
-        sentences: what was found, with its errors.
+        findings: what was found, with its errors.
         lags: names of the inputs whose actuators lag, or may lag.
     """
 
     data: DataSet
-    sentences: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     lags: tuple[str, ...] = ()
 
 
@@ -57,7 +57,7 @@ def determine_timing(
             identification has them as parameters.
     """
     system_holds = _holds_of(system)
-    sentences = _list_conflicts(system_holds, data.channels.inputs)
+    findings = _list_conflicts(system_holds, data.channels.inputs)
     inputs = [
         i if i.hold else replace(i, hold=system_holds.get(i.name)) for i in data.channels.inputs
     ]
@@ -68,16 +68,13 @@ def determine_timing(
         for k, stays in zip(declared, stays_open, strict=True)
     ]
     if not any(is_asked):
-        return Timing(data, tuple(sentences))
+        return Timing(data, tuple(findings))
     try:
         estimates = _estimate(data, declared)
     except InputError as error:
         estimates = None
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
-            sentences.append(
-                f"holds and delays of inputs: not found ({error}); {_USUAL} and no delay taken "
-                "where they are not known"
-            )
+            findings.append(found("timing not found", why=str(error), hold=_USUAL))
     lags, acting = list[str](), list[Input]()
     for j, (own, what) in enumerate(zip(inputs, declared, strict=True)):
         one = estimates[j] if estimates else None
@@ -85,11 +82,11 @@ def determine_timing(
         hold = what.hold or (one.hold if one else _USUAL)
         acting.append(replace(own, hold=hold, delay=None if stays_open[j] else delay or 0.0))
         if one and is_asked[j]:
-            sentences.append(_describe(own.name, one, what, data[0].dt))
+            findings.append(_describe(own.name, one, what, data[0].dt))
             if "lag" in one.verdict:
                 lags.append(own.name)
     experiments = tuple(_with_inputs(e, acting) for e in data)
-    return Timing(replace(data, experiments=experiments), tuple(sentences), tuple(lags))
+    return Timing(replace(data, experiments=experiments), tuple(findings), tuple(lags))
 
 
 def _declared_timing(own: Input) -> DeclaredTiming:
@@ -117,35 +114,26 @@ def _acting_delay(timing: InputTiming) -> float:
     return timing.delay.value if has_delay else 0.0
 
 
-def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: float) -> str:
-    """What was found out about an input, in one sentence."""
-
-    def say(time: Measured) -> str:
-        periods = f"{time.value / dt:.2g} periods"
-        return f"{time.value:.3g} ± {time.error:.1g} s ({periods})"
-
-    lag = f"a first-order lag of {say(timing.lag)}"
-    lead = say(Measured(-timing.delay.value, timing.delay.error))
-    needs_force = f"; the force `{LAG}` adds it to equations of motion"
-    what = {
-        "none": "acts without delay",
-        "delay": f"acts with a delay of {say(timing.delay)}",
-        "lag": f"acts through {lag}, without delay{needs_force}",
-        "delay and lag": f"acts with a delay of {say(timing.delay)} and {lag}{needs_force}",
-        "delay or lag": f"acts with a delay of {say(timing.delay)}, or {lag}: these records do not "
-        "tell which; the delay is taken",
-        "early": f"acts {lead} before it is logged",
-        "unclear": "is made by a controller from the motion, which hides when it acts; no delay is "
-        "taken"
-        if timing.is_hidden
-        else "acts at a time that these records do not tell; no delay is taken",
-    }[timing.verdict]
+def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: float) -> Finding:
+    """What was found out about an input."""
+    hold = timing.hold if declared.hold is None else None
+    common = {"input": name, "hold": hold, "rivals": list(timing.rivals) if hold else []}
     if declared.delay is not None:
-        what = f"acts with the declared delay of {declared.delay:g} s"
-    if declared.hold is not None:
-        return f"input '{name}' {what}"
-    rivals = f" ({' or '.join(timing.rivals)} fits as well)" if timing.rivals else ""
-    return f"input '{name}' {what}; hold {timing.hold}{rivals}"
+        return found("timing declared", declared=declared.delay, **common)
+    verdict = "hidden" if timing.verdict == "unclear" and timing.is_hidden else timing.verdict
+    delay, lag = timing.delay, timing.lag
+    return found(
+        f"timing {verdict}",
+        **common,
+        delay=delay.value,
+        delay_error=delay.error,
+        delay_periods=delay.value / dt,
+        lead=-delay.value,
+        lead_periods=-delay.value / dt,
+        lag=lag.value,
+        lag_error=lag.error,
+        lag_periods=lag.value / dt,
+    )
 
 
 def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
@@ -154,11 +142,11 @@ def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
     return {i.name: i.hold for i in getattr(loaded, "inputs", ())}
 
 
-def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]) -> list[str]:
-    """Sentences on holds that a system declares otherwise than the records."""
+def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]) -> list[Finding]:
+    """Holds that a system declares otherwise than the records."""
     unknown = (None, "unknown")
     return [
-        f"hold of '{i.name}': {i.hold} as in the data card, not {declared[i.name]} as in the system"
+        found("hold of card", input=i.name, hold=i.hold, of_system=declared[i.name])
         for i in inputs
         if i.hold not in unknown and declared.get(i.name) not in (*unknown, i.hold)
     ]

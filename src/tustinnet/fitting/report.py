@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.fingerprint import make_fingerprint, step_quanta
+from tustinnet.finding import Finding
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
@@ -201,7 +202,7 @@ class Identification(Shown):
         outcome: why it stopped, as a sentence.
         reversed_signs: coordinates and inputs whose sign is probably the wrong way round:
             alternatives, each the names to reverse together.
-        findings: what one should know before using it, in plain language.
+        findings: what one should know before using it.
         trust: which errors to believe: `records` (how they disagree), `segments` (how these do, of
             few records) or `residuals` (J'J).
         rmse: per record, root mean square of the residuals' 2-norm, from the initial states below.
@@ -234,7 +235,7 @@ class Identification(Shown):
     converged: bool
     outcome: str
     reversed_signs: SignAlternatives
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     trust: str
     rmse: Mapping[str, float]
     autocorrelation: tuple[float, ...]
@@ -272,7 +273,7 @@ class Identification(Shown):
         return {
             "system": self.system.name,
             "converged": self.converged,
-            "findings": list(self.findings),
+            "findings": [f.as_plain() for f in self.findings],
             "trust": self.trust,
             "condition": self.condition,
             "initial": self.initial,
@@ -318,7 +319,7 @@ class FitResult(Shown):
         details: plain values under one key that names the way of fitting: `training` has
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
             last one whose weights the model has; `identification` has the estimates.
-        findings: what one should know before using the model, in plain language.
+        findings: what one should know before using the model.
         identification: the result of an identification, None of a training.
         fewest_samples: validation records of fewer samples were left out, if there were longer
             ones.
@@ -333,7 +334,7 @@ class FitResult(Shown):
     validation_rmse: float | None
     seconds: float
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    findings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     identification: Identification | None = None
     horizon: float | None = None
     fewest_samples: int = 0
@@ -357,7 +358,7 @@ class FitResult(Shown):
     def failure(self) -> str:
         """The failure of a fit that is not sound: a reversed sign first, else the outcome."""
         result = self.identification
-        return self.findings[0] if result and result.reversed_signs else self.outcome
+        return self.findings[0].text if result and result.reversed_signs else self.outcome
 
     def detail(self, key: str) -> Any:
         """Detail of the fit by its name, None where this way of fitting does not have it."""

@@ -120,7 +120,7 @@ class Evaluation:
         trivial = _group_by_split(self.records, self.reference.scores)
         yield from _score_tables(self.by_split, self.channels, self.start, label, trivial)
         yield _horizon_table(self.horizons, self.channels)
-        yield describe_followed(self.records, self.whole)
+        yield describe_followed(self.records, self.whole).text
         if not mean_rmse(self.scores) < self.reference.mean:
             yield f"the model follows these records no better than {label}"
         if self.band_options is not None:

@@ -17,6 +17,7 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.fits import parameter_table
@@ -69,8 +70,8 @@ def _record_table(records: Sequence[Experiment], title: str) -> Table:
     return Table(["record", "split", "samples", "seconds"], rows, title)
 
 
-def _sentences(findings: Sequence[str]) -> str:
-    return Table(["findings"], [[text] for text in findings]).html() if findings else ""
+def _sentences(findings: Sequence[Finding]) -> str:
+    return Table(["findings"], [[f.text] for f in findings]).html() if findings else ""
 
 
 def _picture(e: Experiment) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import coordinate_timescales, rotating_coordinates
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding, found
 from tustinnet.fits.timing import LAG
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
@@ -21,8 +22,8 @@ from tustinnet.systems.files import SystemTemplate
 
 def applicable_candidates(
     plan: SelectionPlan, context: RunContext, budget: float | None
-) -> tuple[list[Candidate], list[str]]:
-    """The candidates for which everything is given, and sentences on those for which not.
+) -> tuple[list[Candidate], list[Finding]]:
+    """The candidates for which everything is given, and findings on those for which not.
 
     Args:
         plan: the plan.
@@ -51,15 +52,15 @@ def applicable_candidates(
             omitted[c.name] = reason
         elif c.corrects and omitted.keys() >= set(c.corrects):
             omitted[c.name] = omitted[c.corrects[0]]
-    sentences = []
+    findings = []
     for why in dict.fromkeys(omitted.values()):
-        names = ", ".join(name for name, reason in omitted.items() if reason == why)
-        sentences.append(f"left out, {why}: {names}")
+        names = [name for name, reason in omitted.items() if reason == why]
+        findings.append(found("candidates left out", why=why, candidates=names))
     candidates = [c for c in plan.candidates if c.name not in omitted]
     if not candidates:
         where, expected = f"plan '{plan.name}'", "a candidate that can take part"
-        raise InputError(where, "; ".join(sentences), expected)
-    return candidates, sentences
+        raise InputError(where, "; ".join(f.text for f in findings), expected)
+    return candidates, findings
 
 
 def _reason_against(

@@ -1,7 +1,7 @@
 """The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from tustinnet.evaluate.horizons import describe_followed
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.scores import Score, scores_header
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
@@ -33,7 +34,6 @@ from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run_folder import MODEL
-from tustinnet.wording import percent
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
 _VAGUE = 10.0  # times the typical error, the end of a range that says nothing
@@ -53,12 +53,12 @@ class Choice:
         model: the chosen model.
         reference: the trivial predictor that it is compared with.
         bands: around free runs of the chosen one, None where nothing says how wide they are.
-        notes: what else was done or left out, in sentences.
+        notes: what else was done or left out.
         seconds: time it took.
         seconds_by_part: of that, what each part of the selection took.
         budget: how long it was to take at most [s], None for no limit.
         spoiled: parts of the records that the model does not explain.
-        left_out: sentences on the parts of records that were left out; `notes` have them, too.
+        left_out: findings on the parts of records that were left out; `notes` have them, too.
         is_cut: whether the records are pieces of one or two.
         whole: free runs of whole records, by models of the chosen kind that do not know them.
     """
@@ -71,12 +71,12 @@ class Choice:
     model: Model
     reference: Reference
     bands: Calibration | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     seconds: float = 0.0
     seconds_by_part: Mapping[str, float] = field(default_factory=dict)
     budget: float | None = None
     spoiled: tuple[SpoiledPart, ...] = ()
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[Finding, ...] = ()
     is_cut: bool = False
     whole: Mapping[str, Score] = field(default_factory=dict)
 
@@ -114,85 +114,111 @@ class Choice:
         return mean < self.reference.mean
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """The accuracy of the chosen model, and the reasons for it, in plain words."""
-        best, unit = self.result(self.best), self.unit
-        rmse = best.rmse()
-        mean, error = mean_and_error(rmse.values())
-        sentences = [f"chosen: {self.best}, {self.origins[self.best]}"]
+    def findings(self) -> tuple[Finding, ...]:
+        """The accuracy of the chosen model, and the reasons for the choice."""
+        best = self.result(self.best)
+        chosen = found("chosen", name=self.best, made=self.origins[self.best])
+        mean, _ = mean_and_error(best.rmse().values())
         if not math.isfinite(mean):
-            sentences.append("free runs of some records diverge: set `horizon` in the plan")
-            return (*sentences, *self._unscored, *self.notes)
-        spread = "" if math.isnan(error) else f" ± {error:.2g}"
+            return (chosen, found("records diverge"), *self._unscored, *self.notes)
+        return (
+            chosen,
+            *self._accuracy(best),
+            *self._expectation,
+            *self._shortfall(mean),
+            self._comparison_with_next(best),
+            *self._decisive_record(best),
+            *self._stopped_fits,
+            *self._alternatives(best),
+            *[found("spoiled", **part.as_plain()) for part in self.spoiled],
+            *self._unscored,
+            *self.notes,
+        )
+
+    def _accuracy(self, best: CandidateResult) -> Iterator[Finding]:
+        rmse, total = best.rmse(), len(self._records)
+        mean, error = mean_and_error(rmse.values())
         worst = max(rmse, key=lambda record: rmse[record])
-        plural, total = "s" if len(rmse) > 1 else "", len(self._records)
-        count = f"{len(rmse)} of the {total}" if total > len(rmse) > 1 else f"{len(rmse)}"
-        few = ", few of them: other records may be much further off" if len(rmse) < FEW else ""
-        reference, horizon = self.reference, self.context.scoring.horizon
-        share = mean / reference.mean if reference.mean else math.inf
-        length = "" if horizon is None else f"over {horizon:.3g} s "
-        sentences.append(
-            f"free runs {length}of {count} record{plural} that its models were not fitted to: "
-            f"{mean:.3g}{spread} {unit}, {percent(share)} % of the error of {reference.label} "
-            f"({reference.mean:.3g} {unit}); worst {worst}, {rmse[worst]:.3g} {unit}{few}"
+        yield found(
+            "accuracy",
+            horizon=self.context.scoring.horizon,
+            records=len(rmse),
+            total=total if total > len(rmse) else None,
+            mean=mean,
+            error=error,
+            unit=self.unit,
+            share=self._share_of_reference(mean),
+            reference=self.reference.label,
+            reference_error=self.reference.mean,
+            worst=worst,
+            largest=rmse[worst],
+            few=len(rmse) < FEW,
         )
         if best.unexplained:
-            shares = ", ".join(f"{name} {percent(x)} %" for name, x in best.unexplained.items())
-            sentences.append(f"forces along these records that it does not explain: {shares}")
+            yield found("forces unexplained", shares=dict(best.unexplained))
         if self.whole:
             records = [self.context.data[name] for name in self.whole]
-            sentences.append(describe_followed(records, list(self.whole.values())))
-        sentences += self._expectation
-        if share > _POOR:
-            remedies = ["look at them (inspect)"]
-            remedies += [] if self.budget is None else ["give more time (`budget=`)"]
-            remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
-            follows = "no candidate follows these records closely"
-            if not self.follows:
-                follows = f"nothing follows these records {length}better than {reference.label}"
-            sentences.append(f"{follows}: {' or '.join(remedies)}")
-        sentences.append(self._comparison_with_next(best))
+            yield describe_followed(records, list(self.whole.values()))
+
+    def _share_of_reference(self, mean: float) -> float:
+        return mean / self.reference.mean if self.reference.mean else math.inf
+
+    def _shortfall(self, mean: float) -> Iterator[Finding]:
+        """What would help where the chosen one is of little use."""
+        if self._share_of_reference(mean) <= _POOR:
+            return
+        remedies = ["look at them (inspect)"]
+        remedies += [] if self.budget is None else ["give more time (`budget=`)"]
+        remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
+        yield found(
+            "nothing follows closely" if self.follows else "nothing follows",
+            horizon=self.context.scoring.horizon,
+            reference=self.reference.label,
+            remedies=remedies,
+        )
+
+    def _decisive_record(self, best: CandidateResult) -> Iterator[Finding]:
         scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
-        decisive = find_decisive_record(best, scored)
-        if decisive is not None:
+        if (decisive := find_decisive_record(best, scored)) is not None:
             record, other, difference = decisive
-            sentences.append(
-                f"one record decides: without {record}, {other.name} would be better by "
-                f"{-difference.mean:.2g} ± {difference.standard_error:.2g} {unit} on "
-                f"{difference.records} records; see whether {record} was made with the same "
-                "machine, load and settings"
+            yield found(
+                "one record decides",
+                record=record,
+                other=other.name,
+                difference=-difference.mean,
+                error=difference.standard_error,
+                unit=self.unit,
+                records=difference.records,
             )
-        trainings, searches = list[FitScore](), list[FitScore]()
+
+    @property
+    def _stopped_fits(self) -> Iterator[Finding]:
+        """Fits of the chosen one that the budget stopped."""
+        fits = {"trainings stopped": list[FitScore](), "identifications stopped": list[FitScore]()}
         for result, _ in self.candidates.members(self.best):
             family = self.candidates.plan.candidate(result.name).content.family
-            (trainings if family.resumable else searches).extend(result.fits)
-        if stopped := sum(fit.is_out_of_time for fit in trainings):
-            sentences.append(
-                f"{_count_stopped(stopped, len(trainings), 'training')} stopped by the budget: "
-                f"{'its' if stopped == 1 else 'their'} best weights so far were taken; `resume=` "
-                "goes on, more time (`budget=`) avoids it"
-            )
-        if stopped := sum(fit.is_out_of_time for fit in searches):
-            sentences.append(
-                f"{_count_stopped(stopped, len(searches), 'identification')} stopped by the "
-                f"budget: {'its' if stopped == 1 else 'their'} last finished stage was taken; "
-                "`resume=` repeats it, more time (`budget=`) avoids it"
-            )
+            code = "trainings stopped" if family.resumable else "identifications stopped"
+            fits[code].extend(result.fits)
+        for code, scores in fits.items():
+            if stopped := sum(fit.is_out_of_time for fit in scores):
+                yield found(code, stopped=stopped, total=len(scores))
+
+    def _alternatives(self, best: CandidateResult) -> Iterator[Finding]:
+        """The simplest that is as good, and the bands of the chosen one."""
         if self.simplest != self.best:
             difference = paired_difference(self.result(self.simplest), best)
-            sentences.append(
-                f"simplest that is as good: {self.simplest}, {self.origins[self.simplest]} "
-                f"({difference.mean:+.2g} ± {difference.standard_error:.2g} {unit}): "
-                f"{self.context.folder / self.file(self.simplest)}"
+            yield found(
+                "simplest",
+                name=self.simplest,
+                made=self.origins[self.simplest],
+                difference=difference.mean,
+                error=difference.standard_error,
+                unit=self.unit,
+                file=str(self.context.folder / self.file(self.simplest)),
             )
         if self.bands is not None:
             level = math.floor(100 * self.bands.highest_level)
-            sentences.append(
-                f"its free runs have bands (simulate `band=`) of up to {level} %, calibrated on "
-                f"the {len(self.bands.records)} records that folds left out"
-            )
-        spoiled = [f"spoiled: {part.sentence}" for part in self.spoiled]
-        return (*sentences, *spoiled, *self._unscored, *self.notes)
+            yield found("bands", level=level, records=len(self.bands.records))
 
     @property
     def claim(self) -> ErrorRange | None:
@@ -200,35 +226,30 @@ class Choice:
         return expected_range(self.result(self.best).rmse().values())
 
     @property
-    def _expectation(self) -> list[str]:
-        """Sentences on the error of a new record, and on what makes the scores say little of it."""
+    def _expectation(self) -> Iterator[Finding]:
+        """The error of a new record, and what makes the scores say little of it."""
         rmse, claim, unit = self.result(self.best).rmse(), self.claim, self.unit
-        sentences = list[str]()
         if claim is not None:
-            interval = (
-                f"{claim.low:.2g} to {claim.high:.2g} {unit} in {10 * claim.level:.0f} of 10 cases"
-            )
-            if claim.high > _VAGUE * claim.typical:
-                interval = "and so few records do not tell how far off it may be"
-            sentences.append(
-                f"a new record of these kinds: typically {claim.typical:.2g} {unit}, {interval}"
+            yield found(
+                "expected vaguely" if claim.high > _VAGUE * claim.typical else "expected",
+                typical=claim.typical,
+                low=claim.low,
+                high=claim.high,
+                tenths=10 * claim.level,
+                unit=unit,
             )
             mean, _ = mean_and_error(rmse.values())
             if mean > _UNEVEN * claim.typical:
-                large = [name for name, value in rmse.items() if value > mean]
                 by_kind = {kind: expected_range(errors) for kind, errors in self._by_kind.items()}
-                typical = [f"{kind} {r.typical:.2g}" for kind, r in by_kind.items() if r]
-                kinds = f"; typical of a kind: {', '.join(typical)} {unit}" * (len(typical) > 1)
-                sentences.append(
-                    "the mean is pessimistic for most records, as few of them make it: "
-                    f"{', '.join(large)}; see what is special there{kinds}"
+                typical = {kind: r.typical for kind, r in by_kind.items() if r}
+                yield found(
+                    "few records make the mean",
+                    records=[name for name, value in rmse.items() if value > mean],
+                    kinds=typical if len(typical) > 1 else None,
+                    unit=unit,
                 )
         if self.is_cut:
-            sentences.append(
-                "optimistic: pieces of one record are alike, and a new record may be several times "
-                "as far off; record more of them"
-            )
-        return sentences
+            yield found("pieces are alike")
 
     @property
     def _by_kind(self) -> dict[str, list[float]]:
@@ -239,15 +260,15 @@ class Choice:
         return by_kind
 
     @property
-    def _unscored(self) -> list[str]:
-        """Sentences on the candidates without scores, those of one reason in one."""
+    def _unscored(self) -> list[Finding]:
+        """The candidates without scores, those of one reason together."""
         reasons: dict[str, list[str]] = {}
         for result in self.candidates.results:
             if not result.fits_by_fold:
                 reasons.setdefault(result.why or "not tried", []).append(result.name)
-        return [f"without a score, {why}: {', '.join(names)}" for why, names in reasons.items()]
+        return [found("without score", why=why, candidates=names) for why, names in reasons.items()]
 
-    def _comparison_with_next(self, best: CandidateResult) -> str:
+    def _comparison_with_next(self, best: CandidateResult) -> Finding:
         def others(results: Iterable[CandidateResult]) -> list[CandidateResult]:
             are_alike = self.candidates.are_alike
             return [r for r in results if r.fits_by_fold and not are_alike(r.name, best.name)]
@@ -255,24 +276,19 @@ class Choice:
         results = others(self.candidates.choosable) or others(self.candidates.all_results)
         differences = {r.name: paired_difference(r, best) for r in results}
         if not differences:
-            return "nothing else was scored to compare it with"
+            return found("compared with nothing")
         name = min(differences, key=lambda other: differences[other].mean)
         difference = differences[name]
         mean, error, count = difference.mean, difference.standard_error, difference.records
-        # one record has no standard error
-        on = (
-            f"± {error:.2g} {self.unit} on {count} records"
-            if count > 1
-            else f"{self.unit} on one record"
-        )
-        if mean < 0:
-            return f"{name} is better by {-mean:.2g} {on}, not clearly, and was scored on no others"
         level = LEVEL * mean_and_error(best.rmse().values())[0]
-        is_large = mean > max(CLEAR * error, level)
-        if is_large and count < FEW:
-            on += ", too few records to be sure"
-        word = "clearly" if is_large and count >= FEW else "not clearly"
-        return f"{word} better than the next, {name}: by {mean:.2g} {on}"
+        code = "not clearly better"
+        if mean < 0:
+            code = "other better"
+        elif mean > max(CLEAR * error, level):
+            code = "clearly better" if count >= FEW else "not clearly better few"
+        return found(
+            code, other=name, difference=abs(mean), error=error, unit=self.unit, records=count
+        )
 
     def header(self, name: str, final: FinalModel) -> dict[str, Any]:
         """The header of the model file of a candidate or committee, beside the model's own."""
@@ -314,7 +330,7 @@ class Choice:
             "seconds": self.seconds,
             "seconds_by_part": dict(self.seconds_by_part),
             "budget": self.budget,
-            "sentences": list(self.sentences),
+            "findings": [finding.as_plain() for finding in self.findings],
             **spoiled_header(self.spoiled, self.left_out),
             "candidates": [self._result_as_plain(r, best) for r in self.candidates.all_results],
         }
@@ -348,10 +364,3 @@ class Choice:
             },
             "models": [fit.model for fit in result.fits if fit.model],
         }
-
-
-def _count_stopped(stopped: int, total: int, noun: str) -> str:
-    """The number of stopped fits of all, with the verb: "2 of its 5 trainings were"."""
-    if total == 1:
-        return f"its {noun} was"
-    return f"{stopped} of its {total} {noun}s {'was' if stopped == 1 else 'were'}"

@@ -12,6 +12,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.families.family import family_of
+from tustinnet.finding import found
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.models.contract import Model
 from tustinnet.selection.jobs import FitScore, RunContext
@@ -66,10 +67,10 @@ def score_committees(
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
         if average.best is not None and len(close) < 2 <= len(by_name):
-            on_message(
-                f"{average.name}: left out, the others are more than {_CLOSE:g} times as "
-                f"far off as {close[0]}"
+            far_off = found(
+                "committee far off", committee=average.name, factor=_CLOSE, best=close[0]
             )
+            on_message(far_off.text)
             continue
         members = average.members_among(close if average.best is not None else list(by_name))
         if members and members not in committees.values():
@@ -79,12 +80,12 @@ def score_committees(
         try:
             scored = score_committee(name, [by_name[m] for m in members], context, deadline)
         except Exception as error:  # of any kind: committees that were scored before are not lost
-            on_message(f"{name}: left out, {error_message(error)}")
+            on_message(found("committee failed", committee=name, why=error_message(error)).text)
             continue
         if scored is None:
-            on_message(f"{name}: not judged, its members were not scored on enough folds in time")
+            on_message(found("committee unjudged", committee=name).text)
         elif name in of_best and 1.0 in scored.shares.values():
-            on_message(f"{name}: left out, one of them alone is as good")
+            on_message(found("committee no better", committee=name).text)
         else:
             results[name] = scored
     return results

@@ -8,6 +8,7 @@ from itertools import pairwise
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.roles import Roles, records_without_test
 
@@ -79,8 +80,8 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
     return splits
 
 
-def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
-    """Records that can be split into folds, and a sentence on what was done to them.
+def prepare_for_folds(data: DataSet) -> tuple[DataSet, Finding | None]:
+    """Records that can be split into folds, and what was done to them.
 
     One or two records are cut in time into pieces of the same length, six in all.
 
@@ -89,7 +90,7 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
     """
     records = records_without_test(data)
     if len(records) >= _FEWEST:
-        return replace(data, experiments=tuple(records)), ""
+        return replace(data, experiments=tuple(records)), None
     if not records:
         raise InputError(data.name, "test records alone", "records to fit to")
     count = _PIECES // len(records)
@@ -106,12 +107,8 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, str]:
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
         ]
-    note = (
-        f"{len(records)} record{'s' * (len(records) > 1)}, cut into {len(pieces)} pieces in time: "
-        "each is scored by models that did not see it, but pieces of one record are alike, so that "
-        "the scores are optimistic"
-    )
-    return replace(data, experiments=tuple(pieces)), note
+    cut = found("cut into pieces", records=len(records), pieces=len(pieces))
+    return replace(data, experiments=tuple(pieces)), cut
 
 
 def names_of(records: Sequence[Experiment]) -> list[str]:

@@ -15,6 +15,7 @@ from statistics import fmean
 import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.finding import Finding, found
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
@@ -78,7 +79,7 @@ class CandidateQueue:
         plan: the plan.
         context: the records, how they are scored by now.
         results: of each candidate, by name, from the simplest on.
-        notes: sentences on how records are scored.
+        notes: findings on how records are scored.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class CandidateQueue:
         promising: Collection[str] = (),
         options: QueueOptions | None = None,
     ) -> None:
-        self.plan, self.context, self.notes = plan, context, list[str]()
+        self.plan, self.context, self.notes = plan, context, list[Finding]()
         self.results = {c.name: CandidateResult(c.name) for c in candidates}
         self._candidates, self._on_message = tuple(candidates), on_message
         self._options = options or DEFAULTS
@@ -427,14 +428,10 @@ class CandidateQueue:
         shortest = self._options.starts * start_named(before.scoring.start).samples * dt
         horizon = max(min(chosen, default=usual), shortest)
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
-        remedy = "; of a machine that a controller held, [controller] in the data card lets whole "
-        remedy += "records be judged in its loop"
         self.notes.append(
-            "free runs of whole records are further off than 0.3 of the motion: judged over pieces "
-            f"of {horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)"
-            f"{remedy * may_be_controlled}"
+            found("judged by pieces", horizon=horizon, may_be_controlled=may_be_controlled)
         )
-        self._on_message(self.notes[-1])
+        self._on_message(self.notes[-1].text)
         self.context = before.with_changes(scoring=replace(before.scoring, horizon=horizon))
         changed = set[str]()
         for c in self._candidates:

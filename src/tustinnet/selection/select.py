@@ -14,6 +14,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import Score
 from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.finding import Finding, found
 from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
@@ -53,7 +54,6 @@ from tustinnet.store.specification import (
     write_specification,
 )
 from tustinnet.systems.files import AnySystem
-from tustinnet.wording import percent
 
 _ENDING = 0.07  # share of the budget for committees, the last fit and bands
 _LONGEST_ENDING = 60.0  # s
@@ -63,7 +63,6 @@ _LONGEST_FILES = 20.0  # s
 _FEWEST_FILES = 5.0  # s, what these take at least
 _SHORT = 0.2  # but no more than this share of a short budget
 _BUSY = 0.3  # of the processors, what others may use without being mentioned
-INTERRUPTED = "interrupted: the best so far was taken; `resume=` goes on"
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def select_model(
             the folder, or what `cluster` gives; by default this process.
 
     Returns:
-        The model, the table of candidates, and sentences on what was chosen and why.
+        The model, the table of candidates, and findings on what was chosen and why.
 
     Raises:
         InputError: a plan that does not fit, a selection to be resumed that had other options,
@@ -157,21 +156,14 @@ def select_model(
     candidates, omitted = applicable_candidates(plan, context, budget)
     if earlier == "refuse":
         _require_no_earlier(folder)
-    long = (
-        f"no record is longer than the plan's horizon of {plan.horizon:g} s: judged over whole "
-        "records"
-        if plan.horizon is not None and horizon is None
-        else ""
-    )
-    in_loop = (
-        "judged by free runs in the loop of the controller in the data card: set points go in, "
-        "motion comes out"
-        if records.channels.controller is not None
-        else ""
-    )
-    before = [note for note in (cut, long, in_loop, *omitted) if note]
-    for note in before:
-        reporter.on_message(note)
+    before = [] if cut is None else [cut]
+    if plan.horizon is not None and horizon is None:
+        before.append(found("records shorter than horizon", horizon=plan.horizon))
+    if records.channels.controller is not None:
+        before.append(found("judged in loop"))
+    before += omitted
+    for finding in before:
+        reporter.on_message(finding.text)
     specification = _make_specification(plan, context)
     stopwatch.end("records")
     prepared = prepare_records(
@@ -190,7 +182,7 @@ def select_model(
     context = context.with_changes(
         scoring=replace(context.scoring, folds=folds), cutoff=force_cutoff(context, candidates)
     )
-    notes = (*prepared.sentences, *before)
+    notes = (*prepared.findings, *before)
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
         queue = CandidateQueue(
@@ -216,13 +208,11 @@ def select_model(
             _require_result(queue, stop, reporter)
             is_interrupted = True
             choice = _choose(queue, reporter, OVER, prepared.left_out, stopwatch)
-        notes = (*notes, *queue.notes, *([INTERRUPTED] if is_interrupted else []))
+        notes = (*notes, *queue.notes, *([found("interrupted")] if is_interrupted else []))
         if budget is not None and (share := others.share) > _BUSY:
-            busy = (
-                f"other programs used {percent(share)} % of the processors: `budget=` "
-                f"{budget / (1 - share):.0f}s does here what {budget:.0f} s do without them"
-            )
-            reporter.on_message(busy)
+            longer = budget / (1 - share)
+            busy = found("processors shared", share=share, longer=longer, budget=budget)
+            reporter.on_message(busy.text)
             notes = (*notes, busy)
         choice = replace(
             choice,
@@ -230,7 +220,7 @@ def select_model(
             seconds=sum(stopwatch.seconds.values()),
             seconds_by_part=stopwatch.seconds,
             budget=budget,
-            is_cut=bool(cut),
+            is_cut=cut is not None,
         )
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
@@ -241,19 +231,19 @@ def _require_result(queue: CandidateQueue, stop: KeyboardInterrupt, reporter: Re
     if getattr(stop, "number", signal.SIGINT) != signal.SIGINT or not queue.remaining():
         raise stop
     best = queue.remaining()[0].name
-    reporter.on_message(f"interrupted: ends with the best so far, {best}; once more: at once")
+    reporter.on_message(found("ends with best", candidate=best).text)
 
 
 def _choose(
     queue: CandidateQueue,
     reporter: Reporter,
     deadline: Deadline,
-    left_out: tuple[str, ...],
+    left_out: tuple[Finding, ...],
     stopwatch: Stopwatch,
 ) -> Choice:
     """Scores committees of the candidates that remain, and writes the models.
 
-    `left_out` are the sentences on parts of records that were left out.
+    `left_out` are the findings on parts of records that were left out.
     """
     context, remaining = queue.context, queue.remaining()
     before_final = deadline.earlier_by(queue.seconds_for_final(remaining[0].name))
@@ -277,11 +267,11 @@ def _choose(
         bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
-        reporter.on_message(f"no bands around free runs: {error_message(error)}")
+        reporter.on_message(found("no bands", why=error_message(error)).text)
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
     if deadline.has_passed():
-        reporter.on_message("records that spoil a fit: no time was left to look for them")
+        reporter.on_message(found("spoiled no time").text)
     else:
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")

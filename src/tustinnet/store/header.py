@@ -69,6 +69,13 @@ class _Stretch(_Exact):
     weight: Number
 
 
+class _Finding(Entries):
+    """What was found, see `finding.Finding.as_plain`."""
+
+    code: str
+    text: str
+
+
 class _Refit(Entries):
     """A second fit of parameters, see `fitting.report.Refit`."""
 
@@ -83,7 +90,7 @@ class _Identification(Entries):
     fixed: dict[str, Number]
     trust: str
     outcome: str = ""
-    findings: list[str] = Field(default_factory=list)
+    findings: list[_Finding] = Field(default_factory=list)
     residual_rmse: dict[str, Size | None] = Field(default_factory=dict)
     downweighted: list[_Stretch] = Field(default_factory=list)
     refined: _Refit | None = None
@@ -256,10 +263,10 @@ class _SpoiledPart(Entries):
 
 
 class _Spoiled(Entries):
-    """The parts of records that spoil a fit, and sentences on those that it left out."""
+    """The parts of records that spoil a fit, and findings on those that it left out."""
 
     parts: list[_SpoiledPart] = Field(default_factory=list)
-    left_out: list[str] = Field(default_factory=list)
+    left_out: list[_Finding] = Field(default_factory=list)
 
 
 class _Copy(Entries):

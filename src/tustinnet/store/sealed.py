@@ -13,7 +13,7 @@ import safetensors.numpy
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.store.files import write_into
 
-FORMAT = 3
+FORMAT = 4
 KEY = "tustinnet"  # where the header stands in the safetensors metadata
 SEAL = "sha256"  # of header and arrays, within the header
 

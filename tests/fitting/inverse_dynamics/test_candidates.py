@@ -39,7 +39,7 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system):
     data = twin(system, "slip:shoulder", slip_2=1.0, slip_4=1.5)
     result = tn.identify(data, system, "inverse-dynamics")
     assert "slip:shoulder" in result.system.added
-    (sentence,) = [s for s in result.findings if s.startswith("dry friction holds at rest")]
+    (sentence,) = [s.text for s in result.findings if s.code == "holds at rest"]
     assert "shoulder up to " in sentence
     levels = sum(result.values[f"shoulder.slip_{i}"] for i in range(1, 6))
     assert levels + result.values["shoulder.coulomb"] == pytest.approx(
@@ -67,7 +67,7 @@ def test_a_motor_that_turns_with_two_joints_is_found(system):
     result = tn.identify(data, system, "inverse-dynamics")
     assert f"armature:{channel}" in result.system.added
     assert result.values[f"{channel}.armature"] == pytest.approx(0.05, rel=0.1)
-    (sentence,) = [s for s in result.findings if s.startswith("forces tried")]
+    (sentence,) = [s.text for s in result.findings if s.code == "forces tried"]
     assert f"armature:{channel} kept" in sentence
 
 

@@ -54,7 +54,7 @@ def test_forces_are_explained_on_records_that_were_held_out(result):
         assert held_out.share < 0.03
         assert held_out.by_least_squares is not None
         assert held_out.share < 1.2 * held_out.by_least_squares < held_out.by_file
-    assert "forces that are missing on the validation records, up to" in result.findings[0]
+    assert "forces that are missing on the validation records, up to" in result.findings[0].text
     assert result.as_plain()["force_errors"][0]["coordinate"] == "shoulder"
 
 
@@ -103,7 +103,7 @@ def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     data = record_in_loop(robot, true, count=4, seconds=4.0, noise=0.005)
     rich, plain = (tn.identify(data, s, ALONE) for s in (robot, tn.load_system(SCARA)))
     # friction that is missing casts no doubt on columns
-    assert not [s for s in plain.findings if "probably" in s or "explain the motion" in s]
+    assert not [s for s in plain.findings if "probably" in s.text or "explain the motion" in s.text]
     intervals = {e.name: e.interval for e in rich.estimates}
     for joint in ("shoulder", "elbow"):
         missing, without = (
@@ -219,7 +219,7 @@ def test_what_a_link_carries_is_weighed(system, truth):
     ]
     robot = tn.load_robot(SCARA, per={"spindle": "payload"})
     result = tn.identify(tn.DataSet("scara", tuple(records)), robot, ALONE)
-    (sentence,) = [s for s in result.findings if "carries" in s]
+    (sentence,) = [s.text for s in result.findings if s.code == "carries"]
     numbers = re.search(
         r"'spindle' carries (\S+) ± (\S+) kg \(95 %\) more in records of ball than in those "
         r"of none, centre at (\S+) ± (\S+), (\S+) ± (\S+), ",
@@ -244,7 +244,7 @@ def test_what_records_know_nothing_of_stays_at_the_files_value(result, system):
     kept = system.nominal()
     for name in ("inner_arm.center_z", "inner_arm.spread_xz", "spindle.spread_xy"):
         assert result.values[name] == pytest.approx(kept[name], abs=1e-6)
-    (count,) = [s for s in result.findings if "combinations" in s]
+    (count,) = [s.text for s in result.findings if s.code == "base parameters"]
     assert "22 combinations of the 56 parameters change the forces" in count
     assert "inner_arm.spread_z" in count
 

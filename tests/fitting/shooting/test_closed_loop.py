@@ -40,16 +40,14 @@ def test_held_records_are_identified_over_the_segments_that_they_allow(balancing
 
 
 def test_which_records_were_fitted_over_which_horizon_is_told(result):
-    sentences = [
-        f for f in result.findings if "errors of the start grow too much beyond about" in f
-    ]
-    assert {name for f in sentences for name in f.split(":")[0].split(", ")} == {
+    grown = [f for f in result.findings if f.code == "segments errors grow"]
+    assert {name for f in grown for name in f.values["records"]} == {
         "hold1",
         "hold2",
         "hold3",
         "hold4",
     }
-    assert any("validation records are scored over segments of" in f for f in result.findings)
+    assert any("validation records are scored over segments of" in f.text for f in result.findings)
 
 
 def test_validation_is_over_the_horizon_found(balancing, result):
@@ -77,7 +75,8 @@ def test_records_that_swing_stay_whole_beside_one_that_is_held():
     assert worst(result) < 1e-3
     assert set(result.horizons) == {"upright"}
     assert any(
-        f.startswith("fall1, fall2, noise1, noise2: fitted as a whole") for f in result.findings
+        f.text.startswith("fall1, fall2, noise1, noise2: fitted as a whole")
+        for f in result.findings
     )
 
 
@@ -89,7 +88,7 @@ def test_a_horizon_can_be_asked_for():
     assert worst(result) < 1e-4
     assert set(result.horizons.values()) == {1.2}
     assert iterations[-1].stage == "segments of 1.2 s, anchored start"
-    assert any("fitted over segments of 1.2 s" in f for f in result.findings)
+    assert any("fitted over segments of 1.2 s" in f.text for f in result.findings)
     fitted = tn.fit(data_set(records()), grey("horizon=1.2"), system=SWING)
     assert fitted.horizon == 1.2
 

@@ -41,7 +41,7 @@ def test_records_are_simulated_as_a_whole(records, result):
 def test_gains_are_found_and_said(result):
     assert result.values["angle.kp"] == pytest.approx(KP, rel=0.003)
     assert result.values["angle.kd"] == pytest.approx(KD, rel=0.004)
-    (first, gains, law) = result.findings[:3]
+    (first, gains, law) = [f.text for f in result.findings[:3]]
     assert first == (
         "the controller of the data card is in the loop: set points drive the simulations, the "
         "recorded inputs (voltage) are used for its gains alone"
@@ -59,7 +59,7 @@ def test_a_controller_with_integral_filter_and_delay_is_followed(tmp_path):
     assert not result.horizons
     for name, value, within in (("kp", KP, 0.01), ("kd", KD, 0.01), ("ki", 80.0, 0.03)):
         assert result.values[f"angle.{name}"] == pytest.approx(value, rel=within), name
-    assert any("angle.ki" in f and "V/s/rad" in f for f in result.findings)
+    assert any("angle.ki" in f.text and "V/s/rad" in f.text for f in result.findings)
     validation = list(records.split("validation"))
     assert tn.evaluate(result.model, validation, "model-20")[0].rmse < 2e-3
     path = tmp_path / "model.safetensors"
@@ -90,7 +90,9 @@ def test_a_law_that_is_not_the_cards_is_said():
         {"name": "one", "model": {"kind": "euler-lagrange"}, "search": {"iterations": 1}},
     )
     assert result.fixed["angle.kp"] == 2 * KP
-    assert any("computed voltage otherwise than the data card says" in f for f in result.findings)
+    assert any(
+        "computed voltage otherwise than the data card says" in f.text for f in result.findings
+    )
 
 
 def test_a_gain_of_the_wrong_sign_names_the_key():
@@ -139,7 +141,7 @@ def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
     held_out = list(in_loop.split("validation"))
     before = tn.mean_rmse(tn.evaluate(first.model, held_out, first.start))
     assert before < 5e-3
-    assert "are compared with those that the motion needs" in first.findings[0]
+    assert "are compared with those that the motion needs" in first.findings[0].text
     begin = {name: first.values[name] for name in plain.values}
     result = tn.identify(in_loop, system, begin=begin)
     assert result.validation_rmse is not None

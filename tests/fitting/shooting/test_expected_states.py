@@ -162,4 +162,4 @@ def test_a_reversed_input_is_found_behind_a_lag():
     ]
     reversed_records = [replace(e, u=-e.u) for e in made]
     result = tn.identify(data_set(reversed_records), LAGGING, tn.read_recipe("grey", []))
-    assert any("'voltage'" in f and "reversed" in f for f in result.findings)
+    assert any("'voltage'" in f.text and "reversed" in f.text for f in result.findings)

@@ -72,9 +72,9 @@ def test_groups_that_disagree_are_told_with_what_to_declare():
         assert side.what == f"payload={payload}"
         assert side.value == pytest.approx(mass, rel=0.02)
     assert any(
-        line.startswith("the records of payload=1kg and payload=2kg disagree about `mass` (0.2")
-        and line.endswith('declare it per="payload"')
-        for line in result.findings
+        f.text.startswith("the records of payload=1kg and payload=2kg disagree about `mass` (0.2")
+        and f.mend == 'declare it per="payload"'
+        for f in result.findings
     )
     assert result.as_plain()["disagreements"][0]["parameter"] == "mass"
 
@@ -148,7 +148,9 @@ def test_a_record_that_contradicts_the_others_is_named():
     (mass,) = [d for d in result.disagreements if d.parameter == "mass"]
     assert mass.sides[0].value == pytest.approx(0.42, rel=0.05)
     assert mass.sides[1].value == pytest.approx(0.21, rel=0.01)
-    assert "record 'r2' contradicts the 5 others about `mass`" in " ".join(result.findings)
+    assert "record 'r2' contradicts the 5 others about `mass`" in " ".join(
+        f.text for f in result.findings
+    )
 
 
 def test_records_that_agree_contradict_nobody():

@@ -270,7 +270,7 @@ def test_a_confounded_parameter_is_fixed_at_its_first_value_and_told():
 def test_a_parameter_without_effect_is_fixed_and_told():
     result = tn.identify(data_set(list(falls())), SWING)
     assert result.fixed == pytest.approx({"inertia": 0.05, "gain": 0.1})
-    assert any("'gain' has no effect" in f for f in result.findings)
+    assert any("'gain' has no effect" in f.text for f in result.findings)
     assert worst(result) < 1e-4
 
 
@@ -303,8 +303,8 @@ def test_a_reversed_input_is_told_with_the_bound_it_leads_to():
     assert np.isnan(result.correlation[2]).all()
     assert result.reversed_signs == (("voltage",),)
     assert not result.sound
-    assert any("'gain' is at its lower bound" in f for f in result.findings)
-    assert any("sign of 'voltage' is probably reversed" in f for f in result.findings)
+    assert any("'gain' is at its lower bound" in f.text for f in result.findings)
+    assert any("sign of 'voltage' is probably reversed" in f.text for f in result.findings)
 
 
 def test_a_record_that_is_stuck_raises_no_doubt_of_the_signs():
@@ -315,7 +315,7 @@ def test_a_record_that_is_stuck_raises_no_doubt_of_the_signs():
 def test_right_signs_are_not_doubted(clean):
     assert clean.reversed_signs == ()
     assert clean.sound
-    assert not any("reversed" in f for f in clean.findings)
+    assert not any("reversed" in f.text for f in clean.findings)
 
 
 def test_a_prior_pulls_a_parameter_that_the_records_say_little_of():
@@ -340,27 +340,27 @@ def test_few_records_say_nothing_of_how_they_disagree():
     white = [noisy(e, 0.01, i) for i, e in enumerate(noises())]
     few = tn.identify(data_set(white), SWING)
     assert few.trust == "residuals"
-    assert "J'J" in few.findings[-1]
-    assert "too few" in few.findings[-1]
+    assert "J'J" in few.findings[-1].text
+    assert "too few" in few.findings[-1].text
     assert all(e.error == pytest.approx(e.naive_error) for e in few.estimates)
     every = tn.identify(data_set([noisy(e, 0.01, i) for i, e in enumerate(records())]), SWING)
     assert every.trust == "records"
-    assert "4 records disagree" in every.findings[-1]
+    assert "4 records disagree" in every.findings[-1].text
 
 
 def test_white_residuals_are_called_independent_and_others_are_not():
     white = tn.identify(data_set([noisy(e, 0.01, i) for i, e in enumerate(records())]), SWING)
     assert abs(white.autocorrelation[0]) < 0.1
-    assert "independent from sample to sample" in white.findings[-1]
+    assert "independent from sample to sample" in white.findings[-1].text
     poor = changed("damping", lower=0.1, upper=1.0, nominal=0.2)
     missing = tn.identify(data_set(records()), poor)
     assert missing.autocorrelation[0] > 0.5
-    assert "something is not modelled" in missing.findings[-1]
+    assert "something is not modelled" in missing.findings[-1].text
 
 
 def test_residuals_are_compared_with_the_encoders_counts():
     result = tn.identify(data_set([read_by_encoder(e) for e in records()]), SWING)
-    assert "no larger than the encoders' quantisation" in result.findings[-1]
+    assert "no larger than the encoders' quantisation" in result.findings[-1].text
 
 
 # --- as a fit ---

@@ -53,7 +53,7 @@ def test_a_mechanism_takes_signs_as_they_are(result):
 
 
 def test_it_says_which_terms_it_kept(result):
-    message = next(f for f in result.findings if f.startswith("optional terms"))
+    message = next(f.text for f in result.findings if f.text.startswith("optional terms"))
     assert "angle.gravity_cos" in message
     assert "angle.cubic" not in message
 
@@ -94,7 +94,7 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     result = tn.identify(data, system, "grey")
     assert result.reversed_signs == ()
     assert {"offset", "twice"}.isdisjoint(e.name for e in result.estimates)
-    assert any("0 of 2 kept (none)" in f for f in result.findings)
+    assert any("0 of 2 kept (none)" in f.text for f in result.findings)
     assert result.system.optional == ()
     fixed = tn.identify(
         data,
@@ -104,7 +104,7 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
             "model": {"kind": "euler-lagrange", "fixed": {"offset": 0.0, "twice": 0.0}},
         },
     )
-    assert not any("optional" in f for f in fixed.findings), "nobody asked for them"
+    assert not any("optional" in f.text for f in fixed.findings), "nobody asked for them"
     assert SWING.optional == ()
 
 
@@ -160,10 +160,10 @@ def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
     system = replace(SWING, parameters=(*SWING.parameters, spring))
     reversed_records = [replace(read_by_encoder(e), u=-e.u) for e in records()]
     result = tn.identify(data_set(reversed_records), system, "grey")
-    assert any(f.startswith("optional terms") for f in result.findings)
+    assert any(f.text.startswith("optional terms") for f in result.findings)
     assert result.reversed_signs == (("voltage",),)
     assert not result.sound
-    assert any("sign of 'voltage' is probably reversed" in f for f in result.findings)
+    assert any("sign of 'voltage' is probably reversed" in f.text for f in result.findings)
 
 
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
@@ -202,7 +202,7 @@ def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
     gains = {"name": "known", "model": {"kind": "euler-lagrange", "fixed": {"gain": 0.3}}}
     result = tn.identify(data_set(made), system, gains)
     assert result.fixed["more"] == 1.0
-    assert any("more at 1" in f for f in result.findings)
+    assert any("more at 1" in f.text for f in result.findings)
     free = tn.identify(
         data_set(made),
         offering(Parameter("more", "1", 0.0, -5.0, 5.0, optional=True, usual=(0.9,))),

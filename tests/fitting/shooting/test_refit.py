@@ -80,7 +80,7 @@ def test_where_physics_is_missing_free_runs_get_better():
     mine = [step for step in steps if step.stage == f"refit to free runs from {START}"]
     assert [step.number for step in mine] == list(range(1, refitted.iterations + 1))
     message = f"mean RMSE went from {refitted.before:.3g} to {refitted.after:.3g}"
-    assert message in identification.findings[-1]
+    assert message in identification.findings[-1].text
     assert identification.as_plain()["refined"]["values"] == refitted.values
     table = parameter_table(identification)
     assert list(table.columns)[-1] == "in the model"
@@ -123,7 +123,7 @@ def test_free_runs_that_leave_all_numbers_leave_the_model_as_it_is(monkeypatch):
     data = data_set(creeping())
     identification = tn.identify(data, SYSTEM, recipe())
     assert identification.refit is None
-    assert "no refit to free runs: free runs diverge" in identification.findings[-1]
+    assert "no refit to free runs: free runs diverge" in identification.findings[-1].text
     assert {e.name: values_of(identification)[e.name] for e in identification.estimates} == {
         e.name: pytest.approx(e.value) for e in identification.estimates
     }
@@ -168,10 +168,13 @@ def test_where_nothing_is_left_to_refine_it_says_so():
     fixed = [f"model.fixed.{name}={TRUTH[name]}" for name in ("damping", "gravity", "gain")]
     identification = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]', *fixed))
     assert identification.refit is None
-    assert identification.findings[-1] == "no refit to free runs: nothing but delays is free"
+    assert identification.findings[-1].text == "no refit to free runs: nothing but delays is free"
     identification = tn.identify(data, SYSTEM, recipe(f"search.horizon={12 * data[0].dt}"))
     assert identification.refit is None
-    assert identification.findings[-1] == "no refit to free runs: model-20 requires longer segments"
+    assert (
+        identification.findings[-1].text
+        == "no refit to free runs: model-20 requires longer segments"
+    )
 
 
 def test_records_shorter_than_the_start_are_refused():

@@ -61,7 +61,7 @@ def test_the_spikes_are_the_stretches_that_are_told(student):
         stretches = [s for s in student.downweighted if s.record == e.name]
         told = {round(t / DT) for s in stretches for t in (s.begin, s.end) if s.weight < 0.05}
         assert told == set(at.tolist())
-    assert any("weigh less than half" in f for f in student.findings)
+    assert any("weigh less than half" in f.text for f in student.findings)
     assert student.as_plain()["downweighted"][0]["record"] in {e.name for e, _ in SPOILT}
 
 

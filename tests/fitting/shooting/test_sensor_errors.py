@@ -47,7 +47,7 @@ def test_a_file_keeps_them(result, tmp_path):
 
 def test_what_stands_for_the_same_is_said():
     loose = tn.read_recipe("grey", ['model.free=["voltage.gain"]'])
-    message = " ".join(tn.identify(data_set(records()), SWING, loose).findings)
+    message = " ".join(map(str, tn.identify(data_set(records()), SWING, loose).findings))
     assert "gain and voltage.gain are not identifiable separately" in message
     assert "here it was fixed at its first value" in message
 

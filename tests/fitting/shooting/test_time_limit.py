@@ -70,7 +70,7 @@ def test_a_stopped_search_has_the_model_of_its_last_finished_stage():
     assert result.is_out_of_time
     assert not result.sound
     assert not identification.converged
-    assert not any("nothing is missing" in f for f in result.findings)
+    assert not any("nothing is missing" in f.text for f in result.findings)
     assert tn.mean_rmse(tn.evaluate(result.model, records(), "file")) < 0.1
 
 
@@ -140,7 +140,7 @@ def test_a_refit_that_is_stopped_leaves_the_identified_values():
     assert result.identification.refit is None
     assert result.identification.estimates == before.estimates
     assert f"after stage {count - 1} of {count} (whole records, " in result.outcome
-    assert "no refit to free runs: stopped at its time limit" in result.findings
+    assert "no refit to free runs: stopped at its time limit" in [f.text for f in result.findings]
 
 
 def test_terms_that_were_not_tested_stay_where_the_limit_comes_among_them():
@@ -150,7 +150,7 @@ def test_terms_that_were_not_tested_stay_where_the_limit_comes_among_them():
         Search(task, lambda search: len(search.progress) > 2).run()
     result = Search(task, lambda search: len(search.stages) == 2).run()
     assert "among the optional terms; the values are those of a fit to segments" in result.outcome
-    [remark] = [f for f in result.findings if f.startswith("optional terms: ")]
+    [remark] = [f.text for f in result.findings if f.text.startswith("optional terms: ")]
     assert "are left; the time limit ended the search" in remark
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.gradient.epoch import compute_validation_rmse
 from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop, train
 from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
@@ -72,7 +73,7 @@ def train_plan(
     return results
 
 
-def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[str, ...]:
+def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[Finding, ...]:
     """A finding where the kept epoch is among the first or last few of the last stage.
 
     A few are a tenth of the epochs, at most 5. There is none for stages that are shorter.
@@ -85,15 +86,15 @@ def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[str, ..
         return ()
     few = min(_FEW, recipe.epochs // 10)
     criterion = "training loss" if plan.validation_runs is None else f"lowest `{recipe.keep}`"
-    kept = f"epoch {best_epoch} of {done} of stage '{recipe.name}' was kept ({criterion})"
+    kept = {
+        "epoch": best_epoch,
+        "epochs": done,
+        "stage": recipe.name,
+        "index": index,
+        "criterion": criterion,
+    }
     if best_epoch > recipe.epochs - few:
-        return (
-            f"{kept}, one of the last: it was still improving; train longer: `changes=` "
-            f"stages.{index}.epochs={2 * recipe.epochs}",
-        )
+        return (found("still improving", **kept, longer=2 * recipe.epochs),)
     if best_epoch <= few:
-        return (
-            f"{kept}, one of the first: what followed was worse; train more carefully: `changes=` "
-            f"stages.*.rate={recipe.rate / 3:.1g}",
-        )
+        return (found("worse after first", **kept, rate=recipe.rate / 3),)
     return ()

@@ -3,8 +3,7 @@
 A reversed sign, two columns that are exchanged, torques in another unit or before a gear: a fit by
 inverse dynamics ends with most of the force missing, and says nothing of the cause. Here the forces
 are compared once more under each such mistake, linearised about the nominal values of the system,
-which the priors hold near the file. What explains the records clearly better is put into a
-sentence.
+which the priors hold near the file. What explains the records clearly better is a finding.
 """
 
 import itertools
@@ -17,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
 from tustinnet.fitting.inverse_dynamics.solver import Prior, solve_in_box
@@ -88,8 +88,8 @@ class _Outcome(NamedTuple):
 
 def describe_column_mistakes(
     problem: Problem, space: SearchSpace, errors: Sequence[ForceError], cutoff: float
-) -> list[str]:
-    """Sentences on columns that are probably mistaken; none where forces are explained.
+) -> list[Finding]:
+    """Columns that are probably mistaken; none where forces are explained.
 
     Args:
         problem: the problem of the system alone.
@@ -101,16 +101,16 @@ def describe_column_mistakes(
     if not poor or _describe_far_positions(problem.system, problem.records):
         return []  # the latter says it already
     comparison = _Comparison(problem, space, cutoff)
-    if sentences := comparison.find_mistakes():
-        return sentences
+    if mistakes := comparison.find_mistakes():
+        return mistakes
     driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
     return _describe_poor([e for e in poor if e.coordinate in driven])
 
 
 def describe_beyond_limits(
     system: LagrangianSystem, records: Sequence[Experiment]
-) -> tuple[str, ...]:
-    """Sentences on motions far beyond the limits that a robot's file says, and forces beyond them.
+) -> tuple[Finding, ...]:
+    """Motions far beyond the limits that a robot's file says, and forces beyond them.
 
     Such are degrees taken for radians, the angle of a motor before its gear, and torques in mN m.
 
@@ -123,35 +123,45 @@ def describe_beyond_limits(
     return (*_describe_far_positions(system, records), *_describe_large_forces(system, records))
 
 
-def _describe_far_positions(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
-    """Sentences on motions far beyond the limits that a robot's file says."""
+def _describe_far_positions(
+    system: LagrangianSystem, records: Sequence[Experiment]
+) -> list[Finding]:
+    """Motions far beyond the limits that a robot's file says."""
     if system.source is None:
         return []
-    sentences = []
+    findings = []
     for k, (c, limits) in enumerate(zip(system.coordinates, system.limits, strict=True)):
         if limits.position is None:
             continue
         q = np.concatenate([e.q[:, k] for e in records])
         (low, high), (least, most) = (float(q.min()), float(q.max())), limits.position
-        far = (_FAR_ANGLE if c.kind == "angular" else _FAR_LENGTH) * (most - least)
+        is_angle = c.kind == "angular"
+        far = (_FAR_ANGLE if is_angle else _FAR_LENGTH) * (most - least)
         if low < least - far or high > most + far:
-            cause = "degrees taken for rad, the angle of a motor before its gear, "
-            sentences.append(
-                f"{c.name} moves from {low:.3g} to {high:.3g} {c.unit}, and from {least:g} to "
-                f"{most:g} by {system.source.path.name}: "
-                f"{cause if c.kind == 'angular' else 'another unit, '}or another column? `unit` "
-                "and `scale` in the card"
+            findings.append(
+                found(
+                    "far angle" if is_angle else "far position",
+                    coordinate=c.name,
+                    low=low,
+                    high=high,
+                    unit=c.unit,
+                    least=least,
+                    most=most,
+                    file=system.source.path.name,
+                )
             )
-    return sentences
+    return findings
 
 
-def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experiment]) -> list[str]:
-    """Sentences on forces beyond those that a robot's file allows."""
+def _describe_large_forces(
+    system: LagrangianSystem, records: Sequence[Experiment]
+) -> list[Finding]:
+    """Forces beyond those that a robot's file allows."""
     system = rigid_system(system)
     if system.input_map is None:  # goals that integrate are no forces
         return []
     assert system.source is not None
-    nominal, sentences = system.nominal(), []
+    nominal, findings = system.nominal(), []
     still, none = jnp.zeros(len(system.coordinates)), jnp.zeros(len(system.inputs))
     rest = system.input_map(still, still, none, nominal)
     for j, i in enumerate(system.inputs):
@@ -162,32 +172,26 @@ def _describe_large_forces(system: LagrangianSystem, records: Sequence[Experimen
         if most is None or force[k] <= _NO_NOISE * most:
             continue
         unit = "N m" if system.coordinates[k].kind == "angular" else "N"
-        cause = (
-            "another unit, as mN m, or a motor constant or gear ratio too large? `scale` in the "
-            "card"
-        )
-        if force[k] <= _USUAL_GAIN * most:
-            cause = (
-                "what a controller asked for is not what a motor gives at its limit; take the "
-                "column of what it gave, or correct the file"
+        findings.append(
+            found(
+                "force at limit" if force[k] <= _USUAL_GAIN * most else "force beyond limit",
+                input=i.name,
+                force=force[k],
+                unit=unit,
+                coordinate=system.coordinates[k].name,
+                most=most,
+                file=system.source.path.name,
             )
-        sentences.append(
-            f"{i.name} is up to {force[k]:.3g} {unit}, and {system.coordinates[k].name} has "
-            f"{most:g} {unit} by {system.source.path.name}: {cause}"
         )
-    return sentences
+    return findings
 
 
-def _describe_poor(poor: Sequence[ForceError]) -> list[str]:
-    """Sentence on joints at which most of the force is missing, and nothing simple explains it."""
+def _describe_poor(poor: Sequence[ForceError]) -> list[Finding]:
+    """Joints at which most of the force is missing, and nothing simple explains it."""
     names = [e.coordinate for e in poor if e.share > _MOST]
     if not names:
         return []
-    return [
-        f"most of the force at {', '.join(names)} is missing: look at the columns there (sign, "
-        "unit, gear ratio, zero of the position, exchanged with those of another joint), and at "
-        "the file: axes, masses, gravity"
-    ]
+    return [found("forces missing", joints=names)]
 
 
 class _Comparison:
@@ -218,13 +222,13 @@ class _Comparison:
         self.spans = np.ptp(np.concatenate([e.q for e in records]), axis=0)
         self.products_by_geometry: dict[object, Float[np.ndarray, "n m m"]] = {}
 
-    def find_mistakes(self) -> list[str]:
-        """Sentences on mistakes, one after the other as long as each explains clearly more."""
+    def find_mistakes(self) -> list[Finding]:
+        """Mistakes, one after the other as long as each explains clearly more."""
         identity = tuple(tuple(row) for row in np.eye(self.n).tolist())
         current = _Change("", (), (1.0,) * self.n, tuple(range(self.n)), identity)
-        sentences: list[str] = []
+        mistakes: list[Finding] = []
         before = self._explain(current)
-        while len(sentences) < _MISTAKES:
+        while len(mistakes) < _MISTAKES:
             outcomes = [
                 (change, outcome)
                 for change in self._changes(current)
@@ -238,14 +242,14 @@ class _Comparison:
                 for change, outcome in outcomes
                 if outcome.total < _EQUAL**2 * after.total and {*change.joints} == {*best.joints}
             ]
-            sentences.append(self._describe(best, alike, before, after))
+            mistakes.append(self._describe(best, alike, before, after))
             gains = np.array(best.columns)
             gains[[*best.free]] *= after.gain
             current = replace(
                 best, columns=tuple(tuple(row) for row in gains.tolist()), free=(), kind=""
             )
             before = after
-        return sentences
+        return mistakes
 
     def _is_better(self, change: _Change, outcome: _Outcome, before: _Outcome) -> bool:
         """Whether a change explains the forces clearly better, at its own joints or at all."""
@@ -353,32 +357,23 @@ class _Comparison:
 
     def _describe(
         self, best: _Change, alike: Sequence[_Change], before: _Outcome, after: _Outcome
-    ) -> str:
-        """Sentence on a mistake, with what is missing before and after it is mended."""
-        joints = [*best.joints]
-        names = " and ".join(f"'{self.names[k]}'" for k in joints)
+    ) -> Finding:
+        """A mistake, with what is missing before and after it is mended."""
         k = int(np.argmax(before.shares - after.shares))
-        effect = (
-            f"the force that is missing at '{self.names[k]}' then falls from "
-            f"{100 * before.shares[k]:.3g} % to {100 * after.shares[k]:.3g} %"
-        )
+        common = {
+            "joints": [self.names[j] for j in best.joints],
+            "at": self.names[k],
+            "before": before.shares[k],
+            "after": after.shares[k],
+        }
         if best.kind in ("gain", "gains") and not 1 / _USUAL_GAIN < -after.gain < _USUAL_GAIN:
-            which = "all joints" if best.kind == "gains" else names
-            return (
-                f"the forces of {which} explain the motion as {after.gain:.3g} times what the "
-                f"columns say: {_unit_of(after.gain)}; {effect}"
-            )
+            cause = _unit_of(after.gain)
+            return found("forces by factor", **common, factor=after.gain, cause=cause)
         if best.kind == "degrees":
-            return (
-                f"the position{'s' * (len(joints) > 1)} of {names} explain the motion as degrees: "
-                f'unit = "deg" in the card; {effect}'
-            )
-        if len(joints) > 1 and best.kind not in ("gains", "signs"):
+            return found("position in degrees", **common)
+        if len(best.joints) > 1 and best.kind not in ("gains", "signs"):
             what = {"both": "positions and forces"}.get(best.kind, best.kind)
-            return (
-                f"the {what} of {names} are probably exchanged: look at the columns in the card; "
-                f"{effect}"
-            )
+            return found("columns exchanged", **common, what=what)
         meanings = {
             "gain": "the force",
             "gains": "the forces",
@@ -386,14 +381,8 @@ class _Comparison:
             "positions": "the position",
             "both": "both position and force (or the axis in the file)",
         }
-        what = " or of ".join(
-            dict.fromkeys(
-                meanings[change.kind] for change in (best, *alike) if change.kind in meanings
-            )
-        )
-        return (
-            f"the sign of {what} of {names} is probably reversed: sign = -1 in the card; {effect}"
-        )
+        what = dict.fromkeys(meanings[c.kind] for c in (best, *alike) if c.kind in meanings)
+        return found("column sign reversed", **common, what=[*what])
 
 
 def _turned(
@@ -409,7 +398,7 @@ def _unit_of(gain: float) -> str:
         (text for factor, text in _UNITS.items() if abs(gain * factor - 1) < _SAME_UNIT), ""
     )
     if unit:
-        return f"in {unit}? `scale` in the card"
+        return f"in {unit}?"
     if gain > 1:
-        return "the torque of a motor before a gear, or a current? scale in the card"
-    return "another unit, or a gear? scale in the card"
+        return "the torque of a motor before a gear, or a current?"
+    return "another unit, or a gear?"

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.inverse_dynamics.along import (
     FilteredRecord,
     filter_record,
@@ -336,11 +337,11 @@ def _make_identification(
         for e in _estimates(vector, space, deviations, informed)
     )
     base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
-    sentences = [
+    told = [
         *state.remarks,
         findings.describe_forces(errors),
         *findings.describe_trials(result.trials),
-        *findings.describe_informed(space.names, informed, len(base_parameters)),
+        findings.describe_informed(space.names, informed, len(base_parameters)),
         *_describe_slip(fit.forces.beside, space.to_values_in_range(vector), problem.system),
         *findings.describe_bounds(
             [e for e in estimates if e.name not in _replaced(fit.forces)],
@@ -358,7 +359,6 @@ def _make_identification(
     matrix = matrices[1].sum(axis=0) + prior.at(vector)[2]
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
     by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in fit.missing]
-    outcome = f"{result.steps} steps of inverse dynamics"
     return Identification(
         system=closed_loop.system,
         model=model,
@@ -370,10 +370,13 @@ def _make_identification(
         outcome=(
             findings.describe_stop(replace(state, is_stopped=True))
             if result.is_stopped
-            else f"{'converged' if fit.is_converged else 'not converged'} after {outcome}"
-        ),
+            else found(
+                "converged forces" if fit.is_converged else "not converged forces",
+                steps=result.steps,
+            )
+        ).text,
         reversed_signs=(),
-        findings=tuple(sentences),
+        findings=tuple(told),
         trust="residuals" if parameter_errors.between is None else "records",
         rmse={e.name: x for e, x in zip(records, by_record, strict=True)},
         autocorrelation=(),
@@ -536,8 +539,8 @@ def _replaced(forces: LinearForces) -> set[str]:
 
 def _describe_slip(
     beside: Sequence[PlacedForce], values: Mapping[str, float], system: LagrangianSystem
-) -> list[str]:
-    """Sentence on dry friction with a memory: what it holds, and how far it winds up."""
+) -> list[Finding]:
+    """Dry friction with a memory: what it holds, and how far it winds up."""
     listed = []
     for force in beside:
         if force.law.name != SLIP:
@@ -546,14 +549,22 @@ def _describe_slip(
         travels = values[f"{force.channel}.{SLIP}_travel"] * np.array(SLIP_TRAVELS)
         is_linear = system.coordinates[force.index].kind == "linear"
         listed.append(
-            f"{force.channel} up to {levels.sum():.3g} {'N' if is_linear else 'N m'}, within "
-            f"{1e3 * travels[levels > 0].max():.3g} {'mm' if is_linear else 'mrad'}"
+            found(
+                "holds",
+                joint=force.channel,
+                level=levels.sum(),
+                unit="N" if is_linear else "N m",
+                travel=1e3 * travels[levels > 0].max(),
+                travel_unit="mm" if is_linear else "mrad",
+            )
         )
-    return [f"dry friction holds at rest: {'; '.join(listed)}"] if listed else []
+    return [found("holds at rest", joints=listed)] if listed else []
 
 
-def _describe_carried(space: SearchSpace, vector: ParameterVector, errors: _Errors) -> list[str]:
-    """Sentences on what links carry in groups of records beside what they do in the lightest one.
+def _describe_carried(
+    space: SearchSpace, vector: ParameterVector, errors: _Errors
+) -> list[Finding]:
+    """What links carry in groups of records beside what they do in the lightest one.
 
     The error of a mass is that of the difference: most of what is not known of a link is the same
     in all groups.
@@ -565,7 +576,7 @@ def _describe_carried(space: SearchSpace, vector: ParameterVector, errors: _Erro
         link, is_mass, group = name.partition(f".{INERTIAL[0]}[")
         if is_mass:
             groups.setdefault(link, []).append(f"[{group}")
-    sentences = []
+    carried = []
     for link, ends in groups.items():
         lightest = min(ends, key=lambda end: values[f"{link}.mass{end}"])
         less = values[f"{link}.mass{lightest}"]
@@ -595,12 +606,19 @@ def _describe_carried(space: SearchSpace, vector: ParameterVector, errors: _Erro
                         f"{link}.{c}{lightest}": -less / mass,
                     }
                 )
-                centers.append(f"{center:.3g} ± {error:.2g}")
-            sentences.append(
-                f"'{link}' carries {mass:.4g} ± {width:.2g} kg (95 %) more in records of "
-                f"{end[1:-1]} than in those of {lightest[1:-1]}, centre at {', '.join(centers)} m"
+                centers.append(found("centre", value=center, error=error))
+            carried.append(
+                found(
+                    "carries",
+                    link=link,
+                    mass=mass,
+                    error=width,
+                    group=end[1:-1],
+                    lightest=lightest[1:-1],
+                    center=centers,
+                )
             )
-    return sentences
+    return carried
 
 
 def _estimates(

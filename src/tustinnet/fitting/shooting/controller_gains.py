@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Input, PDLoop
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding, found
 from tustinnet.models.feedback import gain_name
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.signals.low_pass import low_pass, occupied_band
@@ -35,11 +36,11 @@ class ControllerGains:
     Attributes:
         parameters: `COORDINATE.kp` and `COORDINATE.kd` of each loop, and `COORDINATE.ki` where it
             has an integral.
-        remarks: sentences.
+        remarks: what is to be said.
     """
 
     parameters: tuple[Parameter, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Finding, ...]
 
 
 def gain_parameters(
@@ -91,35 +92,27 @@ def gain_parameters(
                 parameters.append(
                     Parameter(name, unit, value, value / _RANGE, value * _RANGE, prior=error)
                 )
-            listed.append(f"{name} {value:.4g} ± {error:.1g} {unit}")
+            listed.append(found("controller gain", gain=name, value=value, error=error, unit=unit))
     return ControllerGains(
         tuple(parameters), _remarks(listed, shares, compares_inputs=compares_inputs)
     )
 
 
 def _remarks(
-    listed: Sequence[str], shares: dict[str, float], *, compares_inputs: bool
-) -> tuple[str, ...]:
-    """Sentences on the gains that were found, and how well the law gives what was recorded."""
+    listed: Sequence[Finding], shares: dict[str, float], *, compares_inputs: bool
+) -> tuple[Finding, ...]:
+    """The gains that were found, and how well the law gives what was recorded."""
     used = "are used for its gains alone" if listed else "are not used in simulations"
     used = "are compared with those that the motion needs" if compares_inputs else used
-    computed = ", ".join(shares)
-    remarks = [
-        "the controller of the data card is in the loop: set points drive the simulations"
-        + (f", the recorded inputs ({computed}) {used}" if computed else "")
-    ]
+    remarks = [found("controller in loop", inputs=[*shares], used=used)]
     if listed:
-        remarks.append(f"gains of the controller, by the recorded inputs: {', '.join(listed)}")
+        remarks.append(found("controller gains", gains=listed))
     if shares:
         low, high = min(shares.values()), max(shares.values())
-        spread = f"{100 * high:.2g}" if len(shares) == 1 else f"{100 * low:.2g} to {100 * high:.2g}"
-        remarks.append(f"the controller's law leaves {spread} % of the recorded inputs unexplained")
+        low = low if len(shares) > 1 else None
+        remarks.append(found("controller unexplained", low=low, high=high))
     if other := [name for name, share in shares.items() if share > _OTHER_LAW]:
-        remarks.append(
-            f"the controller computed {', '.join(other)} otherwise than the data card says; check "
-            "its set points, their units, its gains, and whether a feed-forward, an integral or a "
-            "delay is missing"
-        )
+        remarks.append(found("controller other law", inputs=other))
     return tuple(remarks)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
 _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
@@ -35,41 +36,31 @@ class ConfoundedParameters:
     suggestion: str
     spread: dict[str, float] = field(default_factory=dict)
 
-    def __str__(self) -> str:
+    @property
+    def finding(self) -> Finding:
+        """What is said of it: they have no effect, only their ratios have, or other changes."""
         if len(self.shares) == 1:
-            return f"'{self.suggestion}' has no effect on these records; fix it"
-        names = list(self.shares)
-        listed = f"{', '.join(names[:-1])} and {names[-1]}"
-        values = np.array(list(self.shares.values()))
-        if np.allclose(values, 1.0, atol=1e-3):
-            return (
-                f"only ratios of {listed} can be identified: multiplied by one factor they give "
-                f"the same simulation; fix one of them, '{self.suggestion}' is known best"
-            )
-        changes = ", ".join(f"{name} {share:+.3g} %" for name, share in self.shares.items())
-        return (
-            f"{listed} are not identifiable separately: changed together ({changes}) they give "
-            f"the same simulation; fix one of them, '{self.suggestion}' is known best"
+            return found("no effect", fixed=self.suggestion)
+        is_ratio = np.allclose([*self.shares.values()], 1.0, atol=1e-3)
+        return found(
+            "only ratios" if is_ratio else "not separate",
+            parameters=[*self.shares],
+            fixed=self.suggestion,
+            changes=self.shares,
         )
 
 
-def describe_confounded(confounded: Sequence[ConfoundedParameters], total: int) -> list[str]:
-    """Sentences on parameters that are fixed, as they are not identifiable from the records.
+def describe_confounded(confounded: Sequence[ConfoundedParameters], total: int) -> list[Finding]:
+    """Parameters that are fixed, as they are not identifiable from the records.
 
     Args:
-        confounded: the sets that are not identifiable, one sentence each where they are few.
+        confounded: the sets that are not identifiable, one finding each where they are few.
         total: how many parameters were free.
     """
     if len(confounded) <= _MOST_SETS:
-        return [f"{one}; here it was fixed at its first value" for one in confounded]
+        return [one.finding for one in confounded]
     names = list(dict.fromkeys(one.suggestion for one in confounded))
-    listed = ", ".join(names[:_MOST_NAMES])
-    if len(names) > _MOST_NAMES:
-        listed += f" and {len(names) - _MOST_NAMES} more"
-    return [
-        f"{len(confounded)} combinations of the {total} parameters have no effect on these "
-        f"records; the best known one of each was fixed at its first value: {listed}"
-    ]
+    return [found("combinations without effect", count=len(confounded), total=total, fixed=names)]
 
 
 def has_diverged(products: Float[np.ndarray, "n_p n_p"]) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tustinnet.errors import InputError
+from tustinnet.finding import found
 from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.least_squares import StoppingRule
@@ -90,17 +91,20 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     problem, state = _drop_all_unneeded(problem, state, stage)
     if state.is_stopped:
         remaining = len(problem.system.optional)
-        remark = (
-            f"optional terms: {remaining} of {len(offered)} are left; the time limit ended the "
-            "search for those that are not needed"
-        )
+        remark = found("optional terms left", left=remaining, offered=len(offered))
         return problem, replace(state, remarks=(*remarks, remark))
 
     kept, fixed_values = problem.system.optional, state.space.fixed_values
-    listed = [f"{n} at {fixed_values[n]:g}" if n in fixed_values else n for n in kept]
-    remark = f"optional terms: {len(kept)} of {len(offered)} kept ({', '.join(listed) or 'none'})"
-    if len(kept) < len(offered):
-        remark += "; without any of the others, records that are left out are explained as well"
+    remark = found(
+        "optional terms dropped" if len(kept) < len(offered) else "optional terms",
+        kept=len(kept),
+        offered=len(offered),
+        terms=[
+            found("term at", term=n, value=fixed_values[n]) if n in fixed_values else n
+            for n in kept
+        ],
+        none=not kept,
+    )
 
     problem, space, vector = _add_brought_forces(problem, state)
     # the search begins anew from here: its stages cut the records for themselves

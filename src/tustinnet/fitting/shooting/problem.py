@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tustinnet.data.experiment import Experiment
+from tustinnet.finding import Finding
 from tustinnet.fitting.listener import SILENT, Iteration, Listener, SearchProgress
 from tustinnet.fitting.recipe import SearchRecipe
 from tustinnet.fitting.residual import Residual, make_residual
@@ -47,7 +48,7 @@ class Problem:
         search: the options of the search, as the recipe has them.
         listener: gets every iteration and every stage.
         should_stop: asked before every stage and every step of one, as for a time limit.
-        remarks: findings about the records, before the search, as sentences.
+        remarks: findings about the records, before the search.
     """
 
     system: LagrangianSystem
@@ -56,7 +57,7 @@ class Problem:
     search: SearchRecipe
     listener: Listener = SILENT
     should_stop: ShouldStopSearch = never_stop_search
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
     @cached_property
     def plant(self) -> "Problem":
@@ -215,7 +216,7 @@ class SearchState:
             name; validation records too.
         longest_stable: steps of the longest segments whose simulations stay finite, where those of
             longer ones diverge; None where whole records can be simulated.
-        remarks: findings of the search so far, as sentences.
+        remarks: findings of the search so far.
         confounded: parameters that the records do not tell apart; one of each set is fixed.
         robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
             each weighs the same.
@@ -236,7 +237,7 @@ class SearchState:
     worst_unexplained: float | None = None
     horizons: Mapping[str, int] = field(default_factory=dict)
     longest_stable: int | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Finding, ...] = ()
     confounded: tuple[ConfoundedParameters, ...] = ()
     robust_weights: np.ndarray | None = None
     has_fitted_values: bool = False

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from tustinnet.engine.engines import compare
 from tustinnet.engine.runs import Directions, Runs, Samples
+from tustinnet.finding import Finding, found
 from tustinnet.fitting.report import Refit
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
@@ -56,13 +57,13 @@ class RefitResult:
     Attributes:
         state: the state after the search, with the refitted parameters where there are any.
         refit: these parameters, and the errors of the free runs before and after; None without.
-        finding: a sentence on it; empty where the search left nothing to refit.
+        finding: what is said of it; None where the search left nothing to refit.
         is_stopped: whether the time limit came before its end.
     """
 
     state: SearchState
     refit: Refit | None = None
-    finding: str = ""
+    finding: Finding | None = None
     is_stopped: bool = False
 
 
@@ -95,7 +96,7 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
             obstacle = "free runs diverge; `horizon` in the table [search] shortens them"
     if refit is None or obstacle:
         return RefitResult(
-            state, finding=f"no refit to free runs: {obstacle}", is_stopped=is_stopped
+            state, finding=found("not refitted", why=obstacle), is_stopped=is_stopped
         )
 
     space, after = state.space, refit.values
@@ -103,11 +104,15 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
     refitted = replace(state, vector=space.clip(space.to_vector(before | after)))
     changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
     most = sorted(changes, key=lambda name: -changes[name])[:_LISTED]
-    listed = ", ".join(f"{name} {before[name]:.3g} -> {after[name]:.3g}" for name in most)
-    finding = (
-        "the parameters of the model were refitted to free runs of the training records from "
-        f"{start.name}: their mean RMSE went from {refit.before:.3g} to {refit.after:.3g}; "
-        f"{listed} changed most"
+    finding = found(
+        "refitted",
+        start=start.name,
+        before=refit.before,
+        after=refit.after,
+        changes=[
+            found("changed", parameter=name, before=before[name], after=after[name])
+            for name in most
+        ],
     )
     return RefitResult(refitted, refit, finding)
 

@@ -1,7 +1,7 @@
 """The result of an identification: estimates with errors, residuals, initial states, findings.
 
 `make_identification` takes a problem, the state after its search and the result of its refit, and
-returns the `Identification`. Its sentences come from `findings`.
+returns the `Identification`. What is said of it comes from `findings`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -77,7 +77,7 @@ def make_identification(
         () if state.robust_weights is None else _downweighted(state.robust_weights, records)
     )
     has_converged = result.status == "converged" and not state.is_stopped
-    sentences = [
+    told = [
         *findings.describe_signs(reversed_signs),
         *state.remarks,
         *findings.describe_horizons(
@@ -93,13 +93,13 @@ def make_identification(
         *findings.describe_stretches(downweighted),
         *([] if state.has_diverged else findings.describe_condition(space.names, uncertainty)),
         *(
-            [findings.describe_errors(uncertainty, lag, noise_ratio, len(records))]
+            findings.describe_errors(uncertainty, lag, noise_ratio, len(records))
             if has_converged
             else []
         ),
     ]
-    if refit_result.finding:
-        sentences.append(refit_result.finding)
+    if refit_result.finding is not None:
+        told.append(refit_result.finding)
     model = make_model(problem, final_state)
     return Identification(
         system=problem.system,
@@ -115,9 +115,9 @@ def make_identification(
             else findings.describe_outcome(
                 result.status, result.iterations, records, rmse, horizons
             )
-        ),
+        ).text,
         reversed_signs=reversed_signs,
-        findings=tuple(sentences),
+        findings=tuple(told),
         trust=uncertainty.source,
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),

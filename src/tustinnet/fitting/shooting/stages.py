@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from tustinnet.errors import InputError
+from tustinnet.finding import found
 from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
@@ -312,8 +313,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
     products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
     if has_diverged(products):
-        remark = "simulations with the first values diverge; identifiability was not checked"
-        return replace(state, remarks=(*state.remarks, remark))
+        return replace(state, remarks=(*state.remarks, found("identifiability unchecked")))
     confounded = find_confounded(space, vector, products)
     if not confounded:
         return state
@@ -323,7 +323,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     if not space.free_parameters:
         raise InputError(
             f"system '{problem.system.name}'",
-            "; ".join(str(parameters) for parameters in confounded),
+            "; ".join(parameters.finding.text for parameters in confounded),
             "records from which at least one parameter is identifiable",
         )
     remarks = describe_confounded(confounded, len(vector))

@@ -167,10 +167,10 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
             if point is not None
         ]
         identification = result.reported.header.get("identification") or {}
-        notes += [f"{label}: {finding}" for finding in identification.get("findings", ())]
+        notes += [f"{label}: {f['text']}" for f in identification.get("findings", ())]
         spoiled = result.reported.header.get(SPOILED) or {}
         notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
-        notes += [f"{label}: {sentence}" for sentence in spoiled.get("left_out", ())]
+        notes += [f"{label}: {f['text']}" for f in spoiled.get("left_out", ())]
     return notes
 
 

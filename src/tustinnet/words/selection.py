@@ -1,0 +1,121 @@
+"""Sentences on how good models are, on the choice among them, and on what is left out."""
+
+from tustinnet.words.sentence import note, warning
+
+_DIFFERENCE = "by {difference:.2g} [[± {error:.2g} ]]{unit} on {records:record}"
+
+SELECTION = {
+    # --- how good ---
+    "follows to the end": note(
+        "follows {records:whole record} to the end: no coordinate's RMS error reaches "
+        "{limit:percent} of its standard deviation"
+    ),
+    "follows for": note(
+        "follows whole records for {seconds:.2g} s in the median, until a coordinate's RMS error "
+        "so far is {limit:percent} of its standard deviation; {to_the_end} of {records} to the end"
+    ),
+    "chosen": note("chosen: {name}, {made}"),
+    "records diverge": warning("free runs of some records diverge", "set `horizon` in the plan"),
+    "accuracy": note(
+        "free runs [[over {horizon:.3g} s ]]of {records:record}[[ (of {total})]] that its models "
+        "were not fitted to: {mean:.3g}[[ ± {error:.2g}]] {unit}, {share:percent} of the error of "
+        "{reference} ({reference_error:.3g} {unit}); worst {worst}, {largest:.3g} {unit}"
+        "[[{few}, few of them: other records may be much further off]]"
+    ),
+    "forces unexplained": note(
+        "forces along these records that it does not explain: {shares:percent}"
+    ),
+    "expected": note(
+        "a new record of these kinds: typically {typical:.2g} {unit}, {low:.2g} to {high:.2g} "
+        "{unit} in {tenths:.0f} of 10 cases"
+    ),
+    "expected vaguely": warning(
+        "a new record of these kinds: typically {typical:.2g} {unit}, and so few records do not "
+        "tell how far off it may be"
+    ),
+    "few records make the mean": note(
+        "the mean is pessimistic for most records, as few of them make it: {records}",
+        "see what is special there[[; typical of a kind: {kinds:.2g} {unit}]]",
+    ),
+    "pieces are alike": warning(
+        "optimistic: pieces of one record are alike, and a new record may be several times as far "
+        "off",
+        "record more of them",
+    ),
+    "nothing follows": warning(
+        "nothing follows these records [[over {horizon:.3g} s ]]better than {reference}",
+        "{remedies:or}",
+    ),
+    "nothing follows closely": warning(
+        "no candidate follows these records closely", "{remedies:or}"
+    ),
+    # --- the choice ---
+    "compared with nothing": note("nothing else was scored to compare it with"),
+    "clearly better": note("clearly better than the next, {other}: " + _DIFFERENCE),
+    "not clearly better": note("not clearly better than the next, {other}: " + _DIFFERENCE),
+    "not clearly better few": note(
+        f"not clearly better than the next, {{other}}: {_DIFFERENCE}, too few records to be sure"
+    ),
+    "other better": note(
+        f"{{other}} is better {_DIFFERENCE}, not clearly, and was scored on no others"
+    ),
+    "one record decides": warning(
+        "one record decides: without {record}, {other} would be better " + _DIFFERENCE,
+        "see whether {record} was made with the same machine, load and settings",
+    ),
+    "simplest": note(
+        "simplest that is as good: {name}, {made} ({difference:+.2g}[[ ± {error:.2g}]] {unit}): "
+        "{file}"
+    ),
+    "trainings stopped": warning(
+        "trainings stopped by the budget: {stopped} of {total}, whose best weights so far were "
+        "taken",
+        "`resume=` goes on, more time (`budget=`) avoids it",
+    ),
+    "identifications stopped": warning(
+        "identifications stopped by the budget: {stopped} of {total}, whose last finished stage "
+        "was taken",
+        "`resume=` repeats it, more time (`budget=`) avoids it",
+    ),
+    "bands": note(
+        "its free runs have bands (simulate `band=`) of up to {level} %, calibrated on the "
+        "{records:record} that folds left out"
+    ),
+    "without score": note("without a score, {why}: {candidates}"),
+    # --- what was done before and meanwhile ---
+    "cut into pieces": warning(
+        "{records:record}, cut into {pieces} pieces in time: each is scored by models that did "
+        "not see it, but pieces of one record are alike, so that the scores are optimistic"
+    ),
+    "records shorter than horizon": note(
+        "no record is longer than the plan's horizon of {horizon:g} s: judged over whole records"
+    ),
+    "judged in loop": note(
+        "judged by free runs in the loop of the controller in the data card: set points go in, "
+        "motion comes out"
+    ),
+    "judged by pieces": warning(
+        "free runs of whole records are further off than 0.3 of the motion: judged over pieces of "
+        "{horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)",
+        "[[{may_be_controlled}of a machine that a controller held, [controller] in the data card "
+        "lets whole records be judged in its loop]]",
+    ),
+    "candidates left out": note("left out, {why}: {candidates}"),
+    "interrupted": warning("interrupted: the best so far was taken", "`resume=` goes on"),
+    "ends with best": note(
+        "interrupted: ends with the best so far, {candidate}; once more: at once"
+    ),
+    "processors shared": note(
+        "other programs used {share:percent} of the processors: `budget=` {longer:.0f}s does here "
+        "what {budget:.0f} s do without them"
+    ),
+    "committee far off": note(
+        "{committee}: left out, the others are more than {factor:g} times as far off as {best}"
+    ),
+    "committee failed": note("{committee}: left out, {why}"),
+    "committee unjudged": note(
+        "{committee}: not judged, its members were not scored on enough folds in time"
+    ),
+    "committee no better": note("{committee}: left out, one of them alone is as good"),
+    "no bands": note("no bands around free runs: {why}"),
+}
