@@ -30,6 +30,7 @@ from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem, Param
 from tustinnet.models.sensors import with_sensor_errors
 from tustinnet.models.sizes import MOST_SUBSTEPS
 from tustinnet.registry import SYSTEMS
+from tustinnet.simulate.recent import keep_latest
 from tustinnet.systems.files import SystemTemplate
 from tustinnet.systems.loading import load_system
 
@@ -286,6 +287,7 @@ def _file_name(system: LagrangianSystem) -> str:
         return ""
 
 
+@keep_latest(1)  # a fit saves its model twice, without scores and with them
 def _compute_probes(model: LagrangianModel) -> Float[np.ndarray, "probes n_x"]:
     """The derivatives at states that are the same for every model of the same size.
 

@@ -109,7 +109,7 @@ class _Forward:
             case "number" | "table":
                 return value, {}
             case "pick":
-                numbers = {d: tape.split(t)[node.data] for d, t in tangents[0].items()}
+                numbers = {d: tape.pick(t, node.data) for d, t in tangents[0].items()}
                 return value, self._nonzero(numbers)
             case "part":
                 part = slice(node.data, node.data + node.size)

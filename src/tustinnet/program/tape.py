@@ -35,10 +35,10 @@ class Tape:
 
     def add(self, node: Node) -> int:
         """The number of a node, an old one where there is an equal node already."""
-        if node not in self._numbers:
-            self._numbers[node] = len(self._nodes)
+        number = self._numbers.setdefault(node, len(self._nodes))
+        if number == len(self._nodes):
             self._nodes.append(node)
-        return self._numbers[node]
+        return number
 
     def input(self, name: str) -> int:
         """The node of an input, a vector."""
@@ -80,6 +80,13 @@ class Tape:
         if node.is_single:
             return [number]
         return [self.add(Node("pick", (number,), 1, i, truth=node.truth)) for i in range(node.size)]
+
+    def pick(self, number: int, index: int) -> int:
+        """One of the single numbers of a vector; of a long constant one no other is written."""
+        node = self._nodes[number]
+        if node.op == "table":
+            return self.number(self._tables[node.data][index].item())
+        return self.split(number)[index]
 
     def vector(self, ids: Ids) -> int:
         """The node of a vector of single numbers: the vector that they are already, if they are."""
@@ -168,7 +175,7 @@ class Tape:
             case "table":
                 return self.table(program.tables[node.data])
             case "pick":
-                return self.split(args[0])[node.data]
+                return self.pick(args[0], node.data)
             case "part":
                 return self.vector(self.split(args[0])[node.data : node.data + node.size])
             case "join":

@@ -291,14 +291,15 @@ class _Regression:
             end,
         ]
         blocks = [slice(a, b) for a, b in pairwise(cuts)]
+        # of all coordinates, as filters take most of the time
+        near = np.column_stack([static, lagged[:, self._near(n_u)]])
+        filtered = [_filter(near, records, [1.0], _measurement_noise(r)) for r in _RATIOS]
         grams, counts = [], []
         for i in range(n_q):
             weight = moving[:, i].astype(float)
             if weight.sum() < LEVELS.fewest_rows or np.ptp(every[:, i]) <= 3 * motion.counts[i]:
                 continue
-            noise = _Noise.of_regression(
-                np.column_stack([static, lagged[:, self._near(n_u)]]), second[:, i], weight, records
-            )
+            noise = _Noise.of_regression(filtered, second[:, i], weight, records)
             weight *= np.abs(noise.residual) < LEVELS.outlier * noise.deviation
             columns = noise.whiten(np.column_stack([static, lagged, second[:, i]]), records)
             columns *= (weight / noise.deviation)[:, None]
@@ -425,14 +426,20 @@ class _Noise:
 
     @classmethod
     def of_regression(
-        cls, columns: Array, y: Array, weight: Array, records: Sequence[slice]
+        cls, filtered: Sequence[Array], y: Array, weight: Array, records: Sequence[slice]
     ) -> "_Noise":
-        """The noise with the smallest innovations of a regression of y."""
+        """The noise with the smallest innovations of a regression of y.
+
+        Args:
+            filtered: the columns, filtered for each of `_RATIOS`.
+            y: what is regressed.
+            weight: of its rows.
+            records: the rows of each record.
+        """
         best: tuple[float, Array, Array, Array] | None = None
-        for ratio in _RATIOS:
+        for ratio, columns in zip(_RATIOS, filtered, strict=True):
             denominator = _measurement_noise(ratio)
-            white = _filter(np.column_stack([columns, y]), records, [1.0], denominator)
-            residual = _without(white[:, :-1], white[:, -1], weight)
+            residual = _without(columns, _filter(y, records, [1.0], denominator), weight)
             bound = LEVELS.outlier * _robust_deviation(residual[weight > 0])
             residual = np.clip(residual, -bound, bound) * weight
             parts = [residual[r] for r in records]

@@ -169,16 +169,16 @@ def estimate_by_equation_error(
     # residuals and their derivatives are called for one after the other, at the same point
     cached = lru_cache(1)(lambda point: balance(np.frombuffer(point)))
 
-    margin = 1e-9 * (space.upper - space.lower)
     import scipy.optimize  # takes half a second, and what is not identified needs none of it
 
     solution = scipy.optimize.least_squares(
         lambda point: (cached(point.tobytes())[0] / unit).ravel(),
-        np.clip(vector, space.lower + margin, space.upper - margin),
+        space.clip(vector),
         cast(
             Any, lambda point: (cached(point.tobytes())[1] / unit[:, None]).reshape(-1, len(vector))
         ),
         bounds=(space.lower, space.upper),
+        method="dogbox",  # "trf" stays off the bounds, and takes tiny steps beside them
         max_nfev=60,
     )
     residual, _, change = balance(solution.x)

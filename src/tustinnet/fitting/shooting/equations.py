@@ -184,18 +184,16 @@ class SystemEquations:
             values: the parameters by name, those per group with a value for each of its values.
             group_indices: which of these apply in each row, see `groups.group_indices`.
         """
-        columns = []
-        grouped = {p.name: i for i, p in enumerate(self.system.grouped)}
-        for name in (*self.free_names, *self.other_names):
-            options = self.system.grouped[grouped[name]].by_group(values) if name in grouped else {}
-            if options:
-                columns.append(np.array(list(options.values()))[group_indices[:, grouped[name]]])
-            else:
-                columns.append(np.full(len(group_indices), values[name]))
+        by_group = {p.name: list(p.by_group(values).values()) for p in self.system.grouped}
+        names = (*self.free_names, *self.other_names)
+        row = [0.0 if by_group.get(name) else values[name] for name in names]
         if self.has_delays:
-            delays = [values.get(delay_name(i), 0.0) for i in self.system.inputs]
-            columns += [np.full(len(group_indices), delay) for delay in delays]
-        return np.stack(columns, axis=1)
+            row += [values.get(delay_name(i), 0.0) for i in self.system.inputs]
+        rows = np.tile(np.array(row, float), (len(group_indices), 1))
+        for i, (name, options) in enumerate(by_group.items()):
+            if options:
+                rows[:, names.index(name)] = np.array(options)[group_indices[:, i]]
+        return rows
 
     def free_columns(self, space: SearchSpace) -> list[int]:
         """Column of each free parameter of a search space; those of one group share a column."""
