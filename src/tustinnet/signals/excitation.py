@@ -23,8 +23,8 @@ class Excitation(NamedTuple):
         samples: values at the samples, (n, n_u).
         pieces: coefficients of the polynomial that each input follows over each period, of
             0, 1, 2, ... powers of the part of the period, (n - 1, order, n_u). One where all
-            inputs are held, two where some follow straight lines, eight where some are
-            band-limited.
+            inputs are held and change at samples, two where some follow straight lines or change
+            between samples, eight where some are band-limited.
     """
 
     samples: Float[np.ndarray, "n n_u"]
@@ -36,6 +36,11 @@ class Excitation(NamedTuple):
         shares = 1 / np.arange(1, self.pieces.shape[1] + 1)
         return np.einsum("koi,o->ki", self.pieces, shares)
 
+    def with_order(self, order: int) -> "Excitation":
+        """The same inputs with at least so many coefficients a period."""
+        missing = max(0, order - self.pieces.shape[1])
+        return self._replace(pieces=np.pad(self.pieces, ((0, 0), (0, missing), (0, 0))))
+
 
 def excitation(
     u: Float[np.ndarray, "n n_u"], holds: Sequence[DeclaredHold], delays: Sequence[float]
@@ -44,8 +49,10 @@ def excitation(
 
     Held inputs keep their sample, those of first order follow straight lines, band-limited ones
     are interpolated by a windowed sinc, whose polynomial over a period is a filter of fixed
-    coefficients (Farrow). A delayed held input acts by its mean over each period, which keeps its
-    impulse; a delayed straight line by straight lines through its values at the samples. Before
+    coefficients (Farrow). A held input that changes within a period, as it is delayed, acts by the
+    straight line of the same mean and first moment there: it moves a mass as far and makes it as
+    fast as the input does. A delayed straight line acts by those through its values at the samples.
+    Before
     the first sample an input is taken to be that sample; a band-limited one goes on beyond both
     ends as linear prediction has it, learnt from the record itself.
 
@@ -65,11 +72,17 @@ def excitation(
             columns.append(_interpolate_band_limited(column, delay))
             continue
         # between samples m and m + 1 periods before; for a held input its mean over the period
-        at = np.arange(len(column))
-        samples = np.interp(at - delay, at, column) if delay else column
-        powers = [samples[:-1]] if hold == "zero-order" else [samples[:-1], np.diff(samples)]
-        pieces = np.stack(powers)
-        columns.append((samples, pieces))
+        samples = _delayed(column, delay)
+        if hold == "first-order":
+            powers = [samples[:-1], np.diff(samples)]
+        elif part := delay % 1.0:  # of the period, after which a held input changes
+            whole = math.floor(delay)
+            change = _delayed(column, whole) - _delayed(column, whole + 1)
+            slope = 6 * part * (1 - part) * change[:-1]
+            powers = [samples[:-1] - slope / 2, slope]
+        else:
+            powers = [samples[:-1]]
+        columns.append((samples, np.stack(powers)))
     order = max((len(pieces) for _, pieces in columns), default=1)
     all_samples = np.zeros(u.shape)
     all_pieces = np.zeros((len(u) - 1, order, u.shape[1]))
@@ -77,6 +90,12 @@ def excitation(
         all_samples[:, i] = samples
         all_pieces[:, : len(pieces), i] = pieces.T
     return Excitation(all_samples, all_pieces)
+
+
+def _delayed(u: Float[np.ndarray, " n"], delay: float) -> Float[np.ndarray, " n"]:
+    """Samples so many periods later, on straight lines between them; the first one goes on."""
+    at = np.arange(len(u))
+    return np.interp(at - delay, at, u) if delay else u
 
 
 def _interpolate_band_limited(

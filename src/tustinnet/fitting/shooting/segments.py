@@ -201,7 +201,9 @@ def cut_records(
 
     def delayed_inputs(values: Mapping[str, float]) -> np.ndarray:
         inputs = with_delays(model.channels.inputs, values)
-        return join_steps(np.asarray(model.step_inputs(e.excitation(inputs))) for e in experiments)
+        # where delays are searched for, inputs may change between samples, and now and then do not
+        signals = [e.excitation(inputs).with_order(1 + options.has_delays) for e in experiments]
+        return join_steps(np.asarray(model.step_inputs(signal)) for signal in signals)
 
     n_y = options.residual.channels
     first_rows = np.cumsum([0, *(len(e) for e in experiments)])
