@@ -68,7 +68,7 @@ candidates = [
     { name = "hybrid", recipe = "hybrid.toml", corrects = ["mechanism"] },
 ]
 committees = [{ name = "best two", best = 2 }]
-rounds = [{ folds = 1, keep = 0.6 }, { folds = 2 }]
+rounds = [{ folds = 1 }]
 """
 RECIPES = {
     "linear": 'name = "solved"\n[model]\nkind = "linear"\n',

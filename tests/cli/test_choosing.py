@@ -18,7 +18,7 @@ PLAN = """
 name = "two"
 folds = 3
 start = "derived-6"
-candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "small.toml" }]
+candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "linear" }]
 rounds = [{ folds = 1, keep = 1.0 }, { folds = 3 }]
 """
 
