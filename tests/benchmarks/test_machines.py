@@ -1,5 +1,7 @@
 """The simulated machines of `benchmarks/machines.py`: records, data cards, system files, rows."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import machines
 import numpy as np
@@ -9,7 +11,7 @@ from simulated.measurement import Run, measure, simulate
 
 import tustinnet as tn
 
-SECONDS = 2.0
+SECONDS = 1.0
 NAMES = list(MACHINES)
 
 
@@ -80,7 +82,14 @@ def test_the_system_file_describes_the_machine_without_its_further_effects(name)
     assert np.abs(error).max() < 0.01 * np.abs(motion.x[:, :n_q]).max()
 
 
-def test_written_records_load(tmp_path):
+def test_written_records_load(tmp_path, monkeypatch):
+    disc = MACHINES["unbalanced-disc"](True)
+
+    def short(effects):
+        assert effects
+        return replace(disc, runs=lambda rng: tuple(shortened(r, 3.0) for r in disc.runs(rng)))
+
+    monkeypatch.setitem(MACHINES, "unbalanced-disc", short)
     machines.write(tmp_path, ["unbalanced-disc"], seed=3)
     folder = tmp_path / "unbalanced-disc"
     logs, held_out = tn.load(folder / "logs"), tn.load(folder / "heldout")

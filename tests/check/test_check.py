@@ -253,15 +253,16 @@ def test_no_records_have_no_findings() -> None:
 def test_faults_in_copies_of_the_measured_records_are_named(real_data: Path) -> None:
     records = list(tn.load(real_data))
     assert serious(check(records)) == []
-    k = next(k for k, e in enumerate(records) if e.name == "wN_3V_1")
-    for name, channel, changed in (
-        ("sign", "voltage", replace(records[k], u=-records[k].u)),
-        ("lag", "voltage", replace(records[k], u=np.roll(records[k].u, 6, axis=0))),
-        ("gain", "voltage", replace(records[k], u=2.0 * records[k].u)),
-        ("swap", "alpha", replace(records[k], q=records[k].q[:, ::-1])),
-    ):
-        found = check([*records[:k], changed, *records[k + 1 :]])
-        named = [f for f in found if f.code == name and f.records == ("wN_3V_1",)]
+    faults: dict[str, tuple[str, str, Callable[[tn.Experiment], dict[str, np.ndarray]]]] = {
+        "wN_3V_1": ("sign", "voltage", lambda e: {"u": -e.u}),
+        "wN_2V_1": ("lag", "voltage", lambda e: {"u": np.roll(e.u, 6, axis=0)}),
+        "wN_4V_1": ("gain", "voltage", lambda e: {"u": 2.0 * e.u}),
+        "fall4": ("swap", "alpha", lambda e: {"q": e.q[:, ::-1]}),
+    }
+    unchanged = ("", "", lambda e: {})
+    found = check([replace(e, **faults.get(e.name, unchanged)[2](e)) for e in records])
+    for record, (name, channel, _) in faults.items():
+        named = [f for f in found if f.code == name and f.records == (record,)]
         assert named, (name, [f.text for f in found])
         assert named[0].channel == channel
     copy = replace(records[0], name="fresh", split="test", sha256="")
