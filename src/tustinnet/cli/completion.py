@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 
 from tustinnet.data import declaration
 from tustinnet.registry import RECIPE_HOMES, SYSTEMS, TARGETS
-from tustinnet.simulate import start_rules
+from tustinnet.simulate.start_names import START_NAMES
 
 ALL = "all"  # records of every split
 SPLITS = ("train", "validation", "test", ALL)
@@ -34,7 +34,7 @@ def plan() -> Iterable[str]:
 @_completer
 def start() -> Iterable[str]:
     """Names of starts with their usual numbers of samples."""
-    return [kind.usual_name() for kind in start_rules.STARTS]
+    return [kind.usual for kind in START_NAMES]
 
 
 system, target = _completer(SYSTEMS.names), _completer(TARGETS.names)

@@ -13,7 +13,8 @@ from tustinnet.cli.records import leave_out_short, records_of_split
 from tustinnet.errors import InputError
 from tustinnet.evaluate import bands
 from tustinnet.evaluate import scores as scoring
-from tustinnet.simulate import start_rules, starts
+from tustinnet.simulate import starts
+from tustinnet.simulate.start_names import DERIVED
 from tustinnet.store import header as file_header
 from tustinnet.store import judgement
 
@@ -90,7 +91,7 @@ def choose_free_runs(
         defaults.append(f"start '{file_start}' as in the model's file (--start)")
     start = file_start if start is None else start
     if start is None:
-        usual = [e for e in records if len(e) >= start_rules.DerivedStart.usual_samples] or records
+        usual = [e for e in records if len(e) >= DERIVED.usual_samples] or records
         start = starts.default_start(usual, *models.values())
     if horizon is None and file_horizon is not None:
         defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")

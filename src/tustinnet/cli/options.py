@@ -10,7 +10,7 @@ import typer
 
 from tustinnet.cli import completion
 from tustinnet.registry import SYSTEMS
-from tustinnet.simulate.start_rules import starts_help
+from tustinnet.simulate.start_names import starts_help
 
 _ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
 _SHORTER = {"changes": "set", "origin": "from"}

@@ -10,7 +10,7 @@ from tustinnet.cli.completion import ALL
 from tustinnet.cli.files import list_input_files, require_apart
 from tustinnet.cli.findings import assumed_lines, require_sound, spoiled_lines, warning_lines
 from tustinnet.data import catalog, inspection, loading
-from tustinnet.simulate import start_rules
+from tustinnet.simulate.start_names import DERIVED, parse_start
 from tustinnet.store import files as disk
 from tustinnet.store import run_folder
 from tustinnet.wording import counted
@@ -41,7 +41,7 @@ def load_records_to_fit(
         follow_links=follow_links,
     )
     if not strict:
-        kept = leave_out_short([*records], start_rules.DerivedStart.usual_name(), ())
+        kept = leave_out_short([*records], DERIVED.usual, ())
         records = replace(records, experiments=tuple(kept))
     findings = tn.check(records, located_card)
     if strict:
@@ -87,7 +87,7 @@ def leave_out_short(
 
     Those that were named stay, and all of a split where none is long enough.
     """
-    fewest = start_rules.start_named(start).samples
+    _, fewest = parse_start(start)
     remaining = {e.split for e in records if len(e) >= fewest}
     kept = []
     for e in records:
