@@ -17,7 +17,8 @@ from tustinnet.fitting.task import default_recipe_name
 from tustinnet.registry import SYSTEMS, TARGETS
 from tustinnet.reproduce.entries import ALL_MODELS, DEFAULT_MODELS, ENTRIES
 from tustinnet.selection.plan import USUAL
-from tustinnet.simulate.start_rules import STARTS, start_named
+from tustinnet.simulate.start_names import START_NAMES
+from tustinnet.simulate.start_rules import start_named
 
 VERBS = typer.main.get_group(app).commands
 
@@ -61,7 +62,7 @@ def test_every_target_is_in_the_help_of_export():
 
 @pytest.mark.parametrize("verb", with_option("--start"))
 def test_every_start_is_completed_and_in_the_help(verb):
-    assert [type(start_named(name)) for name in completion.start("")] == list(STARTS)
+    assert [start_named(name).kind for name in completion.start("")] == [*START_NAMES]
     text = help_of(verb, "--start")
     if "as for evaluate" not in text:
         assert all(f"{name} (" in text for name in completion.start(""))

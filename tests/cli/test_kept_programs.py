@@ -7,8 +7,8 @@ import sys
 import pytest
 
 PROGRAM = """
-from tustinnet.cli import terminal
-terminal.prepare_jax("cpu")
+from tustinnet.cli import devices
+devices.prepare_jax("cpu")
 import jax
 jax.jit(lambda x: 3 * x + 1)(2.0).block_until_ready()
 """

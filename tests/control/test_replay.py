@@ -8,7 +8,7 @@ from test_disturbances import level_slide, play_on_a_slope
 
 import tustinnet as tn
 from tustinnet.control.design import ControlTask
-from tustinnet.control.replay import model_of, replay
+from tustinnet.control.replaying import model_of, replay
 
 TASK = ControlTask({"s": 0.1}, {"s": 0.0}, seconds=1.0, trust_beyond=True)
 

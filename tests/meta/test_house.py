@@ -205,6 +205,22 @@ def test_no_module_imports_itself_through_others():
     assert not remaining, "each of these imports another of them"
 
 
+# --- the command's files import at their top ---
+
+
+def hidden_imports(tree: ast.Module) -> Iterator[ast.stmt]:
+    """Imports in functions, in classes and under conditions, as those for types alone."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom) and node not in tree.body:
+            yield node
+
+
+def test_the_command_imports_at_the_top():
+    modules = [m for m in MODULES if m.startswith("cli/")]
+    places = [f"{m}:{node.lineno}" for m in modules for node in hidden_imports(tree_of(m))]
+    assert not places, "take the module from its room, which loads it when it is used"
+
+
 # --- the checks find what they are for ---
 
 
@@ -225,3 +241,5 @@ position, velocity, both = x[..., :n_q], x[c.n_q : 2 * c.n_q], x[: 2 * n_q]
     assert len(list(slices_by_hand(tree))) == 3
     assert len(list(doubled(tree))) == 2
     assert {"TustinNet", "HybridModel"} <= classes_of_families()
+    hidden = "import a\ndef f():\n    import b\nif TYPE_CHECKING:\n    from c import d"
+    assert len(list(hidden_imports(ast.parse(hidden)))) == 2

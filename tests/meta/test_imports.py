@@ -53,9 +53,30 @@ def test_the_verbs_load_nothing_heavy_before_they_run():
     assert not heavy_after("import tustinnet.cli.main")
 
 
-@pytest.mark.parametrize("verb", ["inspect", "fit", "show", "reproduce"])
-def test_help_loads_nothing_heavy(verb):
-    assert not heavy_after(command(verb, "--help"))
+def test_help_loads_nothing_heavy():
+    helps = (
+        "from tustinnet.cli.main import _VERBS, run\n"
+        "for verb in _VERBS:\n"
+        "    try: run([verb.__name__.replace('_', '-'), '--help'])\n"
+        "    except SystemExit as end: assert not end.code\n"
+        "    else: raise AssertionError(verb)\n"
+        "print('loaded:', *sys.modules)"
+    )
+    loaded = python(helps).rpartition("loaded:")[2].split()
+    assert not {*HEAVY, "numpy"} & set(loaded)
+
+
+def test_a_module_of_a_room_is_loaded_when_it_is_used():
+    told = python(
+        "from tustinnet.signals import windows\n"
+        "assert 'tustinnet.signals.windows' not in sys.modules\n"
+        "windows.replaced = 1\n"
+        "import tustinnet.signals.windows as loaded\n"
+        "print(loaded is not windows, loaded.replaced, windows.__file__ == loaded.__file__)"
+    )
+    assert told.split() == ["True", "1", "True"]
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        from tustinnet.signals import nothing  # noqa: F401 # pyright: ignore
 
 
 @pytest.mark.parametrize(("set_by_the_user", "threads"), [(None, "1"), ("4", "4")])

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from tustinnet.cli.main import app
-from tustinnet.cli.terminal import with_options
+from tustinnet.cli.options import with_options
 
 SOURCE = Path(__file__).parents[2] / "src" / "tustinnet"
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")

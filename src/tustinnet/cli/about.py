@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+from tustinnet.cli import devices
+from tustinnet.cores import count_cores
+
 NAME = "tustinnet"
 STEPS = """\
 tustinnet: from logs of a mechanical system to a model that simulates it
@@ -58,10 +61,6 @@ def version() -> str:
 
 def versions() -> Iterator[str]:
     """Lines for a bug report: versions of packages, cores, devices, environment variables."""
-    import jax
-
-    from tustinnet.cores import count_cores
-
     yield version()
     yield f"Python {platform.python_version()} at {sys.prefix}"
     yield f"{platform.platform()}, {count_cores()} cores for this process"
@@ -77,8 +76,7 @@ def versions() -> Iterator[str]:
     yield f"needs: {', '.join(map(_package_version, needs))}"
     for extra, packages in extras.items():
         yield f"extra '{extra}': {', '.join(map(_package_version, packages))}"
-    for device in jax.devices():
-        yield f"device {device.id}: {device.platform}, {device.device_kind}"
+    yield from devices.describe_devices()
     variables = [f"{k}={os.environ[k]}" for k in sorted(os.environ) if k.startswith(_VARIABLES)]
     yield "environment: " + (", ".join(variables) or "nothing of ours")
 

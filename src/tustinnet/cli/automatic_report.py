@@ -10,6 +10,7 @@ import typer
 
 from tustinnet.cli import terminal
 from tustinnet.cli.about import data_words
+from tustinnet.errors import error_message
 
 
 def report_command(
@@ -68,8 +69,6 @@ class AutomaticReport:
             Text that names the file; empty if reports are disabled, None if it could not be
             written: then the verb should end with `require_report`.
         """
-        from tustinnet.errors import error_message
-
         if not self.is_enabled:
             return ""
         command = report_command(

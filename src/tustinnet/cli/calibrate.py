@@ -5,12 +5,17 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
+from tustinnet.cli.completion import ALL
 from tustinnet.cli.files import list_input_files
 from tustinnet.cli.free_runs import choose_free_runs
 from tustinnet.cli.models import load_model
 from tustinnet.cli.records import load_records
 from tustinnet.errors import InputError
+from tustinnet.evaluate import bands
+from tustinnet.store import files as disk
+from tustinnet.store import kept_system, model_file
 from tustinnet.wording import counted
 
 
@@ -33,21 +38,14 @@ def calibrate(
 
     The width of the bands follows from the errors on records that were not used to fit the model.
     """
-    terminal.prepare_jax()
-    from tustinnet.cli.completion import ALL
-    from tustinnet.evaluate.bands import KEY, calibrate_bands, find_alternatives, predict
-    from tustinnet.store.files import require_outputs
-    from tustinnet.store.header import read_header
-    from tustinnet.store.kept_system import find_system_copy, require_copy_fits, write_system_copy
-    from tustinnet.store.model_file import ENDINGS, copy_with_header
-
+    devices.prepare_jax()
     inputs = list_input_files(data, card, model, system)
-    require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
-    system_copy = find_system_copy(model)
-    require_copy_fits(system_copy, out.parent, [out])
+    disk.require_outputs([out], overwrite=overwrite, read=inputs, endings=model_file.ENDINGS)
+    system_copy = kept_system.find_system_copy(model)
+    kept_system.require_copy_fits(system_copy, out.parent, [out])
     simulator = load_model(model, system)
-    header = read_header(model)
-    others = find_alternatives(simulator, header, model)
+    header = tn.read_header(model)
+    others = bands.find_alternatives(simulator, header, model)
     runs = choose_free_runs(
         load_records(data, card, follow_links=follow_links),
         {model: simulator},
@@ -63,11 +61,11 @@ def calibrate(
             "select them by --split",
         )
     records, start = runs.records, runs.start
-    predictions = predict(simulator, others, records, start, horizon=runs.horizon)
-    calibration = calibrate_bands(predictions, records, start, runs.horizon)
-    copy_with_header(model, out, **{KEY: calibration.as_header()})
+    predictions = bands.predict(simulator, others, records, start, horizon=runs.horizon)
+    calibration = bands.calibrate_bands(predictions, records, start, runs.horizon)
+    model_file.copy_with_header(model, out, **{bands.KEY: calibration.as_header()})
     if system_copy is not None:
-        write_system_copy(system_copy, out.parent)
+        kept_system.write_system_copy(system_copy, out.parent)
     runs.print_notes()
     if json:
         terminal.print_json(

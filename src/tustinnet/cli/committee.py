@@ -1,21 +1,22 @@
 """`tustinnet committee`: several models combined into one."""
 
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import list_input_files
 from tustinnet.cli.models import kept_system
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tustinnet.models.contract import Model
-    from tustinnet.systems.files import SystemFile
+from tustinnet.simulate import range as training_ranges
+from tustinnet.store import checkpoint, model_file
+from tustinnet.store import files as disk
+from tustinnet.store import kept_system as kept_systems
+from tustinnet.systems import files as system_files
 
 
 def committee(
@@ -33,53 +34,51 @@ def committee(
     overwrite: options.Overwrite = False,
 ) -> None:
     """Combine models into one that averages their accelerations."""
-    terminal.prepare_jax()
-    from tustinnet.families.committee import committee as make_committee
-    from tustinnet.simulate.range import KEY, Range, join_ranges
-    from tustinnet.store.files import require_outputs
-    from tustinnet.store.header import read_header
-    from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
-    from tustinnet.store.model_file import ENDINGS, load_models, save
-    from tustinnet.systems.files import SystemFile, find_system
-
+    devices.prepare_jax()
     try:
         shares = None if weights is None else [float(part) for part in weights.split(",")]
     except ValueError:
         raise InputError("--weights", f"'{weights}'", "numbers, separated by commas") from None
     inputs = list_input_files(None, None, *models, system)
-    require_outputs([out], overwrite=overwrite, read=inputs, endings=ENDINGS)
-    shared_system = _find_shared_system(models) if system is None else find_system(system)
-    members = load_models(
+    disk.require_outputs([out], overwrite=overwrite, read=inputs, endings=model_file.ENDINGS)
+    shared_system = (
+        _find_shared_system(models) if system is None else system_files.find_system(system)
+    )
+    members = model_file.load_models(
         models, [] if shared_system is None else [shared_system], lambda path: None
     )
     _require_different(models, members)
-    system_file = shared_system if isinstance(shared_system, SystemFile) else None
-    require_copy_fits(system_file, out.parent, [out])
-    headers = [read_header(path) for path in models]
+    system_file = shared_system if isinstance(shared_system, system_files.SystemFile) else None
+    kept_systems.require_copy_fits(system_file, out.parent, [out])
+    headers = [tn.read_header(path) for path in models]
     files: list[dict[str, Any]] = []
     for path, header in zip(models, headers, strict=True):
         data = {} if header.get("data") is None else {"data": header["data"]}
         files.append({"file": str(path), "sha256": sha256(path.read_bytes()).hexdigest(), **data})
     content: dict[str, Any] = {"files": files}
     # the range of the training data is known where all members have one
-    ranges = [Range.from_header(h, m) for h, m in zip(headers, members, strict=True)]
+    ranges = [
+        training_ranges.Range.from_header(h, m) for h, m in zip(headers, members, strict=True)
+    ]
     complete = [part for part in ranges if part is not None]
     if len(complete) == len(ranges):
-        content[KEY] = join_ranges(complete, members[0].channels).as_header()
-    save(make_committee(members, shares), out, **content, **system_header(system_file))
+        content[training_ranges.KEY] = training_ranges.join_ranges(
+            complete, members[0].channels
+        ).as_header()
+    tn.save(
+        tn.committee(members, shares), out, **content, **kept_systems.system_header(system_file)
+    )
     if system_file is not None:
-        write_system_copy(system_file, out.parent)
+        kept_systems.write_system_copy(system_file, out.parent)
         terminal.remember_trust(system_file)
     terminal.messages().print(f"{len(members)} models: {out}")
 
 
-def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
+def _require_different(paths: list[Path], models: "Sequence[tn.Model]") -> None:
     """Raises an error if two files have one model: it would only count twice."""
-    from tustinnet.store.checkpoint import model_digest
-
     earlier: dict[str, Path] = {}
     for path, model in zip(paths, models, strict=True):
-        other = earlier.setdefault(model_digest(model), path)
+        other = earlier.setdefault(checkpoint.model_digest(model), path)
         if other is not path:
             raise InputError(
                 path,
@@ -89,7 +88,7 @@ def _require_different(paths: list[Path], models: "Sequence[Model]") -> None:
             )
 
 
-def _find_shared_system(models: list[Path]) -> "SystemFile | None":
+def _find_shared_system(models: list[Path]) -> "system_files.SystemFile | None":
     """The system file that is stored with some of the models; different ones are refused."""
     copies = [copy for path in models if (copy := kept_system(path)) is not None]
     if len({copy.sha256 for copy in copies}) > 1:

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterable
 
-from tustinnet.registry import SYSTEMS, TARGETS
+from tustinnet.data import declaration
+from tustinnet.registry import RECIPE_HOMES, SYSTEMS, TARGETS
+from tustinnet.simulate.start_names import START_NAMES
 
 ALL = "all"  # records of every split
 SPLITS = ("train", "validation", "test", ALL)
@@ -20,26 +22,19 @@ def _completer(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]
 @_completer
 def recipe() -> Iterable[str]:
     """Names of packaged recipes."""
-    from tustinnet.data.declaration import list_packaged
-    from tustinnet.registry import RECIPE_HOMES
-
-    return list_packaged(RECIPE_HOMES)
+    return declaration.list_packaged(RECIPE_HOMES)
 
 
 @_completer
 def plan() -> Iterable[str]:
     """Names of packaged plans."""
-    from tustinnet.data.declaration import list_packaged
-
-    return list_packaged(["tustinnet.selection"], "plan")
+    return declaration.list_packaged(["tustinnet.selection"], "plan")
 
 
 @_completer
 def start() -> Iterable[str]:
     """Names of starts with their usual numbers of samples."""
-    from tustinnet.simulate.start_rules import STARTS
-
-    return [kind.usual_name() for kind in STARTS]
+    return [kind.usual for kind in START_NAMES]
 
 
 system, target = _completer(SYSTEMS.names), _completer(TARGETS.names)

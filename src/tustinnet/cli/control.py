@@ -1,25 +1,37 @@
 """`tustinnet control`: a controller designed on a model, tested, and written as C."""
 
 import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.about import data_words
 from tustinnet.cli.models import load_model
 from tustinnet.cli.records import load_records
 from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
+from tustinnet.control import design as controller_design
+from tustinnet.control import replaying, variants
+from tustinnet.control import trial as trials
+from tustinnet.control.export import compiled
+from tustinnet.control.export import gains as gain_files
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from tustinnet.control.plan import Plan
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.models.contract import Model
+from tustinnet.models import groups as model_groups
+from tustinnet.models import physical_values
+from tustinnet.report import control as control_report
+from tustinnet.report import drawing
+from tustinnet.report import replay as replay_report
+from tustinnet.report.page import controller as controller_page
+from tustinnet.simulate import range as training_ranges
+from tustinnet.store import exported, kept_system
+from tustinnet.store import files as disk
+from tustinnet.store import header as file_header
 
 _LONGEST = 1000  # s, of a motion
 _OF_REPLAY = ("model", "replay", "card", "follow_links", "system", "group", "json")
@@ -194,37 +206,7 @@ def control(
     Kalman filter, a motion is planned by iterative LQR. The folder gets controller, estimator,
     model and a closed loop in C, gains, scripts for CasADi, acados and do-mpc, and figures.
     """
-    terminal.prepare_jax()
-    import sys
-    import time
-
-    from tustinnet.control.design import ControlTask, design_controller, find_rest
-    from tustinnet.control.export.write import export_controller
-    from tustinnet.control.frequency import loop_responses
-    from tustinnet.control.plants import load_plant
-    from tustinnet.control.reference import read_reference
-    from tustinnet.control.sampled_plant import PlantOptions
-    from tustinnet.control.trial import try_design
-    from tustinnet.control.variants import allowed_values
-    from tustinnet.models.groups import model_for_groups
-    from tustinnet.models.physical_values import equations_in
-    from tustinnet.report.control import (
-        closed_loop_figure,
-        errors_along,
-        frequency_figure,
-        margins_table,
-        point_table,
-        robustness_figure,
-        robustness_table,
-        sentences,
-        summarise,
-    )
-    from tustinnet.report.drawing import write_figure
-    from tustinnet.report.page.controller import write_control_page
-    from tustinnet.simulate.range import Range
-    from tustinnet.store.exported import require_export_folder
-    from tustinnet.store.files import lock_folder, to_json, write_into
-    from tustinnet.store.header import read_header
+    devices.prepare_jax()
 
     if replay is not None:
         _refuse_beside_replay(context)
@@ -240,29 +222,29 @@ def control(
         refuse_options(needed, "without records", "--data")
     if seconds is not None and not 0 < seconds < _LONGEST:
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
-    require_export_folder(out, overwrite=overwrite)
+    exported.require_export_folder(out, overwrite=overwrite)
     printer = terminal.make_printer(quiet=quiet)
-    loaded, header = load_model(model, system), read_header(model)
+    loaded, header = load_model(model, system), tn.read_header(model)
     groups = parse_pairs("--group", group)
-    simulator = model_for_groups(loaded, groups, "control")
+    simulator = model_groups.model_for_groups(loaded, groups, "control")
     values = OptionReader(simulator.channels, header)
-    training_range = Range.from_header(header, simulator)
+    training_range = training_ranges.Range.from_header(header, simulator)
     known = None if trust_beyond else training_range
     positions = values.read_point("--at", at, known)
     input_limits = values.read_limits("--limits", limits)
     start, reference = None, None
     if follow is not None:
         factors = {name: column.factor for name, (_, column) in values.values.units.items()}
-        reference = read_reference(follow, simulator.channels, factors)
+        reference = tn.control.read_reference(follow, simulator.channels, factors)
         start, positions = ({name: float(q[k]) for name, q in reference.items()} for k in (0, -1))
     elif swing_up:
-        start = find_rest(simulator, positions, input_limits)
+        start = controller_design.find_rest(simulator, positions, input_limits)
     elif to is not None:
         start, positions = positions, positions | values.read_point("--to", to, known)
-    records: Sequence[Experiment] = ()
+    records: Sequence[tn.Experiment] = ()
     if data is not None:
         records = [*load_records(data, card, follow_links=follow_links)]
-    task = ControlTask(
+    task = controller_design.ControlTask(
         positions,
         start,
         seconds,
@@ -277,9 +259,9 @@ def control(
         observer,
         mpc,
     )
-    with lock_folder(out):
+    with disk.lock_folder(out):
         begin = time.perf_counter()
-        design = design_controller(
+        design = controller_design.design_controller(
             simulator,
             task,
             range=training_range,
@@ -290,20 +272,22 @@ def control(
         printer(
             f"playing closed loops of {design.steps * simulator.dt:.3g} s, {starts} on each plant"
         )
-        late = PlantOptions(delay=delay)
+        late = tn.control.PlantOptions(delay=delay)
         plants = (
             {}
             if plant is None
-            else {Path(plant).name: load_plant(plant, simulator.channels, options=late)}
+            else {Path(plant).name: tn.control.load_plant(plant, simulator.channels, options=late)}
         )
-        is_physical = equations_in(simulator) is not None
+        is_physical = physical_values.equations_in(simulator) is not None
         candidates = [] if is_physical else _load_rivals(model, system, groups)
-        trial = try_design(design, header, plants=plants, count=starts, candidates=candidates)
+        trial = trials.try_design(
+            design, header, plants=plants, count=starts, candidates=candidates
+        )
         is_refused = bool(trial.robustness.problem) and not force
         export = (
             None
             if is_refused
-            else export_controller(
+            else tn.control.export_controller(
                 design.estimated,
                 design.controller,
                 design.noise,
@@ -314,17 +298,19 @@ def control(
                 overwrite=overwrite,
             )
         )
-        content = summarise(design, trial.robustness, export)
+        content = control_report.summarise(design, trial.robustness, export)
         if json:
             terminal.print_json(content)
         else:
-            terminal.echo("\n".join(sentences(design)))
+            terminal.echo("\n".join(control_report.sentences(design)))
             terminal.print_tables(
-                point_table(design),
-                margins_table(design),
-                robustness_table(trial.robustness, simulator.channels),
+                control_report.point_table(design),
+                control_report.margins_table(design),
+                control_report.robustness_table(trial.robustness, simulator.channels),
             )
-            terminal.echo("\n".join((*errors_along(design, trial), trial.robustness.sentence)))
+            terminal.echo(
+                "\n".join((*control_report.errors_along(design, trial), trial.robustness.sentence))
+            )
         if export is None:
             remedies = ["record motion about the goal with inputs"]
             remedies += [] if is_physical else ["fit equations of motion (the recipe mechanism)"]
@@ -334,14 +320,16 @@ def control(
                 "one that holds more than its model",
                 f"{', or '.join(remedies)}; --force writes it all the same",
             )
-        write_into(out, SUMMARY, to_json(content))
+        disk.write_into(out, SUMMARY, disk.to_json(content))
         _keep_model(model, out)
-        write_figure(closed_loop_figure(design, trial.main_runs), out, LOOP)
-        write_figure(robustness_figure(trial.robustness), out, ROBUSTNESS)
-        allowed = allowed_values(simulator, header, _DRAWS)
-        responses = loop_responses(simulator, design.own_feedback, allowed)
-        write_figure(frequency_figure(responses, simulator.channels), out, BODE)
-        write_control_page(
+        drawing.write_figure(control_report.closed_loop_figure(design, trial.main_runs), out, LOOP)
+        drawing.write_figure(control_report.robustness_figure(trial.robustness), out, ROBUSTNESS)
+        allowed = variants.allowed_values(simulator, header, _DRAWS)
+        responses = tn.control.loop_responses(simulator, design.own_feedback, allowed)
+        drawing.write_figure(
+            control_report.frequency_figure(responses, simulator.channels), out, BODE
+        )
+        controller_page.write_control_page(
             design,
             trial,
             out / PAGE,
@@ -355,9 +343,7 @@ def control(
         )
 
 
-def _refuse_beside_mpc(
-    mpc: int | None, integral: "Sequence[str] | None", *, observer: bool
-) -> None:
+def _refuse_beside_mpc(mpc: int | None, integral: Sequence[str] | None, *, observer: bool) -> None:
     """Raises for options of linear feedback that predictive control does not have."""
     if mpc is not None:
         options = {"--integral": integral, "--observer": observer}
@@ -369,7 +355,7 @@ def _refuse_others(
     at: str | None,
     to: str | None,
     seconds: float | None,
-    within: "Sequence[str] | None",
+    within: Sequence[str] | None,
     mpc: int | None,
     *,
     swing_up: bool,
@@ -398,11 +384,9 @@ def _refuse_beside_replay(context: typer.Context) -> None:
             refuse_options({option: True}, "beside --replay", "a replay of logs alone")
 
 
-def _notes_of_plan(plan: "Plan | None", header: "Mapping[str, Any]") -> list[str]:
+def _notes_of_plan(plan: "tn.control.Plan | None", header: Mapping[str, Any]) -> list[str]:
     """A note on a motion that lasts longer than the free runs by which its model was judged."""
-    from tustinnet.store.header import judgement_in_header
-
-    judgement = judgement_in_header(header)
+    judgement = file_header.judgement_in_header(header)
     judged = None if judgement is None else judgement.horizon
     if plan is None or judged is None or len(plan.u) * plan.dt <= judged:
         return []
@@ -414,12 +398,9 @@ def _notes_of_plan(plan: "Plan | None", header: "Mapping[str, Any]") -> list[str
 
 def _keep_model(model: Path, out: Path) -> None:
     """Copies the model, and the system that is kept with it, beside its controller."""
-    from tustinnet.store.files import write_into
-    from tustinnet.store.kept_system import find_system_copy, write_system_copy
-
-    write_into(out, MODEL, model.read_bytes())
-    if (copy := find_system_copy(model)) is not None:
-        write_system_copy(copy, out)
+    disk.write_into(out, MODEL, model.read_bytes())
+    if (copy := kept_system.find_system_copy(model)) is not None:
+        kept_system.write_system_copy(copy, out)
 
 
 def _replay(
@@ -427,20 +408,13 @@ def _replay(
     data: str,
     card: Path | None,
     system: str | None,
-    groups: "Mapping[str, str]",
+    groups: Mapping[str, str],
     *,
     follow_links: bool,
     json: bool,
 ) -> None:
     """Prints what the controller of a folder makes of logs."""
-    from tustinnet.control.estimator import check_filter
-    from tustinnet.control.export.compiled import folder_controller
-    from tustinnet.control.export.gains import JSON, read_controller
-    from tustinnet.control.replay import model_of, read_estimator, replay
-    from tustinnet.models.groups import model_for_groups
-    from tustinnet.report.replay import replay_sentences, replay_table, summarise
-
-    for name in (JSON, SUMMARY, MODEL):
+    for name in (gain_files.JSON, SUMMARY, MODEL):
         if not (folder / name).is_file():
             raise InputError(
                 folder,
@@ -448,20 +422,20 @@ def _replay(
                 "the folder of a controller, as `control --out` writes it",
                 "one of before 0.3 lacks it: design it again",
             )
-    gains = read_controller(folder)
+    gains = tn.control.read_controller(folder)
     file = folder / MODEL
-    loaded = model_for_groups(load_model(file, system), groups, "control")
-    model = model_of(gains, loaded)
-    noise, is_predictive = read_estimator(folder / SUMMARY)
-    controller = folder_controller(folder, gains, predictive=is_predictive)
+    loaded = model_groups.model_for_groups(load_model(file, system), groups, "control")
+    model = replaying.model_of(gains, loaded)
+    noise, is_predictive = replaying.read_estimator(folder / SUMMARY)
+    controller = compiled.folder_controller(folder, gains, predictive=is_predictive)
     records = load_records(data, card, follow_links=follow_links)
-    replays = [replay(gains, model, noise, record, controller) for record in records]
-    consistency = check_filter(model, [*records], noise)
+    replays = [tn.control.replay(gains, model, noise, record, controller) for record in records]
+    consistency = tn.control.check_filter(model, [*records], noise)
     if json:
-        terminal.print_json(summarise(replays, consistency))
+        terminal.print_json(replay_report.summarise(replays, consistency))
         return
-    terminal.print_tables(replay_table(replays))
-    terminal.echo("\n".join(replay_sentences(replays, consistency)))
+    terminal.print_tables(replay_report.replay_table(replays))
+    terminal.echo("\n".join(replay_report.replay_sentences(replays, consistency)))
     logs = data_words(data, card)
     terminal.echo(
         f"next: tustinnet evaluate {shlex.quote(str(file))} {logs} (free runs of the model), "
@@ -469,10 +443,7 @@ def _replay(
     )
 
 
-def _load_rivals(model: Path, system: str | None, groups: "Mapping[str, str]") -> "list[Model]":
+def _load_rivals(model: Path, system: str | None, groups: Mapping[str, str]) -> "list[tn.Model]":
     """Other candidates with equations of motion, beside a model that has none."""
-    from tustinnet.control.plants import load_rivals
-    from tustinnet.models.groups import model_for_groups
-
-    rivals = load_rivals(model, system)
-    return [model_for_groups(one, groups, "control") for one in rivals]
+    rivals = tn.control.load_rivals(model, system)
+    return [model_groups.model_for_groups(one, groups, "control") for one in rivals]

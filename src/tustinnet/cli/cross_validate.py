@@ -5,12 +5,20 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+import tustinnet as tn
+from tustinnet.cli import completion, devices, options, terminal
 from tustinnet.cli.files import list_input_files
 from tustinnet.cli.fit_options import choose_recipe, open_cluster, parse_seeds, require_cores
 from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
+from tustinnet.fitting import roles
+from tustinnet.report import drawing, fits
+from tustinnet.report import learning as learning_report
+from tustinnet.report import progress as progress_bars
+from tustinnet.selection import cross_validation, learning
+from tustinnet.store import files as disk
+from tustinnet.systems import files as system_files
 
 _FILE, _TABLE = "folds.json", "folds.md"
 _CURVE_FILES = [f"learning-curve.{ending}" for ending in ("json", "md", "png")]
@@ -94,22 +102,8 @@ def cross_validate(
         refuse_options(needless, "to a learning curve", "one start, a seed for each draw")
     sizes = _read_sizes(records)
     require_cores(cluster, device)
-    terminal.prepare_jax(device)
-    from tustinnet.fitting.roles import records_without_test
-    from tustinnet.report.drawing import write_figure
-    from tustinnet.report.fits import folds_table
-    from tustinnet.report.learning import learning_figure, learning_table
-    from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.cross_validation import (
-        cross_validate,
-        make_cross_validation_options,
-        remove_results,
-    )
-    from tustinnet.selection.learning import DRAWS, learning_curve
-    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
-    from tustinnet.systems.files import find_system
-
-    validation = make_cross_validation_options(
+    devices.prepare_jax(device)
+    validation = tn.make_cross_validation_options(
         choose_recipe(recipe, changes, system=system, physics=physics),
         system=system,
         physics=physics,
@@ -120,46 +114,44 @@ def cross_validate(
     console = terminal.messages()
     inputs = list_input_files(data, card, system)
     names = [_FILE, _TABLE] if sizes is None else _CURVE_FILES
-    require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = load_records_to_fit(
-        data, card, out, console, strict=strict, follow_links=follow_links
-    )
-    print_still_coordinates(records_without_test(data_set), console)
+    disk.require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
+    data_set = load_records_to_fit(data, card, out, strict=strict, follow_links=follow_links)
+    print_still_coordinates(roles.records_without_test(data_set))
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (
         terminal.interruptible("" if cluster is None else remedy),
         open_cluster(cluster) as executor,
-        lock_folder(out),
-        FitProgress(console, quiet=quiet) as progress,
+        disk.lock_folder(out),
+        progress_bars.FitProgress(console, quiet=quiet) as progress,
     ):
         if executor is not None:
-            remove_results(out, names, jobs=overwrite)
+            cross_validation.remove_results(out, names, jobs=overwrite)
         if sizes is not None:
-            curve = learning_curve(
+            curve = learning.learning_curve(
                 data_set,
                 validation,
                 sizes,
-                DRAWS if draws is None else draws,
+                learning.DRAWS if draws is None else draws,
                 progress.follow,
                 terminal.make_printer(quiet=quiet),
             )
-            table, plain = learning_table(curve), curve.as_plain()
+            table, plain = learning_report.learning_table(curve), curve.as_plain()
             sentences = [curve.sentence(approach) for approach in curve.approaches]
-            write_figure(learning_figure(curve), out, names[2])
+            drawing.write_figure(learning_report.learning_figure(curve), out, names[2])
         else:
-            result = cross_validate(
+            result = tn.cross_validate(
                 data_set,
                 validation,
                 progress.follow,
                 folder=out,
                 executor=executor,
-                system=system and find_system(system),
+                system=system and system_files.find_system(system),
                 on_message=terminal.make_printer(quiet=quiet),
             )
-            table, plain, sentences = folds_table(result), result.as_plain(), []
+            table, plain, sentences = fits.folds_table(result), result.as_plain(), []
         lines = "".join(f"\n* {sentence}." for sentence in sentences)
-        write_into(out, names[0], to_json(plain))
-        write_into(out, names[1], table.markdown() + (f"{lines}\n" if lines else ""))
+        disk.write_into(out, names[0], disk.to_json(plain))
+        disk.write_into(out, names[1], table.markdown() + (f"{lines}\n" if lines else ""))
     if json:
         terminal.print_json(plain)
     else:

@@ -3,22 +3,28 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
+from tustinnet.cli.automatic_report import AutomaticReport, require_report
+from tustinnet.cli.inspect import time_table
+from tustinnet.cli.select import draw_choice, make_reporter, print_choice, print_files
+from tustinnet.control import design as controller_design
+from tustinnet.control import trial as trials
+from tustinnet.evaluate import scores as scoring
+from tustinnet.models import physical_values
+from tustinnet.report import control, drawing, tables
+from tustinnet.report import figures as result_figures
+from tustinnet.report import progress as progress_bars
+from tustinnet.report.page import fit_reports, reported_model
+from tustinnet.simulate import range as training_ranges
+from tustinnet.store import data_set_folder, run_folder
+from tustinnet.store import files as disk
+from tustinnet.systems import qube_servo2_twin
 from tustinnet.wording import counted
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.scores import Score
-    from tustinnet.report.page.reported_model import ReportedModel
-    from tustinnet.report.tables import Table
-    from tustinnet.store.run_folder import Earlier
 
 # the plan, with a system that lacks the cable's relaxation and dry friction; its time limit
 _PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 105.0
@@ -45,52 +51,38 @@ def demo(
     The logs are simulated from Lagrange's equations, which favours grey boxes: the table shows
     how the command works, not how accurate the models are on a real device.
     """
-    terminal.prepare_jax(device)
-    from tustinnet.check.report import inspect_experiment
-    from tustinnet.cli.automatic_report import AutomaticReport, require_report
-    from tustinnet.cli.inspect import time_table
-    from tustinnet.data.catalog import load
-    from tustinnet.evaluate.scores import mean_rmse, rmse_by_record
-    from tustinnet.report.page.fit_reports import write_scored_report
-    from tustinnet.store.data_set_folder import write_data_set
-    from tustinnet.store.files import (
-        lock_folder,
-        require_outputs,
-        to_json,
-        write_into,
-    )
-    from tustinnet.systems import qube_servo2_twin
-
+    devices.prepare_jax(device)
     console = terminal.messages()
     table_file, logs = out / "twin_table.md", out / "twin"
     page = out / "twin_report.html"
     figures = [out / f"{name}.png" for name in ("twin_records", *_DRAWN)] + [out / _SWING_UP]
     folders = [logs, out / _CHOICE, out / _CONTROLLER]
     files = [table_file, table_file.with_suffix(".json"), *folders, *figures]
-    require_outputs([*files, *([] if no_report else [page])], overwrite=overwrite)
+    disk.require_outputs([*files, *([] if no_report else [page])], overwrite=overwrite)
 
     def print_step(line: str) -> None:
         if not quiet:
             console.print(line)
 
-    with lock_folder(out):
+    with disk.lock_folder(out):
         print_step(f"1/6 twin of the Qube-Servo 2, simulated and logged: {logs}")
         twin = qube_servo2_twin.twin(seed)
-        write_data_set(twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite)
-        data = load(logs)
+        data_set_folder.write_data_set(
+            twin, logs, "Simulated twin of the Qube-Servo 2", overwrite=overwrite
+        )
+        data = tn.load(logs)
         print_step(f"2/6 looking at the {counted(len(data), 'record')}: {out / 'twin_records.png'}")
         training = list(data.split("train"))
-        reports = [inspect_experiment(e) for e in training]
+        reports = [tn.inspect_experiment(e) for e in training]
         if not json:
             terminal.print_tables(time_table(reports))
 
-        from tustinnet.report.drawing import write_figure
-        from tustinnet.report.figures import free_run_figure, inspection_figure
-
-        write_figure(inspection_figure(training, reports), out, "twin_records.png")
+        drawing.write_figure(
+            result_figures.inspection_figure(training, reports), out, "twin_records.png"
+        )
         print_step(f"3/6 choosing a model in at most {_SECONDS:.0f} s: {out / _CHOICE}")
         earlier = "discard" if overwrite else "refuse"
-        models = _select_and_score(data, out, console, quiet=quiet, json=json, earlier=earlier)
+        models = _select_and_score(data, out, quiet=quiet, json=json, earlier=earlier)
         scores = {model.label: model.scores for model in models}
         tests = list(data.split("test"))
         print_step(f"4/6 free runs of the {len(tests)} test records")
@@ -100,12 +92,15 @@ def demo(
             "start": _START,
             "units": data.channels.unit,
             "models": {
-                label: {"mean": mean_rmse(model_scores), "rmse": rmse_by_record(model_scores)}
+                label: {
+                    "mean": tn.mean_rmse(model_scores),
+                    "rmse": scoring.rmse_by_record(model_scores),
+                }
                 for label, model_scores in scores.items()
             },
         }
-        write_into(out, "twin_table.md", _scores_table(scores).markdown())
-        write_into(out, "twin_table.json", to_json(content))
+        disk.write_into(out, "twin_table.md", _scores_table(scores).markdown())
+        disk.write_into(out, "twin_table.json", disk.to_json(content))
         if json:
             terminal.print_json(content)
         else:
@@ -115,14 +110,18 @@ def demo(
                 label: next(s for s in model_scores if s.experiment == name)
                 for label, model_scores in scores.items()
             }
-            write_figure(free_run_figure(data[name], runs, recorded="twin"), out, f"{name}.png")
+            drawing.write_figure(
+                result_figures.free_run_figure(data[name], runs, recorded="twin"),
+                out,
+                f"{name}.png",
+            )
         if not no_report:
             print_step(f"5/6 the report, motion and playground in one page: {page}")
         reported = models[:_REPORTED]
         report = AutomaticReport(str(logs), is_enabled=not no_report).write(
             [model.file for model in reported if model.file is not None],
             page,
-            lambda command: write_scored_report(reported, tests, page, command),
+            lambda command: fit_reports.write_scored_report(reported, tests, page, command),
             {"--split": "test", "--start": _START},
         )
         print_step(f"6/6 a controller that swings the twin up: {out / _CONTROLLER}")
@@ -139,19 +138,18 @@ def demo(
 
 
 def _select_and_score(
-    data: "DataSet", out: Path, console: "Console", *, quiet: bool, json: bool, earlier: "Earlier"
-) -> "list[ReportedModel]":
+    data: "tn.DataSet",
+    out: Path,
+    *,
+    quiet: bool,
+    json: bool,
+    earlier: "run_folder.Earlier",
+) -> "list[reported_model.ReportedModel]":
     """Chooses a model without the test records, and scores it and the others on these."""
-    from tustinnet.cli.select import draw_choice, make_reporter, print_choice, print_files
-    from tustinnet.evaluate.scores import evaluate
-    from tustinnet.report.page.reported_model import read_reported_models
-    from tustinnet.report.progress import FitProgress
-    from tustinnet.selection.select import SelectionOptions, select_model
-
-    selection = SelectionOptions(_PLAN, _SYSTEM, _SECONDS)
-    with FitProgress(console, quiet=quiet) as progress:
+    selection = tn.SelectionOptions(_PLAN, _SYSTEM, _SECONDS)
+    with progress_bars.FitProgress(terminal.messages(), quiet=quiet) as progress:
         reporter = make_reporter(progress, quiet=quiet)
-        choice = select_model(data, out / _CHOICE, selection, earlier, reporter)
+        choice = tn.select_model(data, out / _CHOICE, selection, earlier, reporter)
     if not json:
         print_choice(choice, quiet=quiet)
     draw_choice(choice)
@@ -162,15 +160,17 @@ def _select_and_score(
     for name in [choice.best, *(name for name in choice.origins if name != choice.best)]:
         is_chosen = name == choice.best
         model = choice.model if is_chosen else choice.context.load_model(choice.file(name))
-        (reported,) = read_reported_models([choice.context.folder / choice.file(name)], [model])
+        (reported,) = reported_model.read_reported_models(
+            [choice.context.folder / choice.file(name)], [model]
+        )
         label = f"{name} (chosen)" if is_chosen else name
-        models.append(replace(reported, label=label, scores=evaluate(model, tests, _START)))
+        models.append(replace(reported, label=label, scores=tn.evaluate(model, tests, _START)))
     return models
 
 
 def _swing_up(
-    models: "Sequence[ReportedModel]",
-    records: "Sequence[Experiment]",
+    models: "Sequence[reported_model.ReportedModel]",
+    records: "Sequence[tn.Experiment]",
     out: Path,
     *,
     overwrite: bool,
@@ -179,27 +179,23 @@ def _swing_up(
 
     The model is the best one with equations of motion, which say what the voltage does upright.
     """
-    from tustinnet.control.design import ControlTask, design_controller, find_rest
-    from tustinnet.control.export.write import export_controller
-    from tustinnet.control.plants import qube_twin
-    from tustinnet.control.trial import try_design
-    from tustinnet.models.physical_values import equations_in
-    from tustinnet.report.control import closed_loop_figure
-    from tustinnet.report.drawing import write_figure
-    from tustinnet.simulate.range import Range
-
-    physical = [m for m in models if equations_in(m.model) is not None]
+    physical = [m for m in models if physical_values.equations_in(m.model) is not None]
     if not physical:
         return "no swing-up: no model with equations of motion was fitted in time"
     model, header, file = physical[0].model, physical[0].header, physical[0].file
-    task = ControlTask(
-        _UPRIGHT, find_rest(model, _UPRIGHT, _VOLTAGE), limits=_VOLTAGE, trust_beyond=True
+    task = controller_design.ControlTask(
+        _UPRIGHT,
+        controller_design.find_rest(model, _UPRIGHT, _VOLTAGE),
+        limits=_VOLTAGE,
+        trust_beyond=True,
     )
-    design = design_controller(
-        model, task, range=Range.from_header(dict(header), model), records=records
+    design = controller_design.design_controller(
+        model, task, range=training_ranges.Range.from_header(dict(header), model), records=records
     )
-    trial = try_design(design, header, plants={"twin": qube_twin()}, variants=False, count=_RUNS)
-    export_controller(
+    trial = trials.try_design(
+        design, header, plants={"twin": tn.control.qube_twin()}, variants=False, count=_RUNS
+    )
+    tn.control.export_controller(
         model,
         design.gains,
         design.noise,
@@ -209,7 +205,7 @@ def _swing_up(
         file=file,
         overwrite=overwrite,
     )
-    write_figure(closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
+    drawing.write_figure(control.closed_loop_figure(design, trial.main_runs), out, _SWING_UP)
     (row,) = trial.robustness.rows
     return (
         f"swing-up of the twin, through its encoders: {row.successes} of {len(row.outcomes)} runs "
@@ -217,17 +213,18 @@ def _swing_up(
     )
 
 
-def _scores_table(scores: "Mapping[str, Sequence[Score]]") -> "Table":
+def _scores_table(scores: "Mapping[str, Sequence[scoring.Score]]") -> "tables.Table":
     """Table of the test records, with a row for each model."""
-    from tustinnet.evaluate.scores import mean_rmse
-    from tustinnet.report.tables import Table, number
-
     names = [s.experiment.removeprefix("twin_") for s in next(iter(scores.values()))]
     rows = [
-        [label, *[number(s.rmse) for s in model_scores], number(mean_rmse(model_scores))]
+        [
+            label,
+            *[tables.number(s.rmse) for s in model_scores],
+            tables.number(tn.mean_rmse(model_scores)),
+        ]
         for label, model_scores in scores.items()
     ]
     title = (
         f"Twin (simulated, favours Lagrangian models): free-run RMSE [rad], test, start '{_START}'"
     )
-    return Table(["model", *names, "mean"], rows, title=title)
+    return tables.Table(["model", *names, "mean"], rows, title=title)

@@ -4,6 +4,7 @@ import gc
 import os
 import sys
 
+from tustinnet.cli import main
 from tustinnet.cli.terminal import guard_streams, shorten_warnings, stoppable
 
 # of libraries of linear algebra: threads take longer to wait for one another than small matrices
@@ -20,10 +21,8 @@ def run() -> None:
         for name in _THREADS:  # before NumPy is loaded
             os.environ.setdefault(name, "1")
         gc.set_threshold(_COLLECTED, *gc.get_threshold()[1:])
-        from tustinnet.cli.main import run as command
-
         try:
-            command()
+            main.run()  # which is loaded now, when signals and threads are set
         finally:
             gc.freeze()  # the process ends: what it leaves need not be searched for garbage
             try:  # nothing that was printed is lost to a late signal

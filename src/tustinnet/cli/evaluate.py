@@ -1,13 +1,14 @@
 """`tustinnet evaluate`: score models on records."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import list_input_files, require_figures
 from tustinnet.cli.free_runs import (
     FreeRunRequest,
@@ -19,17 +20,21 @@ from tustinnet.cli.models import kept_system
 from tustinnet.cli.records import load_records
 from tustinnet.cli.verb import refuse_options
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from matplotlib.figure import Figure
-
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.evaluate.bands import Band, BandOptions
-    from tustinnet.evaluate.scores import Score
-    from tustinnet.models.contract import Model
-    from tustinnet.report.evaluation import Evaluation
+from tustinnet.evaluate import ahead as predictions_ahead
+from tustinnet.evaluate import bands as free_run_bands
+from tustinnet.evaluate import coverage
+from tustinnet.evaluate import horizons as error_horizons
+from tustinnet.evaluate import reference as references
+from tustinnet.evaluate import residuals as residual_tests
+from tustinnet.evaluate import scores as scoring
+from tustinnet.fitting.inverse_dynamics import of_model as model_forces
+from tustinnet.report import comparison, drawing
+from tustinnet.report import evaluation as evaluation_report
+from tustinnet.report import figures as result_figures
+from tustinnet.report import residuals as residual_report
+from tustinnet.report.page import reported_model
+from tustinnet.store import model_file
+from tustinnet.systems import files as system_files
 
 _AHEAD_FIGURE, _RESIDUAL_FIGURE = "ahead", "residuals"
 _LAGS = 50  # samples
@@ -94,11 +99,7 @@ def evaluate(
 
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
-    terminal.prepare_jax()
-    from tustinnet.report.page.reported_model import labels
-    from tustinnet.store.model_file import load_models
-    from tustinnet.systems.files import find_system
-
+    devices.prepare_jax()
     if len(models) > 1:
         of_one = {"--ahead": ahead, "--forces": forces, "--residuals": residuals, "--lags": lags}
         refuse_options(of_one, "to several models", "one model")
@@ -107,7 +108,9 @@ def evaluate(
     if not residuals:
         refuse_options({"--lags": lags}, "without residuals", "residuals", "add --residuals")
     band_options = make_band_options(band, whole=whole_records)
-    loaded = load_models(models, [find_system(name) for name in system or []], kept_system)
+    loaded = model_file.load_models(
+        models, [system_files.find_system(name) for name in system or []], kept_system
+    )
     data_set = load_records(data, card, follow_links=follow_links)
     by_file = dict(zip(models, loaded, strict=True))
     runs = choose_free_runs(
@@ -120,7 +123,9 @@ def evaluate(
     inputs = list_input_files(data, card, *models, *(system or []))
     require_figures("--figures", paths, inputs, overwrite=overwrite)
     of_files = zip(models, loaded, strict=True)  # one may be there twice
-    of_runs = _FreeRuns.compute(runs, dict(zip(labels(models), of_files, strict=True)))
+    of_runs = _FreeRuns.compute(
+        runs, dict(zip(reported_model.labels(models), of_files, strict=True))
+    )
     if band_options is not None:
         of_runs.add_bands(band_options)
     evaluation = None
@@ -143,11 +148,9 @@ def evaluate(
         for part in evaluation.parts():
             terminal.echo(part) if isinstance(part, str) else terminal.print_tables(part)
     if figures is not None:
-        from tustinnet.report.drawing import write_figure
-
         of_one = () if evaluation is None else _draw(next(iter(of_runs.models)), evaluation)
         for name, figure in (*of_runs.draw(), *of_one):
-            write_figure(figure, figures, f"{name}.png")
+            drawing.write_figure(figure, figures, f"{name}.png")
         terminal.messages().print(f"figures: {figures}")
 
 
@@ -163,28 +166,26 @@ class _FreeRuns:
     """
 
     runs: FreeRunRequest
-    models: "Mapping[str, tuple[Path, Model]]"
-    scores: "dict[str, list[Score]]"
-    bands: "dict[str, list[Band]]"
+    models: "Mapping[str, tuple[Path, tn.Model]]"
+    scores: "dict[str, list[scoring.Score]]"
+    bands: "dict[str, list[free_run_bands.Band]]"
 
     @classmethod
     def compute(
-        cls, runs: FreeRunRequest, models: "Mapping[str, tuple[Path, Model]]"
+        cls, runs: FreeRunRequest, models: "Mapping[str, tuple[Path, tn.Model]]"
     ) -> "_FreeRuns":
         """Simulates the records by each model."""
-        from tustinnet.evaluate.scores import evaluate as score_records
-
         scores = {}
         for label, (path, model) in models.items():
             try:
-                scores[label] = score_records(model, runs.records, runs.start, horizon=runs.horizon)
+                scores[label] = tn.evaluate(model, runs.records, runs.start, horizon=runs.horizon)
             except InputError as error:  # names the model
                 if len(models) == 1:
                     raise
                 raise InputError(path, str(error)) from error
         return cls(runs, models, scores, {})
 
-    def add_bands(self, band_options: "BandOptions") -> None:
+    def add_bands(self, band_options: "free_run_bands.BandOptions") -> None:
         """Adds the bands of each model."""
         for label, (path, model) in self.models.items():
             self.bands[label] = compute_bands(
@@ -193,17 +194,15 @@ class _FreeRuns:
 
     def as_plain(self) -> dict[str, object]:
         """The errors of each model as plain values."""
-        from tustinnet.evaluate.scores import mean_rmse, mean_rmse_by_unit, rmse_by_record
-
         return {
             "models": {
                 label: {
                     "file": str(path),
-                    "mean": mean_rmse(self.scores[label]),
-                    "mean_by_unit": mean_rmse_by_unit(
+                    "mean": tn.mean_rmse(self.scores[label]),
+                    "mean_by_unit": scoring.mean_rmse_by_unit(
                         self.scores[label], self.runs.records[0].channels
                     ),
-                    "rmse": rmse_by_record(self.scores[label]),
+                    "rmse": scoring.rmse_by_record(self.scores[label]),
                 }
                 for label, (path, _) in self.models.items()
             }
@@ -211,33 +210,28 @@ class _FreeRuns:
 
     def print_table(self) -> None:
         """Prints the errors of each model, and those of a trivial predictor."""
-        from tustinnet.evaluate.reference import find_reference
-        from tustinnet.report.comparison import comparison_table
-
         records = self.runs.records
-        reference = find_reference(records, self.runs.horizon)
+        reference = references.find_reference(records, self.runs.horizon)
         columns = {**self.scores, f"({reference.label})": reference.scores}
-        terminal.print_tables(comparison_table(records, columns, self.runs.start))
+        terminal.print_tables(comparison.comparison_table(records, columns, self.runs.start))
 
-    def draw(self) -> "Iterator[tuple[str, Figure]]":
+    def draw(self) -> "Iterator[tuple[str, drawing.Figure]]":
         """Name and figure of each record with the free runs of all models."""
-        from tustinnet.report.figures import free_run_figure
-
         for i, e in enumerate(self.runs.records):
             scores = {label: of_model[i] for label, of_model in self.scores.items()}
             bands = {label: of_model[i] for label, of_model in self.bands.items()}
-            yield e.name, free_run_figure(e, scores, bands=bands)
+            yield e.name, result_figures.free_run_figure(e, scores, bands=bands)
 
 
 def _evaluate_one(
     of_runs: _FreeRuns,
-    data: "DataSet",
-    band_options: "BandOptions | None",
+    data: "tn.DataSet",
+    band_options: "free_run_bands.BandOptions | None",
     *,
     ahead: int | None,
     forces: bool,
     lags: int | None,
-) -> "Evaluation":
+) -> "evaluation_report.Evaluation":
     """All that is said of one model.
 
     Args:
@@ -248,57 +242,52 @@ def _evaluate_one(
         forces: whether forces along the records are compared.
         lags: largest lag of the tests of its errors, None for no tests.
     """
-    from tustinnet.evaluate.ahead import coordinate_rmse_ahead
-    from tustinnet.evaluate.coverage import compute_coverage
-    from tustinnet.evaluate.horizons import errors_over_horizons
-    from tustinnet.evaluate.reference import find_reference
-    from tustinnet.evaluate.residuals import residual_reports
-    from tustinnet.evaluate.scores import evaluate as score_records
-    from tustinnet.fitting.inverse_dynamics.of_model import forces_of_records
-    from tustinnet.report.evaluation import Evaluation
-    from tustinnet.store.model_file import read_downweighted
-
     ((label, (path, model)),) = of_runs.models.items()
     runs, scores = of_runs.runs, of_runs.scores[label]
     records, start, is_whole = runs.records, runs.start, runs.horizon is None
     training = [e for e in data if e.split == "train"]
-    whole = scores if is_whole else score_records(model, records, start)
-    horizons = errors_over_horizons(model, records, start, whole)
+    whole = scores if is_whole else tn.evaluate(model, records, start)
+    horizons = error_horizons.errors_over_horizons(model, records, start, whole)
     names = {e.name for e in records}
-    return Evaluation(
+    return evaluation_report.Evaluation(
         channels=model.channels,
         records=records,
         start=start,
         scores=scores,
         whole=whole,
         horizons=horizons,
-        reference=horizons[-1].reference if is_whole else find_reference(records, runs.horizon),
+        reference=horizons[-1].reference
+        if is_whole
+        else references.find_reference(records, runs.horizon),
         band_options=band_options,
-        coverage=compute_coverage(records, of_runs.bands[label]) if band_options else [],
-        ahead=None if ahead is None else coordinate_rmse_ahead(model, records, ahead),
-        along=forces_of_records(model, records, training=training) if forces else [],
+        coverage=coverage.compute_coverage(records, of_runs.bands[label]) if band_options else [],
+        ahead=None
+        if ahead is None
+        else predictions_ahead.coordinate_rmse_ahead(model, records, ahead),
+        along=model_forces.forces_of_records(model, records, training=training) if forces else [],
         residuals=[]
         if lags is None
-        else residual_reports(model, records, start, lags, horizon=runs.horizon),
-        downweighted=[s for s in read_downweighted(path) if s.record in names],
+        else residual_tests.residual_reports(model, records, start, lags, horizon=runs.horizon),
+        downweighted=[s for s in model_file.read_downweighted(path) if s.record in names],
     )
 
 
-def _draw(label: str, evaluation: "Evaluation") -> "Iterator[tuple[str, Figure]]":
+def _draw(
+    label: str, evaluation: "evaluation_report.Evaluation"
+) -> "Iterator[tuple[str, drawing.Figure]]":
     """Names and figures of what else was asked of a model, beside its free runs."""
-    from tustinnet.evaluate.ahead import rmse_ahead_by_unit
-    from tustinnet.report.figures import ahead_figure, forces_figure
-    from tustinnet.report.residuals import residual_figure
-
     channels = evaluation.channels
     for part in evaluation.along:
-        yield _forces_figure_name(part.record), forces_figure(part)
+        yield _forces_figure_name(part.record), result_figures.forces_figure(part)
     if evaluation.ahead is not None:
-        errors = {label: rmse_ahead_by_unit(evaluation.ahead, channels)}
-        yield _AHEAD_FIGURE, ahead_figure(errors, channels)
+        errors = {label: predictions_ahead.rmse_ahead_by_unit(evaluation.ahead, channels)}
+        yield _AHEAD_FIGURE, result_figures.ahead_figure(errors, channels)
     if evaluation.residuals:
         title = f"Residuals of {len(evaluation.records)} free runs, start '{evaluation.start}'"
-        yield _RESIDUAL_FIGURE, residual_figure(evaluation.residuals, channels, title)
+        yield (
+            _RESIDUAL_FIGURE,
+            residual_report.residual_figure(evaluation.residuals, channels, title),
+        )
 
 
 def _forces_figure_name(record: str) -> str:

@@ -5,11 +5,14 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import completion, options, terminal
+import tustinnet as tn
+from tustinnet.cli import completion, devices, options, terminal
 from tustinnet.cli.models import load_model
 from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.errors import InputError
 from tustinnet.registry import TARGETS
+from tustinnet.report import tables
+from tustinnet.store import exported
 
 
 def export(
@@ -44,19 +47,20 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write a model as C, FMU, CasADi, ONNX, JavaScript, StableHLO, matrices, URDF or MJCF."""
-    terminal.prepare_jax()
-    from tustinnet.report.tables import Table
-    from tustinnet.store.exported import export_model, find_targets
-    from tustinnet.store.header import read_header
-
+    devices.prepare_jax()
     groups = parse_pairs("--group", group)
     if system is not None and out.resolve() in Path(system).resolve().parents:
         raise InputError(out, f"the folder of {system}, which the command reads", "another folder")
     loaded = load_model(model, system)
-    values = OptionReader(loaded.channels, read_header(model))
+    values = OptionReader(loaded.channels, tn.read_header(model))
     point = values.read_point("--at", at)
-    exports = export_model(
-        loaded, find_targets(to, point), out, file=model, groups=groups, overwrite=overwrite
+    exports = tn.export_model(
+        loaded,
+        exported.find_targets(to, point),
+        out,
+        file=model,
+        groups=groups,
+        overwrite=overwrite,
     )
     if json:
         terminal.print_json(
@@ -79,7 +83,9 @@ def export(
         for e in exports
     ]
     title = "Exports, and how far a step is from the model's, relative to 1 + the state"
-    terminal.print_tables(Table(["target", "folder", "files", "difference"], rows, title=title))
+    terminal.print_tables(
+        tables.Table(["target", "folder", "files", "difference"], rows, title=title)
+    )
     notes = [note for e in exports for note in e.notes]
     notes += [f"{e.target}: {e.checked.note}" for e in exports if e.checked.note]
     for note in dict.fromkeys(notes):

@@ -3,24 +3,22 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from tustinnet.data import card_files, catalog
 from tustinnet.errors import InputError
+from tustinnet.store import files as disk
 
 
-def list_input_files(
-    data: str | None, card: Path | None, *others: "Path | str | None"
-) -> list[Path]:
+def list_input_files(data: str | None, card: Path | None, *others: Path | str | None) -> list[Path]:
     """Lists the files that a verb reads: those of a data set, and others that were named.
 
     The others may also be names of packaged systems or recipes.
     """
-    from tustinnet.data.catalog import list_input_files
-
-    files = [] if data is None else list_input_files(data, card)
+    files = [] if data is None else catalog.list_input_files(data, card)
     return [*files, *(Path(other) for other in others if other is not None)]
 
 
 def require_figures(
-    option: str, paths: "Path | Sequence[Path] | None", inputs: Sequence[Path], *, overwrite: bool
+    option: str, paths: Path | Sequence[Path] | None, inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
     """Raises an error unless figures can be written, or on `overwrite` without figures.
 
@@ -30,13 +28,11 @@ def require_figures(
         inputs: files that the verb reads, which are never replaced.
         overwrite: whether existing files may be replaced.
     """
-    from tustinnet.store.files import FIGURE_ENDINGS, require_outputs, require_writable_folder
-
     if paths is not None:
         files = [paths] if isinstance(paths, Path) else paths
-        require_outputs(files, overwrite=overwrite, read=inputs, endings=FIGURE_ENDINGS)
+        disk.require_outputs(files, overwrite=overwrite, read=inputs, endings=disk.FIGURE_ENDINGS)
         for folder in {path.parent for path in files}:
-            require_writable_folder(folder)
+            disk.require_writable_folder(folder)
     elif overwrite:
         raise InputError(
             "--overwrite",
@@ -54,12 +50,9 @@ def require_apart(out: Path, folder: Path) -> None:
 
 def require_no_new_records(paths: Sequence[Path], data: str, card: Path | None) -> None:
     """Raises an error if files that are written would be read as records of the data."""
-    from tustinnet.data.card_files import would_be_record
-    from tustinnet.data.catalog import locate
-
-    folder, located_card = locate(data, card)
+    folder, located_card = catalog.locate(data, card)
     for path in paths:
-        if would_be_record(path, folder, located_card):
+        if card_files.would_be_record(path, folder, located_card):
             raise InputError(
                 path.parent,
                 f"there {path.name} would be a record of '{located_card.name}'",

@@ -2,22 +2,21 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import tustinnet as tn
+from tustinnet.check import assumed
 from tustinnet.cli.about import data_words
+from tustinnet.data import spoiled
 from tustinnet.errors import InputError
+from tustinnet.finding import Finding
+from tustinnet.signals import equilibria
 from tustinnet.wording import counted
-
-if TYPE_CHECKING:
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.finding import Finding
-    from tustinnet.signals.equilibria import HeldEquilibrium
 
 _MOST_NAMED, _FIRST_NAMED = 6, 3  # records that a line names: all of so many, or the first ones
 _MOST_LINES = 12  # of findings before a fit
 
 
-def describe_findings(findings: "Iterable[Finding]", total: int) -> list[str]:
+def describe_findings(findings: Iterable[Finding], total: int) -> list[str]:
     """Lines about findings in some records: what, how it shows, where, and the line of the card."""
     lines = []
     for finding in findings:
@@ -29,7 +28,7 @@ def describe_findings(findings: "Iterable[Finding]", total: int) -> list[str]:
     return lines
 
 
-def _place(finding: "Finding", total: int) -> str:
+def _place(finding: Finding, total: int) -> str:
     """The records, of so many in total, the column and the time of a finding."""
     parts = [_list_records(finding.records, total)] if finding.records else []
     parts += [f"column {finding.column}"] if finding.column else []
@@ -38,7 +37,7 @@ def _place(finding: "Finding", total: int) -> str:
 
 
 def warning_lines(
-    findings: "Iterable[Finding]", total: int, data: str, card: Path | None
+    findings: Iterable[Finding], total: int, data: str, card: Path | None
 ) -> list[str]:
     """Lines about severe findings and warnings, for commands that go on; of many the first ones.
 
@@ -61,11 +60,9 @@ def warning_lines(
     return lines
 
 
-def assumed_lines(findings: "Iterable[Finding]") -> list[str]:
+def assumed_lines(findings: Iterable[Finding]) -> list[str]:
     """A line about what a card assumes, for commands that go on; none where it assumes nothing."""
-    from tustinnet.check.assumed import ASSUMED
-
-    facts = [f.what for f in findings if f.code.startswith(ASSUMED)]
+    facts = [f.what for f in findings if f.code.startswith(assumed.ASSUMED)]
     if not facts:
         return []
     more = len(facts) - _MOST_NAMED
@@ -74,7 +71,7 @@ def assumed_lines(findings: "Iterable[Finding]") -> list[str]:
 
 
 def spoiled_lines(
-    records: "Iterable[Experiment]", held: "Iterable[HeldEquilibrium | None]"
+    records: "Iterable[tn.Experiment]", held: "Iterable[equilibria.HeldEquilibrium | None]"
 ) -> list[str]:
     """Lines about parts of records that spoil a fit and show without a model.
 
@@ -82,16 +79,14 @@ def spoiled_lines(
         records: the records.
         held: the unstable equilibrium that is held to the end of each, if any.
     """
-    from tustinnet.data.spoiled import find_without_model
-
     return [
         f"spoiled: {part.sentence}"
         for e, equilibrium in zip(records, held, strict=True)
-        for part in find_without_model(e, equilibrium)
+        for part in spoiled.find_without_model(e, equilibrium)
     ]
 
 
-def require_sound(findings: "Iterable[Finding]") -> None:
+def require_sound(findings: Iterable[Finding]) -> None:
     """Raises an error with the first severe finding or warning, if there are any."""
     for finding in findings:
         if finding.is_serious:
@@ -121,7 +116,7 @@ def merge_remarks(kind: str, remarks: Iterable[tuple[str, str]], total: int) -> 
     ]
 
 
-def _list_records(names: "Sequence[str]", total: int) -> str:
+def _list_records(names: Sequence[str], total: int) -> str:
     """Names of records in a line; of many the first ones, and how many others."""
     if len(names) <= _MOST_NAMED:
         return ", ".join(names)

@@ -1,14 +1,18 @@
 """`tustinnet fit`: a model from a folder of logs."""
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tustinnet.cli import about, completion, options, terminal
+import tustinnet as tn
+from tustinnet.cli import about, completion, devices, options, terminal
+from tustinnet.cli.automatic_report import AutomaticReport, after_model, require_report
 from tustinnet.cli.fit_options import FitOptions, choose_recipe, make_members, require_cores
+from tustinnet.cli.init import draft_into_run
 from tustinnet.cli.models import (
     find_system_to_fit,
     kept_system,
@@ -18,20 +22,23 @@ from tustinnet.cli.models import (
     require_system_of_card,
 )
 from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
+from tustinnet.cli.select import read_options, select
 from tustinnet.cli.verb import refuse_options
+from tustinnet.data import catalog
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.fits.run import Run
-    from tustinnet.fitting.report import FitResult
-    from tustinnet.fitting.task import Task
-    from tustinnet.store.run_folder import Earlier
-
+from tustinnet.fits import request
+from tustinnet.fits import run as runs
+from tustinnet.fitting import recipe as recipes
+from tustinnet.fitting import task as tasks
+from tustinnet.fitting.gradient import windows
+from tustinnet.report import drawing, summary
+from tustinnet.report import figures as result_figures
+from tustinnet.report import fits as fit_tables
+from tustinnet.report import identification as identification_report
+from tustinnet.report import progress as progress_bars
+from tustinnet.report.page import fit_reports
+from tustinnet.store import files as disk
+from tustinnet.store import log, model_file, run_folder
 
 _Plan = Annotated[
     str | None,
@@ -86,12 +93,7 @@ def fit(
     start_time = time.perf_counter()
     require_cores(cluster, device)
     require_readable_robot(system)
-    terminal.prepare_jax(device)
-    from tustinnet.cli.automatic_report import AutomaticReport
-    from tustinnet.cli.init import draft_into_run
-    from tustinnet.cli.select import read_options, select
-    from tustinnet.data.catalog import lacks_card
-
+    devices.prepare_jax(device)
     selects = recipe is None and physics is None and origin is None
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
@@ -123,18 +125,17 @@ def fit(
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
     require_system_of_card(found_system, data, card)
-    if card is None and lacks_card(data):
+    if card is None and catalog.lacks_card(data):
         card = draft_into_run(
             Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links
         )
-    earlier: Earlier = "resume" if resume else "discard" if overwrite else "refuse"
+    earlier: run_folder.Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
         load=partial(
             load_records_to_fit,
             data,
             card,
             out,
-            terminal.messages(),
             strict=strict,
             follow_links=follow_links,
         ),
@@ -161,25 +162,16 @@ def fit(
 
 
 def _fit_recipe(
-    fit_options: "FitOptions",
+    fit_options: FitOptions,
     *,
     recipe_name: str | None,
-    changes: "Sequence[str] | None",
+    changes: Sequence[str] | None,
     seeds: str | None,
     physics: Path | None,
     origin: Path | None,
     start_time: float,
 ) -> None:
     """Fits one recipe, writes and prints the results, and the time since the start time."""
-    from tustinnet.cli.automatic_report import after_model, require_report
-    from tustinnet.fits.request import FitRequest, prepare
-    from tustinnet.fits.run import run_fit
-    from tustinnet.report.progress import FitProgress
-    from tustinnet.report.summary import time_sentence
-    from tustinnet.store.files import lock_folder
-    from tustinnet.store.model_file import load_model, read_system_name
-    from tustinnet.store.run_folder import MODEL
-
     system, console = fit_options.system, terminal.messages()
     stored_recipe = None if origin is None or recipe_name is not None else read_recipe_in(origin)
     recipe = choose_recipe(stored_recipe or recipe_name, changes, system=system, physics=physics)
@@ -187,17 +179,17 @@ def _fit_recipe(
     initial_model = None if origin is None else read_origin(origin, system, changes)
     if system is None and (file := physics or origin) is not None:
         system = kept_system(file)
-    physics_model = None if physics is None else load_model(physics, system)
+    physics_model = None if physics is None else tn.load_model(physics, system)
     records = fit_options.load()
     if "validation" not in records.splits:
         console.print("note: no validation split; the scores below are of the training records")
     task_system = system
     if origin is not None and "system" in recipe.family.needs:
-        task_system = system or read_system_name(origin) or None
+        task_system = system or model_file.read_system_name(origin) or None
     elif physics is not None or origin is not None:
         task_system = None  # it is that of the physics
     system_file = None if isinstance(system, str) else system
-    fit_request = FitRequest(
+    fit_request = request.FitRequest(
         records,
         recipe,
         members,
@@ -207,22 +199,24 @@ def _fit_recipe(
         leaves_out_spoiled=fit_options.leave_out_spoiled,
     )
     preparation_start = time.perf_counter()
-    prepared = prepare(fit_request, on_message=terminal.make_printer(quiet=fit_options.quiet))
+    prepared = request.prepare(
+        fit_request, on_message=terminal.make_printer(quiet=fit_options.quiet)
+    )
     preparation_seconds = time.perf_counter() - preparation_start
     task = prepared.task
-    print_still_coordinates(task.folds[0].roles.train, console)
+    print_still_coordinates(task.folds[0].roles.train)
     if not fit_options.quiet:
-        _print_windows(task, console)
+        _print_windows(task)
     remedy = (
         "--resume continues from the checkpoint"
         if recipe.family.resumable
         else "only a training can be resumed; start it again, if necessary with --overwrite"
     )
     with (
-        FitProgress(console, quiet=fit_options.quiet) as progress,
+        progress_bars.FitProgress(console, quiet=fit_options.quiet) as progress,
         terminal.interruptible(remedy),
     ):
-        run = run_fit(
+        run = runs.run_fit(
             prepared,
             fit_options.out,
             fit_options.earlier,
@@ -231,7 +225,7 @@ def _fit_recipe(
             judges_records=fit_options.leave_out_spoiled,
         )
     # the folder is let go only when figures and report, which are of this model, are there
-    with after_model(run.folder / MODEL), lock_folder(run.folder):
+    with after_model(run.folder / run_folder.MODEL), disk.lock_folder(run.folder):
         if system_file is not None:
             terminal.remember_trust(system_file)
         if fit_options.json:
@@ -242,10 +236,10 @@ def _fit_recipe(
         report = _write_report(run, fit_options)
     if not fit_options.json:
         figures = run.folder / "figures"
-        terminal.echo(f"model: {run.folder / MODEL}   figures: {figures}{report or ''}")
+        terminal.echo(f"model: {run.folder / run_folder.MODEL}   figures: {figures}{report or ''}")
         if not fit_options.quiet:
             seconds = time.perf_counter() - start_time
-            terminal.echo(time_sentence(seconds, run.seconds, preparation_seconds))
+            terminal.echo(summary.time_sentence(seconds, run.seconds, preparation_seconds))
     unfinished = [m.result for m in run.members if not m.result.finished]
     for result in unfinished:
         member = f"{result.member.name}: " if result.recipe.family.has_seeds else ""
@@ -256,7 +250,7 @@ def _fit_recipe(
     require_report(report)
 
 
-def _is_usable(result: "FitResult") -> bool:
+def _is_usable(result: "tn.FitResult") -> bool:
     """Whether a fit is finished, or a search that ended early with a model that simulates."""
     search = result.identification
     if search is None or search.reversed_signs:
@@ -264,58 +258,46 @@ def _is_usable(result: "FitResult") -> bool:
     return not search.outcome.startswith("diverged")
 
 
-def _print_windows(task: "Task", console: "Console") -> None:
+def _print_windows(task: "tasks.Task") -> None:
     """Prints how the windows of each training stage were chosen."""
-    from tustinnet.fitting.gradient.windows import describe_windows
-    from tustinnet.fitting.recipe import TrainingRecipe
-
-    if isinstance(task.recipe, TrainingRecipe):
+    if isinstance(task.recipe, recipes.TrainingRecipe):
         for stage in task.recipe.stages:
-            account = describe_windows(task.folds[0].roles.train, stage.windows)
-            console.print(f"{stage.name}: {account}", highlight=False, soft_wrap=True)
+            account = windows.describe_windows(task.folds[0].roles.train, stage.windows)
+            terminal.messages().print(f"{stage.name}: {account}")
 
 
-def _write_report(run: "Run", fit_options: "FitOptions") -> str | None:
+def _write_report(run: "runs.Run", fit_options: FitOptions) -> str | None:
     """Writes the report of the best model; see `AutomaticReport.write`."""
-    from tustinnet.report.page.fit_reports import write_run_report
-    from tustinnet.store.run_folder import REPORT
-
     score, folder = run.best.scores[0], run.folder
     split = run.judging_split if run.roles.ranking[0].split else None
     return fit_options.report.write(
         [folder],
-        folder / REPORT,
-        lambda command: write_run_report(run, command),
+        folder / run_folder.REPORT,
+        lambda command: fit_reports.write_run_report(run, command),
         {"--split": split, "--start": score.start, "--horizon": score.horizon},
     )
 
 
-def _print_run(run: "Run", data: str) -> None:
+def _print_run(run: "runs.Run", data: str) -> None:
     """Prints members of a training or parameters of an identification, errors, and a summary."""
-    from tustinnet.report.fits import (
-        members_table,
-        parameter_table,
-        training_table,
-        validation_table,
-    )
-    from tustinnet.report.summary import fit_summary
-    from tustinnet.store.run_folder import BASE_PARAMETERS, MODEL
-
     identification = run.best.result.identification
     if identification is None:
-        terminal.print_tables(members_table(run), training_table(run))
+        terminal.print_tables(fit_tables.members_table(run), fit_tables.training_table(run))
         for result in (member.result for member in run.members):
             for finding in result.findings:
                 terminal.echo(f"* {result.member.name}: {finding}")
     else:
         terminal.print_tables(
-            parameter_table(identification), training_table(run), validation_table(run)
+            fit_tables.parameter_table(identification),
+            fit_tables.training_table(run),
+            fit_tables.validation_table(run),
         )
         for finding in identification.findings:
             terminal.echo(f"* {finding}")
         if identification.base_parameters:
             terminal.echo(
-                f"* base parameters, with values and intervals: {run.folder / BASE_PARAMETERS}"
+                "* base parameters, with values and intervals: "
+                f"{run.folder / run_folder.BASE_PARAMETERS}"
             )
         terminal.echo(
             f"initial states: {identification.initial}; "
@@ -330,10 +312,10 @@ def _print_run(run: "Run", data: str) -> None:
         terminal.echo(f"* spoiled: {part.sentence}")
     for sentence in run.left_out:
         terminal.echo(f"* {sentence}")
-    for sentence in fit_summary(run):
+    for sentence in summary.fit_summary(run):
         terminal.echo(sentence)
     steps = about.next_steps(
-        run.folder / MODEL,
+        run.folder / run_folder.MODEL,
         data,
         follows=run.follows,
         has_inputs=bool(run.channels.inputs),
@@ -341,23 +323,22 @@ def _print_run(run: "Run", data: str) -> None:
     terminal.echo(f"next: {steps}")
 
 
-def _draw_run(run: "Run", data: "DataSet") -> None:
+def _draw_run(run: "runs.Run", data: "tn.DataSet") -> None:
     """Draws training curves or error correlations, and the free runs of the best model."""
-    from tustinnet.report.drawing import write_figure
-    from tustinnet.report.figures import free_run_figure, training_figure
-    from tustinnet.report.identification import correlation_figure
-    from tustinnet.store.log import read_log
-
     best = run.best
-    histories = {m.result.member.name: read_log(m.folder) for m in run.members}
+    histories = {m.result.member.name: log.read_log(m.folder) for m in run.members}
     if all(histories.values()):
-        write_figure(training_figure(histories), run.folder, "figures/training.png")
+        drawing.write_figure(
+            result_figures.training_figure(histories), run.folder, "figures/training.png"
+        )
     if best.result.identification is not None:
-        write_figure(
-            correlation_figure(best.result.identification), run.folder, "figures/correlation.png"
+        drawing.write_figure(
+            identification_report.correlation_figure(best.result.identification),
+            run.folder,
+            "figures/correlation.png",
         )
     label = best.result.recipe.name
     label += f", {best.result.member.name}" if len(run.members) > 1 else ""
     for score in best.scores:
-        figure = free_run_figure(data[score.experiment], {label: score})
-        write_figure(figure, run.folder, f"figures/{score.experiment}.png")
+        figure = result_figures.free_run_figure(data[score.experiment], {label: score})
+        drawing.write_figure(figure, run.folder, f"figures/{score.experiment}.png")

@@ -1,23 +1,19 @@
 """Options of verbs that fit: recipe, seeds, cores."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import tustinnet as tn
+from tustinnet.cli.automatic_report import AutomaticReport
+from tustinnet.cli.options import Hardware
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from tustinnet.cli.automatic_report import AutomaticReport
-    from tustinnet.cli.options import Hardware
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.fitting.recipe import Recipe
-    from tustinnet.fitting.task import Member
-    from tustinnet.store.run_folder import Earlier
-    from tustinnet.systems.files import SystemFile
+from tustinnet.fitting import task
+from tustinnet.store import run_folder
+from tustinnet.systems import files as system_files
 
 _MAX_SEEDS, _LARGEST_SEED = 1000, 2**32 - 1
 
@@ -37,17 +33,17 @@ class FitOptions:
         leave_out_spoiled: whether to leave out parts of records that spoil the fit.
     """
 
-    load: "Callable[[], DataSet]"
+    load: "Callable[[], tn.DataSet]"
     out: Path
-    system: "SystemFile | str | None"
-    earlier: "Earlier"
-    report: "AutomaticReport"
+    system: "system_files.SystemFile | str | None"
+    earlier: "run_folder.Earlier"
+    report: AutomaticReport
     json: bool
     quiet: bool
     leave_out_spoiled: bool = False
 
 
-def require_cores(cluster: str | None, device: "Hardware | None") -> None:
+def require_cores(cluster: str | None, device: Hardware | None) -> None:
     """Raises an error if jobs of a cluster are to compute on another device than processors."""
     if cluster is not None and device not in (None, "cpu"):
         raise InputError(
@@ -55,45 +51,39 @@ def require_cores(cluster: str | None, device: "Hardware | None") -> None:
         )
 
 
-def open_cluster(address: str | None) -> "AbstractContextManager[Executor | None]":
+def open_cluster(address: str | None) -> AbstractContextManager[Executor | None]:
     """Context with an executor of jobs on a cluster; with None without an address."""
     if address is None:
         return nullcontext()
-    from tustinnet.selection.cluster import cluster
 
-    return cluster(address)
+    return tn.cluster(address)
 
 
 def choose_recipe(
-    name: "str | Mapping[str, Any] | None",
+    name: str | Mapping[str, Any] | None,
     changes: Sequence[str] | None,
     *,
     system: object,
     physics: object,
-) -> "Recipe":
+) -> "tn.Recipe":
     """Reads a recipe with its changes; by default the usual one for a system or physics."""
-    from tustinnet.fitting.recipe_reading import read_recipe
-    from tustinnet.fitting.task import default_recipe_name
-
-    usual = default_recipe_name(system=system is not None, physics=physics is not None)
-    return read_recipe(name or usual, changes or ())
+    usual = task.default_recipe_name(system=system is not None, physics=physics is not None)
+    return tn.read_recipe(name or usual, changes or ())
 
 
-def make_members(seeds: str | None, recipe: "Recipe") -> "list[Member]":
+def make_members(seeds: str | None, recipe: "tn.Recipe") -> "list[tn.Member]":
     """Makes the members of a fit from `--seeds`.
 
     Raises:
         InputError: seeds of an identification; see also `parse_seeds`.
     """
-    from tustinnet.fitting.task import Member
-
     if seeds is not None and not recipe.family.has_seeds:
         raise InputError(
             "--seeds",
             f"an option of a training; nothing in '{recipe.name}' is random",
             "a recipe whose models are trained",
         )
-    return [Member(seed) for seed in parse_seeds("1" if seeds is None else seeds)]
+    return [tn.Member(seed) for seed in parse_seeds("1" if seeds is None else seeds)]
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

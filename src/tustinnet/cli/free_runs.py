@@ -4,19 +4,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import tustinnet as tn
 from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
 from tustinnet.cli.records import leave_out_short, records_of_split
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.evaluate.bands import Band, BandOptions
-    from tustinnet.evaluate.scores import Score
-    from tustinnet.models.contract import Model
+from tustinnet.evaluate import bands
+from tustinnet.evaluate import scores as scoring
+from tustinnet.simulate import starts
+from tustinnet.simulate.start_names import DERIVED
+from tustinnet.store import header as file_header
+from tustinnet.store import judgement
 
 _MAX_NAMED = 6  # records that a note names
 
@@ -34,7 +34,7 @@ class FreeRunRequest:
         notes: sentences on defaults that were used, and on records that were fitted to.
     """
 
-    records: "list[Experiment]"
+    records: "list[tn.Experiment]"
     split: str
     start: str
     horizon: float | None
@@ -57,8 +57,8 @@ class FreeRunRequest:
 
 
 def choose_free_runs(
-    data: "DataSet",
-    models: "Mapping[Path, Model]",
+    data: "tn.DataSet",
+    models: "Mapping[Path, tn.Model]",
     split: str | None,
     start: str | None,
     horizon: float | None,
@@ -79,31 +79,28 @@ def choose_free_runs(
             out with a message.
         has_bands: whether start and horizon are by default those of the models' calibration.
     """
-    from tustinnet.simulate.start_rules import DerivedStart
-    from tustinnet.simulate.starts import default_start
-    from tustinnet.store.header import find_fitted, read_header
-    from tustinnet.store.judgement import judged_free_runs, usual_split
-
-    headers = {path: read_header(path) for path in models}
+    headers = {path: tn.read_header(path) for path in models}
     defaults = []
     if split is None and not names:
-        split = usual_split(data) or ALL
+        split = judgement.usual_split(data) or ALL
         defaults.append(f"{split} records (--split)")
     selected = records_of_split(data, split)
     records = [selected[name] for name in names] if names else list(selected)
-    file_start, file_horizon = judged_free_runs(headers, records, has_bands=has_bands)
+    file_start, file_horizon = judgement.judged_free_runs(headers, records, has_bands=has_bands)
     if start is None and file_start is not None:
         defaults.append(f"start '{file_start}' as in the model's file (--start)")
     start = file_start if start is None else start
     if start is None:
-        usual = [e for e in records if len(e) >= DerivedStart.usual_samples] or records
-        start = default_start(usual, *models.values())
+        usual = [e for e in records if len(e) >= DERIVED.usual_samples] or records
+        start = starts.default_start(usual, *models.values())
     if horizon is None and file_horizon is not None:
         defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon
     records = leave_out_short(records, start, names)
     notes = [f"default: {', '.join(defaults)}"] if defaults else []
-    used = {name for header in headers.values() for name in find_fitted(header, records)}
+    used = {
+        name for header in headers.values() for name in file_header.find_fitted(header, records)
+    }
     fitted = [e.name for e in records if e.name in used]
     if fitted:
         count = "all records" if len(fitted) == len(records) else f"{len(fitted)} of the records"
@@ -115,28 +112,23 @@ def choose_free_runs(
 
 def compute_bands(
     path: Path,
-    model: "Model",
-    records: "Sequence[Experiment]",
-    scores: "Sequence[Score]",
-    band_options: "BandOptions",
-) -> "list[Band]":
+    model: "tn.Model",
+    records: "Sequence[tn.Experiment]",
+    scores: "Sequence[scoring.Score]",
+    band_options: "bands.BandOptions",
+) -> "list[bands.Band]":
     """Computes the bands around the free runs of a model in a file, by its calibration."""
-    from tustinnet.evaluate.bands import Calibration, find_alternatives, make_bands
-    from tustinnet.store.header import read_header
-
-    header = read_header(path)
-    others = find_alternatives(model, header, path)
-    calibration = Calibration.from_header(header, path)
-    return make_bands(calibration, band_options, model, others, records, scores)
+    header = tn.read_header(path)
+    others = bands.find_alternatives(model, header, path)
+    calibration = bands.Calibration.from_header(header, path)
+    return bands.make_bands(calibration, band_options, model, others, records, scores)
 
 
-def make_band_options(level: float | None, *, whole: bool) -> "BandOptions | None":
+def make_band_options(level: float | None, *, whole: bool) -> "bands.BandOptions | None":
     """Makes the options of bands from `--band` and `--whole-records`; None without bands."""
-    from tustinnet.evaluate.bands import BandOptions, require_share
-
     if level is None:
         if whole:
             raise InputError("--whole-records", "no band", "a band", "add --band LEVEL")
         return None
-    require_share(level)
-    return BandOptions(level, "record" if whole else "time")
+    bands.require_share(level)
+    return bands.BandOptions(level, "record" if whole else "time")

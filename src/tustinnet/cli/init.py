@@ -4,20 +4,24 @@ import os
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.check import drafting
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import require_apart
+from tustinnet.cli.inspect import print_inspection
 from tustinnet.cli.models import find_system_to_fit, require_readable_robot
+from tustinnet.data import catalog, loading, readers
+from tustinnet.data.drafting import files as log_files
+from tustinnet.data.drafting import findings, system_columns
 from tustinnet.errors import InputError
+from tustinnet.report import draft_figure, drawing
+from tustinnet.store import files as disk
+from tustinnet.store import run_folder
 from tustinnet.wording import counted
-
-if TYPE_CHECKING:
-    from tustinnet.data.drafting.draft import Draft
-    from tustinnet.data.drafting.findings import Question
-    from tustinnet.models.lagrangian import LagrangianSystem
 
 FIGURE = "init.png"
 _LONGEST_ANSWER = 40  # characters
@@ -52,75 +56,64 @@ def init(
     column of a record with what it was taken for. With --system the card has the coordinates and
     inputs of the system, as the joints of a robot, and columns are matched with them.
     """
-    from tustinnet.cli.inspect import print_inspection
-    from tustinnet.data.catalog import CARD_NAME, locate
-    from tustinnet.data.drafting.files import list_logs
-    from tustinnet.data.drafting.system_columns import is_goal
-    from tustinnet.data.loading import load_folder
-    from tustinnet.store.files import lock_folder, require_outputs, require_writable_folder
-
     loaded = _load_system(system, default_density)
-    folder, files = list_logs(logs, follow_links=follow_links)
-    outputs = [folder / CARD_NAME, folder / FIGURE]
-    require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
-    require_writable_folder(folder)
+    folder, files = log_files.list_logs(logs, follow_links=follow_links)
+    outputs = [folder / catalog.CARD_NAME, folder / FIGURE]
+    disk.require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
+    disk.require_writable_folder(folder)
     draft = make_draft(folder, files, is_asking=not yes, follow_links=follow_links, system=loaded)
     links = " --follow-links" if follow_links else ""
-    with lock_folder(folder):
+    with disk.lock_folder(folder):
         # while questions were answered, another may have written one
-        require_outputs(outputs, overwrite=overwrite)
+        disk.require_outputs(outputs, overwrite=overwrite)
         write_draft(draft, folder)
     if json:
         terminal.print_json(_as_plain(draft, folder))
     else:
         _print_draft(draft, folder)
-        place, card = locate(folder)
-        print_inspection(load_folder(place, card, follow_links=follow_links), card)
+        place, card = catalog.locate(folder)
+        print_inspection(loading.load_folder(place, card, follow_links=follow_links), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
     fit = f"tustinnet fit {shlex.quote(str(folder))}{links}"
     if loaded is not None:
         _print_mismatches(draft, loaded)
         recipe = "" if loaded.source is None else " --recipe inverse-dynamics"
-        if recipe and any(map(is_goal, loaded.inputs)):  # whose forces nobody knows
+        if recipe and any(map(system_columns.is_goal, loaded.inputs)):  # whose forces nobody knows
             recipe = " --recipe grey"
         elif recipe and loaded.internal:  # of elastic gears
             recipe = " --recipe grey --set search.horizon=0.5"
         density = "" if default_density is None else f" --default-density {default_density:g}"
         fit += f"{recipe} --system {shlex.quote(str(system))}{density}"
     terminal.messages().print(
-        f"card: {folder / CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
+        f"card: {folder / catalog.CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
         highlight=False,
         soft_wrap=True,
     )
 
 
-def _load_system(which: str | None, default_density: float | None) -> "LagrangianSystem | None":
+def _load_system(which: str | None, default_density: float | None) -> "tn.LagrangianSystem | None":
     """The system of a card, if one was named."""
     require_readable_robot(which)
     if which is None and default_density is None:
         return None
-    terminal.prepare_jax()
-    from tustinnet.systems.loading import load_system
-
+    devices.prepare_jax()
     file = find_system_to_fit(which, default_density)
-    return None if file is None else load_system(file).plant
+    return None if file is None else tn.load_system(file).plant
 
 
-def _print_mismatches(draft: "Draft", system: "LagrangianSystem") -> None:
+def _print_mismatches(draft: "tn.Draft", system: "tn.LagrangianSystem") -> None:
     """Prints what of a system's file counts otherwise, and what has no column; a line each.
 
     Then what a fit would refuse.
     """
-    from tustinnet.channels import Coordinate, Input
-
     console = terminal.messages()
     for sentence in () if system.source is None else system.source.remarks:
         console.print(sentence, highlight=False, soft_wrap=True)
     for sentence in draft.choice.missing:
         console.print(f"not matched: {sentence}", highlight=False, soft_wrap=True)
-    coordinates = [Coordinate(c.name, c.kind) for c in draft.choice.coordinates]
-    inputs = [Input(i.name, i.unit) for i in draft.choice.inputs]
+    coordinates = [tn.Coordinate(c.name, c.kind) for c in draft.choice.coordinates]
+    inputs = [tn.Input(i.name, i.unit) for i in draft.choice.inputs]
     try:
         system.for_channels(coordinates, inputs, "a fit needs more")
     except InputError as error:
@@ -133,8 +126,8 @@ def make_draft(
     *,
     is_asking: bool,
     follow_links: bool,
-    system: "LagrangianSystem | None" = None,
-) -> "Draft":
+    system: "tn.LagrangianSystem | None" = None,
+) -> "tn.Draft":
     """Drafts a card; asks its questions on a terminal, until nothing is open.
 
     Args:
@@ -144,27 +137,28 @@ def make_draft(
         follow_links: whether links to files outside of the folder are read.
         system: the system whose coordinates and inputs the card has to have, if one was named.
     """
-    from tustinnet.check.drafting import draft_files
-    from tustinnet.data.drafting.system_columns import SystemChannels
-
     console = terminal.messages()
     answers: dict[str, str] = {}
     channels = None
     if system is not None:
         joints = {} if system.source is None else system.source.input_joints()
-        channels = SystemChannels(system.coordinates, system.inputs, joints, system.name)
-    draft = draft_files(folder, files, system=channels, follow_links=follow_links)
+        channels = system_columns.SystemChannels(
+            system.coordinates, system.inputs, joints, system.name
+        )
+    draft = drafting.draft_files(folder, files, system=channels, follow_links=follow_links)
     if is_asking and draft.questions and not terminal.can_ask():
         console.print("no terminal to ask at: as with --yes")
     while is_asking and draft.questions and terminal.can_ask():
         for question in draft.questions:
             answers[question.key] = _ask(question)
-        draft = draft_files(folder, files, answers, system=channels, follow_links=follow_links)
+        draft = drafting.draft_files(
+            folder, files, answers, system=channels, follow_links=follow_links
+        )
     draft.require_readable(folder)
     return draft
 
 
-def _ask(question: "Question") -> str:
+def _ask(question: "findings.Question") -> str:
     """The answer to a question on the terminal; an empty line takes the assumption."""
     options = f" ({', '.join(question.options)})" if question.options else ""
     while True:
@@ -184,20 +178,14 @@ def _ask(question: "Question") -> str:
             return answer
 
 
-def write_draft(draft: "Draft", folder: Path) -> None:
+def write_draft(draft: "tn.Draft", folder: Path) -> None:
     """Writes a drafted card into a folder."""
-    from tustinnet.data.catalog import CARD_NAME
-    from tustinnet.store.files import write_into
-
-    write_into(folder, CARD_NAME, draft.text)
+    disk.write_into(folder, catalog.CARD_NAME, draft.text)
 
 
-def draw_draft(draft: "Draft", folder: Path) -> None:
+def draw_draft(draft: "tn.Draft", folder: Path) -> None:
     """Draws every column of a record of a draft into a folder."""
-    from tustinnet.report.draft_figure import draft_figure
-    from tustinnet.report.drawing import write_figure
-
-    write_figure(draft_figure(draft), folder, FIGURE)
+    drawing.write_figure(draft_figure.draft_figure(draft), folder, FIGURE)
 
 
 def draft_into_run(
@@ -215,26 +203,22 @@ def draft_into_run(
     Returns:
         The card.
     """
-    from tustinnet.data.catalog import CARD_NAME
-    from tustinnet.data.drafting.files import list_logs
-    from tustinnet.data.readers import is_readable
-    from tustinnet.store.files import lock_folder, require_outputs
-    from tustinnet.store.run_folder import OWN
-
     require_apart(out, folder)
-    card, console = out / CARD_NAME, terminal.messages()
+    card, console = out / catalog.CARD_NAME, terminal.messages()
     if keeps and card.is_file():
         console.print(f"no card in {folder}: that of the earlier run, {card}")
         return card
-    folder, files = list_logs([folder], follow_links=follow_links)
+    folder, files = log_files.list_logs([folder], follow_links=follow_links)
     draft = make_draft(folder, files, is_asking=False, follow_links=follow_links)
-    if card.is_file() and any(is_readable(p) and p.name not in OWN for p in out.iterdir()):
+    if card.is_file() and any(
+        readers.is_readable(p) and p.name not in run_folder.OWN for p in out.iterdir()
+    ):
         raise InputError(
             out, "a folder of records with a card of its own", "another folder for the run"
         )
     if not (card.is_file() and card.read_bytes() == draft.text.encode()):
-        require_outputs([card], overwrite=overwrite)
-    with lock_folder(out):
+        disk.require_outputs([card], overwrite=overwrite)
+    with disk.lock_folder(out):
         write_draft(draft, out)
         draw_draft(draft, out)
     console.print(
@@ -245,7 +229,7 @@ def draft_into_run(
     return card
 
 
-def print_assumptions(draft: "Draft") -> None:
+def print_assumptions(draft: "tn.Draft") -> None:
     """Prints what was assumed and remarks on the files, a line each, as messages."""
     console = terminal.messages()
     for note in draft.notes:
@@ -258,7 +242,7 @@ def print_assumptions(draft: "Draft") -> None:
                 console.print(f"check: '{channel.column}' as an input: {doubt}")
 
 
-def _print_draft(draft: "Draft", folder: Path) -> None:
+def _print_draft(draft: "tn.Draft", folder: Path) -> None:
     """Prints the columns with what they were taken for and why, a line each, and the splits."""
     records = len(draft.splits.records)
     terminal.echo(f"{folder}: {counted(records, 'record')}, every {1e3 * draft.dt:.6g} ms")
@@ -273,12 +257,10 @@ def _print_draft(draft: "Draft", folder: Path) -> None:
         terminal.echo(f"splits: {sentence}")
 
 
-def _as_plain(draft: "Draft", folder: Path) -> dict[str, object]:
+def _as_plain(draft: "tn.Draft", folder: Path) -> dict[str, object]:
     """A draft as plain values."""
-    from tustinnet.data.catalog import CARD_NAME
-
     return {
-        "card": os.fspath(folder / CARD_NAME),
+        "card": os.fspath(folder / catalog.CARD_NAME),
         "text": draft.text,
         "columns": [
             {"name": c.name, "role": c.role, "use": c.use, "unit": c.unit, "because": c.because}

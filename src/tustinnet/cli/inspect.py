@@ -1,24 +1,24 @@
 """`tustinnet inspect`: the contents of records, before anything is fitted."""
 
+import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import tustinnet as tn
+from tustinnet import channels
+from tustinnet.check import report as check_report
 from tustinnet.cli import options, terminal
 from tustinnet.cli.files import list_input_files, require_figures
 from tustinnet.cli.findings import describe_findings, merge_remarks, require_sound, spoiled_lines
 from tustinnet.cli.records import records_of_split
 from tustinnet.cli.verb import refuse_options
+from tustinnet.data import card as cards
+from tustinnet.data import catalog, file_inspection, loading, readers, spoiled
+from tustinnet.report import drawing, tables
+from tustinnet.report import figures as result_figures
 from tustinnet.wording import counted
-
-if TYPE_CHECKING:
-    from tustinnet.channels import Hold
-    from tustinnet.check.report import ExperimentReport, Inspection
-    from tustinnet.data.card import Card
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.report.tables import Table
-
 
 _Figure = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw the records (.png, .svg, .pdf).")
@@ -44,15 +44,7 @@ def inspect(
     overwrite: options.Redraw = False,
 ) -> None:
     """Check the records: sampling, sensors, inputs, copies, and what they can tell."""
-    import dataclasses
-
-    from tustinnet.check.report import inspect_records
-    from tustinnet.data.catalog import locate
-    from tustinnet.data.loading import load_folder
-    from tustinnet.data.readers import is_readable
-    from tustinnet.data.spoiled import find_without_model
-
-    if is_readable(Path(data)) and not Path(data).is_dir():
+    if readers.is_readable(Path(data)) and not Path(data).is_dir():
         others = {
             "--card": card,
             "--split": split,
@@ -71,14 +63,14 @@ def inspect(
         return
     inputs = list_input_files(data, card)
     require_figures("--figure", figure, inputs, overwrite=overwrite)
-    folder, located_card = locate(data, card)
-    data_set = load_folder(folder, located_card, follow_links=follow_links)
+    folder, located_card = catalog.locate(data, card)
+    data_set = loading.load_folder(folder, located_card, follow_links=follow_links)
     records = records_of_split(data_set, split)
-    inspection = inspect_records(records, located_card)
+    inspection = check_report.inspect_records(records, located_card)
     if json:
         experiments = [
             dataclasses.asdict(r)
-            | {"spoiled": [part.as_plain() for part in find_without_model(e, r.held)]}
+            | {"spoiled": [part.as_plain() for part in spoiled.find_without_model(e, r.held)]}
             for e, r in zip(records, inspection.reports, strict=True)
         ]
         findings = [f.as_plain() for f in inspection.findings]
@@ -88,24 +80,19 @@ def inspect(
     else:
         _print_inspection(records, inspection)
     if figure is not None:
-        from tustinnet.report.drawing import write_figure
-        from tustinnet.report.figures import inspection_figure
-
-        image = inspection_figure(list(records), list(inspection.reports))
-        write_figure(image, figure.parent, figure.name)
+        image = result_figures.inspection_figure(list(records), list(inspection.reports))
+        drawing.write_figure(image, figure.parent, figure.name)
         terminal.messages().print(f"figure: {figure}")
     if strict:
         require_sound(inspection.findings)
 
 
-def print_inspection(data: "DataSet", card: "Card | None" = None) -> None:
+def print_inspection(data: "tn.DataSet", card: "cards.Card | None" = None) -> None:
     """Prints the inspection of all records of a data set."""
-    from tustinnet.check.report import inspect_records
-
-    _print_inspection(data, inspect_records(data, card))
+    _print_inspection(data, check_report.inspect_records(data, card))
 
 
-def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
+def _print_inspection(records: "tn.DataSet", inspection: "check_report.Inspection") -> None:
     """Prints two tables, the findings by severity, and a line for each remark."""
     reports = list(inspection.reports)
     terminal.print_tables(time_table(reports), _channel_table(reports, records.channels.unit))
@@ -140,7 +127,7 @@ def _print_inspection(records: "DataSet", inspection: "Inspection") -> None:
         terminal.echo(line)
 
 
-def _hold_advice(hold: "Hold | None") -> str:
+def _hold_advice(hold: "channels.Hold | None") -> str:
     """The way to the hold of an input whose card declares it, declares `unknown`, or none."""
     if hold is None:
         return "no hold declared: `fit` and `cross-validate` determine it"
@@ -151,12 +138,7 @@ def _hold_advice(hold: "Hold | None") -> str:
 
 def _inspect_file(path: Path, *, json: bool) -> None:
     """Prints the contents of a file that no card describes, and the draft of a card."""
-    import dataclasses
-
-    from tustinnet.data.file_inspection import inspect_file
-    from tustinnet.report.tables import Table
-
-    report = inspect_file(path)
+    report = file_inspection.inspect_file(path)
     if json:
         terminal.print_json(dataclasses.asdict(report))
         return
@@ -168,7 +150,9 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     if report.dt is not None and report.jitter is not None:
         sampling = f"every {1e3 * report.dt:.4g} ms, worst deviation {1e3 * report.jitter:.3g} ms"
     title = f"{report.name}: {counted(report.rows, 'row')}; {sampling}; roles are guesses"
-    terminal.print_tables(Table(["column", "looks like", "range", "values", "why"], rows, title))
+    terminal.print_tables(
+        tables.Table(["column", "looks like", "range", "values", "why"], rows, title)
+    )
     for note in report.notes:
         terminal.echo(f"note: {note}")
     terminal.echo(
@@ -177,10 +161,8 @@ def _inspect_file(path: Path, *, json: bool) -> None:
     )
 
 
-def time_table(reports: list["ExperimentReport"]) -> "Table":
+def time_table(reports: list["check_report.ExperimentReport"]) -> "tables.Table":
     """Table of period, jitter, gaps, share at rest and end of the transient of every record."""
-    from tustinnet.report.tables import Table
-
     columns = [
         "record",
         "split",
@@ -209,13 +191,11 @@ def time_table(reports: list["ExperimentReport"]) -> "Table":
         for r in reports
     ]
     title = "Time: period on the grid and in the log, share at rest, end of the transient"
-    return Table(columns, rows, title=title)
+    return tables.Table(columns, rows, title=title)
 
 
-def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
+def _channel_table(reports: list["check_report.ExperimentReport"], unit: str) -> "tables.Table":
     """Table of the ranges of positions and inputs of every record."""
-    from tustinnet.report.tables import Table
-
     rows = []
     for r in reports:
         for c in r.coordinates:
@@ -225,7 +205,7 @@ def _channel_table(reports: list["ExperimentReport"], unit: str) -> "Table":
             band = "–" if i.bandwidth is None else f"{i.bandwidth:.3g}"
             size = [f"{i.rms:.3g}", band, f"{i.saturated:.1%}"]
             rows.append([r.name, i.name, _range_text(i.range), "", *size])
-    return Table(
+    return tables.Table(
         ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
         rows,
         title=f"Channels: positions in {unit}, inputs in their unit",

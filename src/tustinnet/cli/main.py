@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from tustinnet.cli import about, terminal
+from tustinnet.cli import about, options, terminal
 from tustinnet.cli.calibrate import calibrate
 from tustinnet.cli.committee import committee
 from tustinnet.cli.control import control
@@ -107,7 +107,7 @@ def run(arguments: list[str] | None = None) -> None:
         finally:
             sys.stdout.flush()  # an error of which is said
     except InputError as error:
-        sys.stderr.write(f"error: {terminal.with_options(str(error))}\n")
+        sys.stderr.write(f"error: {options.with_options(str(error))}\n")
         sys.exit(terminal.exit_code(1))
     except SystemExit as ended:
         sys.exit(terminal.exit_code(ended.code))

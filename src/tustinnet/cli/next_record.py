@@ -1,22 +1,28 @@
 """`tustinnet next-record`: ranks proposed records by their information, or designs one."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import list_input_files
 from tustinnet.cli.models import load_model
+from tustinnet.cli.select import parse_seconds
 from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
+from tustinnet.data import proposals as proposal_files
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tustinnet.evaluate.record_design import DesignProgress, RecordDesign
+from tustinnet.evaluate import bands, record_design
+from tustinnet.evaluate import next_record as proposal_ranking
+from tustinnet.report import drawing, tables
+from tustinnet.report import record_design as design_report
+from tustinnet.store import files as disk
+from tustinnet.store import motion_file
+from tustinnet.systems import files as system_files
 
 MOTION, FIGURE, SUMMARY = "motion.csv", "motion.png", "design.json"
 _RATE = 200.0  # Hz, of a design without a model
@@ -170,26 +176,11 @@ def next_record(
     refuse_options(needless, "to a design", "MODEL, --system, or both", "or omit --design")
     if out is None:
         raise InputError("--design", "no folder for the motion", "--out DIR")
-    terminal.prepare_jax()
-    from tustinnet.cli.select import parse_seconds
-    from tustinnet.evaluate.next_record import equations_of_motion
-    from tustinnet.evaluate.record_design import (
-        DesignOptions,
-        design_record,
-        fitted_knowledge,
-        gather_limits,
-        prior_knowledge,
-        require_inputs,
-    )
-    from tustinnet.store.files import lock_folder, require_outputs
-    from tustinnet.store.header import read_header
-    from tustinnet.systems.files import find_system
-    from tustinnet.systems.loading import load_system
-
+    devices.prepare_jax()
     groups = parse_pairs("--group", group)
-    limit = parse_seconds(budget) if budget is not None else DesignOptions.budget
+    limit = parse_seconds(budget) if budget is not None else record_design.DesignOptions.budget
     files = list_input_files(None, None, model, system)
-    require_outputs(
+    disk.require_outputs(
         [out / name for name in (MOTION, FIGURE, SUMMARY)], overwrite=overwrite, read=files
     )
     if model is None:
@@ -200,13 +191,17 @@ def next_record(
                 "one of them",
                 "for instance --system arm.urdf",
             )
-        equations = load_system(find_system(system))
-        require_inputs(equations)
-        knowledge, channels, dt = prior_knowledge(equations, groups), equations.channels, 1 / _RATE
+        equations = tn.load_system(system_files.find_system(system))
+        record_design.require_inputs(equations)
+        knowledge, channels, dt = (
+            record_design.prior_knowledge(equations, groups),
+            equations.channels,
+            1 / _RATE,
+        )
         header = None
     else:
-        fitted, header = load_model(model, system), read_header(model)
-        mechanics = equations_of_motion(fitted)
+        fitted, header = load_model(model, system), tn.read_header(model)
+        mechanics = proposal_ranking.equations_of_motion(fitted)
         if mechanics is None:
             raise InputError(
                 model,
@@ -215,24 +210,24 @@ def next_record(
                 "fit one: tustinnet fit LOGS --recipe inverse-dynamics --system arm.urdf",
             )
         equations, channels, dt = mechanics.system, fitted.channels, fitted.dt
-        require_inputs(equations)
-        knowledge = fitted_knowledge(mechanics, header.get("identification"), groups)
+        record_design.require_inputs(equations)
+        knowledge = record_design.fitted_knowledge(mechanics, header.get("identification"), groups)
     if rate is not None and not 0 < rate <= _HIGHEST_RATE:
         raise InputError("--rate", f"{rate:g}", f"a rate above 0 and at most {_HIGHEST_RATE:g} Hz")
-    design_options = DesignOptions(
+    design_options = record_design.DesignOptions(
         dt=dt if rate is None else 1 / rate,
         budget=limit,
         **{key: value for key, value in given.items() if value is not None},
     )
     values = OptionReader(channels, header)
-    box = gather_limits(
+    box = record_design.gather_limits(
         equations,
         values.read_limits("--within", within),
         values.read_limits("--limits", limits),
         channels,
     )
-    with lock_folder(out):
-        result = design_record(
+    with disk.lock_folder(out):
+        result = record_design.design_record(
             equations,
             knowledge,
             box,
@@ -247,33 +242,29 @@ def _rank(
     model: Path, proposals: Path, horizon: float | None, system: str | None, *, json: bool
 ) -> None:
     """Ranks proposed records."""
-    terminal.prepare_jax()
-    from tustinnet.data.proposals import read_proposals
-    from tustinnet.evaluate.bands import find_alternatives
-    from tustinnet.evaluate.next_record import rank_proposals
-    from tustinnet.report.tables import Table, number
-    from tustinnet.store.header import read_header
-
-    simulator, header = load_model(model, system), read_header(model)
+    devices.prepare_jax()
+    simulator, header = load_model(model, system), tn.read_header(model)
     values = OptionReader(simulator.channels, header).values
     # raises at once where the errors of the model are unknown
-    find_alternatives(simulator, header, model)
-    candidates = read_proposals(proposals, simulator.channels, values)
-    ranking = rank_proposals(simulator, header, candidates, horizon=horizon)
+    bands.find_alternatives(simulator, header, model)
+    candidates = proposal_files.read_proposals(proposals, simulator.channels, values)
+    ranking = proposal_ranking.rank_proposals(simulator, header, candidates, horizon=horizon)
     if json:
         terminal.print_json(ranking.as_plain())
         return
-    rows = [[gain.name, number(gain.value), gain.words] for gain in ranking.gains]
+    rows = [[gain.name, tables.number(gain.value), gain.words] for gain in ranking.gains]
     columns = ["proposal", f"gain [{ranking.unit}]", "largest effect"]
-    terminal.print_tables(Table(columns, rows, title=f"By the {ranking.criterion}"))
+    terminal.print_tables(tables.Table(columns, rows, title=f"By the {ranking.criterion}"))
     terminal.echo(f"record next: {ranking.gains[0].name}")
 
 
-def _make_listener(printer: "Callable[[str], None]") -> "Callable[[DesignProgress], None]":
+def _make_listener(
+    printer: Callable[[str], None],
+) -> "Callable[[record_design.DesignProgress], None]":
     """Makes a function that prints a line of progress now and then."""
     last, start = time.monotonic(), 0
 
-    def on_progress(progress: "DesignProgress") -> None:
+    def on_progress(progress: "record_design.DesignProgress") -> None:
         nonlocal last, start
         if progress.start == start and time.monotonic() - last < _LINE_EVERY:
             return
@@ -286,29 +277,18 @@ def _make_listener(printer: "Callable[[str], None]") -> "Callable[[DesignProgres
     return on_progress
 
 
-def _write(result: "RecordDesign", out: Path, *, json: bool) -> None:
+def _write(result: "record_design.RecordDesign", out: Path, *, json: bool) -> None:
     """Prints a design, and writes its motion, its figure and its summary."""
-    from tustinnet.report.record_design import (
-        design_figure,
-        error_table,
-        motion_table,
-        sentences,
-    )
-    from tustinnet.store.files import to_json, write_into
-    from tustinnet.store.motion_file import write_motion
-
-    write_motion(out, MOTION, result)
-    write_into(out, SUMMARY, to_json(result.as_plain()))
+    motion_file.write_motion(out, MOTION, result)
+    disk.write_into(out, SUMMARY, disk.to_json(result.as_plain()))
     if json:
         terminal.print_json(result.as_plain())
     else:
-        terminal.print_tables(motion_table(result), error_table(result))
-        for sentence in sentences(result):
+        terminal.print_tables(design_report.motion_table(result), design_report.error_table(result))
+        for sentence in design_report.sentences(result):
             terminal.echo(f"* {sentence}")
 
-    from tustinnet.report.drawing import write_figure
-
-    write_figure(design_figure(result), out, FIGURE)
+    drawing.write_figure(design_report.design_figure(result), out, FIGURE)
     terminal.messages().print(
         f"written: {', '.join(str(out / name) for name in (MOTION, FIGURE, SUMMARY))}"
     )

@@ -1,5 +1,6 @@
 """Arguments and options that several verbs share."""
 
+import re
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
@@ -9,7 +10,23 @@ import typer
 
 from tustinnet.cli import completion
 from tustinnet.registry import SYSTEMS
-from tustinnet.simulate.start_rules import starts_help
+from tustinnet.simulate.start_names import starts_help
+
+_ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
+_SHORTER = {"changes": "set", "origin": "from"}
+
+
+def with_options(text: str) -> str:
+    """A text of the library with the command's options: `budget=`, an argument, is --budget here.
+
+    Options are called like the arguments, but for those that say it shorter.
+    """
+
+    def to_option(match: re.Match[str]) -> str:
+        name = _SHORTER.get(match[1], match[1])
+        return f"--{name.replace('_', '-')}"
+
+    return _ARGUMENT.sub(to_option, text)
 
 
 def join_or(names: Iterable[str]) -> str:

@@ -3,102 +3,91 @@
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import tustinnet as tn
 from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
 from tustinnet.cli.files import list_input_files, require_apart
 from tustinnet.cli.findings import assumed_lines, require_sound, spoiled_lines, warning_lines
+from tustinnet.data import catalog, inspection, loading
+from tustinnet.simulate.start_names import DERIVED, parse_start
+from tustinnet.store import files as disk
+from tustinnet.store import run_folder
 from tustinnet.wording import counted
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tustinnet.data.dataset import DataSet
-    from tustinnet.data.experiment import Experiment
 
 
 def load_records_to_fit(
-    data: str,
-    card: Path | None,
-    out: Path,
-    console: "Console",
-    *,
-    strict: bool,
-    follow_links: bool,
-) -> "DataSet":
+    data: str, card: Path | None, out: Path, *, strict: bool, follow_links: bool
+) -> "tn.DataSet":
     """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
-    from tustinnet.check.check import check
-    from tustinnet.data.catalog import locate
-    from tustinnet.data.inspection import held_equilibrium
-    from tustinnet.data.loading import load_folder
-    from tustinnet.simulate.start_rules import DerivedStart
-    from tustinnet.store.files import require_outputs
-    from tustinnet.store.run_folder import LOG, MODEL, REPORT, SPECIFICATION, SUMMARY
-
-    folder, located_card = locate(data, card)
+    console = terminal.messages()
+    folder, located_card = catalog.locate(data, card)
     require_apart(out, folder)
-    outputs = [out / name for name in (MODEL, SUMMARY, LOG, REPORT, SPECIFICATION)]
-    require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
-    records = load_folder(
+    outputs = [
+        out / name
+        for name in (
+            run_folder.MODEL,
+            run_folder.SUMMARY,
+            run_folder.LOG,
+            run_folder.REPORT,
+            run_folder.SPECIFICATION,
+        )
+    ]
+    disk.require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
+    records = loading.load_folder(
         folder,
         located_card,
         on_message=None if strict else console.print,
         follow_links=follow_links,
     )
     if not strict:
-        kept = leave_out_short([*records], DerivedStart.usual_name(), ())
+        kept = leave_out_short([*records], DERIVED.usual, ())
         records = replace(records, experiments=tuple(kept))
-    findings = check(records, located_card)
+    findings = tn.check(records, located_card)
     if strict:
         require_sound(findings)
     lines = [*warning_lines(findings, len(records), data, card), *assumed_lines(findings)]
-    for line in (*lines, *spoiled_lines(records, map(held_equilibrium, records))):
-        console.print(line, highlight=False, soft_wrap=True)
+    for line in (*lines, *spoiled_lines(records, map(inspection.held_equilibrium, records))):
+        console.print(line)
     return records
 
 
 def load_records(
-    data: str, card: Path | None, names: "Collection[str]" = (), *, follow_links: bool
-) -> "DataSet":
+    data: str, card: Path | None, names: Collection[str] = (), *, follow_links: bool
+) -> "tn.DataSet":
     """Loads the records of a verb that simulates them; prints which are left out.
 
     As a fit, it leaves out records that cannot be read or used, but not those of some names.
     """
-    from tustinnet.data.catalog import locate
-    from tustinnet.data.loading import load_folder
-
-    return load_folder(
-        *locate(data, card),
+    return loading.load_folder(
+        *catalog.locate(data, card),
         on_message=terminal.messages().print,
         required=names,
         follow_links=follow_links,
     )
 
 
-def print_still_coordinates(experiments: "Sequence[Experiment]", console: "Console") -> None:
+def print_still_coordinates(experiments: "Sequence[tn.Experiment]") -> None:
     """Prints the names of the coordinates that do not move in any training record."""
-    from tustinnet.data.inspection import still_coordinates
+    for name in inspection.still_coordinates(experiments):
+        terminal.messages().print(
+            f"{name} never moves in the training records: nothing can be learnt of it"
+        )
 
-    for name in still_coordinates(experiments):
-        console.print(f"{name} never moves in the training records: nothing can be learnt of it")
 
-
-def records_of_split(data: "DataSet", split: str | None) -> "DataSet":
+def records_of_split(data: "tn.DataSet", split: str | None) -> "tn.DataSet":
     """The records of a split; all of them for `all`, or without a split."""
     return data if split in (None, ALL) else data.split(split)
 
 
 def leave_out_short(
-    records: "list[Experiment]", start: str, names: Sequence[str]
-) -> "list[Experiment]":
+    records: "list[tn.Experiment]", start: str, names: Sequence[str]
+) -> "list[tn.Experiment]":
     """The records that are long enough for a start; prints which are left out.
 
     Those that were named stay, and all of a split where none is long enough.
     """
-    from tustinnet.simulate.start_rules import start_named
-
-    fewest = start_named(start).samples
+    _, fewest = parse_start(start)
     remaining = {e.split for e in records if len(e) >= fewest}
     kept = []
     for e in records:

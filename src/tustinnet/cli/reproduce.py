@@ -6,10 +6,17 @@ from typing import Annotated
 
 import typer
 
-from tustinnet.cli import options, terminal
+from tustinnet.cli import devices, options, terminal
+from tustinnet.cli.automatic_report import AutomaticReport, require_report
 from tustinnet.cli.files import require_apart
+from tustinnet.data import catalog, loading
 from tustinnet.errors import InputError
+from tustinnet.report import progress as progress_bars
+from tustinnet.reproduce import figures, table1
+from tustinnet.reproduce import page as publication_page
 from tustinnet.reproduce.entries import ALL_MODELS, EXTRA_MODELS
+from tustinnet.store import files as disk
+from tustinnet.store import run_folder
 
 _TABLES = ("table1.json", "table1.md", "table1.tex")
 
@@ -77,35 +84,28 @@ def reproduce(
 
     Trainings that are already in --out are continued; finished ones are used as they are.
     """
-    terminal.prepare_jax(device)
-    from tustinnet.cli.automatic_report import AutomaticReport, require_report
-    from tustinnet.data.catalog import QUBE_SERVO2, locate
-    from tustinnet.data.loading import load_folder
-    from tustinnet.report.progress import FitProgress
-    from tustinnet.reproduce import figures, table1
-    from tustinnet.reproduce.page import choose_reported_rows, write_rows_report
-    from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
-    from tustinnet.store.run_folder import REPORT
-
+    devices.prepare_jax(device)
     console = terminal.messages()
-    folder, card = locate(data)
-    if not QUBE_SERVO2.is_in(folder):
+    folder, card = catalog.locate(data)
+    if not catalog.QUBE_SERVO2.is_in(folder):
         raise InputError(
             folder,
             "not the Qube-Servo 2 data",
             "a folder with train/fall1Velocity.csv, ...",
             "use `tustinnet fit` for your own records",
         )
-    records = load_folder(folder, card)
+    records = loading.load_folder(folder, card)
     scored_split = table1.choose_split(records, split)
     model_names, remark = table1.choose_models(models or (), folder)
     figure_record = figures.choose_experiment(records, scored_split, experiment)
     runs = out / "runs"
     require_apart(out, folder)
     if not runs.is_dir() and not table1.is_table(out / _TABLES[0]):
-        require_outputs([out / name for name in (*_TABLES, REPORT)], overwrite=overwrite)
+        disk.require_outputs(
+            [out / name for name in (*_TABLES, run_folder.REPORT)], overwrite=overwrite
+        )
     console.print(f"data: {folder}; scoring the {scored_split} split, start '{table1.START}'")
-    if changed := QUBE_SERVO2.changed_files(folder):
+    if changed := catalog.QUBE_SERVO2.changed_files(folder):
         more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
         console.print(f"warning: not as published (checksums differ): {changed[0]}{more}")
     if remark:
@@ -115,9 +115,9 @@ def reproduce(
     table_options = table1.ReproductionOptions(
         model_names, scored_split, seeds, None if keep is None else keep.value, overwrite
     )
-    with lock_folder(out):
+    with disk.lock_folder(out):
         with (
-            FitProgress(console, quiet=quiet) as progress,
+            progress_bars.FitProgress(console, quiet=quiet) as progress,
             terminal.interruptible("the same command continues"),
         ):
             rows = table1.build_rows(
@@ -128,22 +128,25 @@ def reproduce(
                 lambda name: lambda prepared: progress.follow(prepared, name),
             )
         content, table = table1.as_json(rows, scored_split), table1.as_table(rows, scored_split)
-        texts = to_json(content), table.markdown(), table.latex()
+        texts = disk.to_json(content), table.markdown(), table.latex()
         for name, text in zip(_TABLES, texts, strict=True):
-            write_into(out, name, text)
+            disk.write_into(out, name, text)
         if json:
             terminal.print_json(content)
         else:
             terminal.print_tables(table)
         figure_files = figures.draw(records, rows, scored_split, figure_record, out)
         report = AutomaticReport(data, is_enabled=not no_report)
-        best, scored = choose_reported_rows(rows), list(records.split(scored_split))
+        best, scored = (
+            publication_page.choose_reported_rows(rows),
+            list(records.split(scored_split)),
+        )
         model_files = [row.file for row in best if row.file is not None]
         page = report.write(
             model_files,
-            out / REPORT,
-            lambda command: write_rows_report(
-                best, scored, out / REPORT, command if model_files else ""
+            out / run_folder.REPORT,
+            lambda command: publication_page.write_rows_report(
+                best, scored, out / run_folder.REPORT, command if model_files else ""
             ),
             {"--split": scored_split, "--start": best[0].start},
         )

@@ -3,6 +3,8 @@
 from typing import Any
 
 from tustinnet.cli import options, terminal
+from tustinnet.errors import to_printable
+from tustinnet.store import header as file_header
 from tustinnet.wording import counted
 
 _LONGEST_LINE = 1000  # characters
@@ -11,10 +13,7 @@ Lines = list[tuple[str, str]]
 
 def show(model: options.Model, json: options.Json = False) -> None:
     """Print what a model file contains: structure, parameters, scores."""
-    from tustinnet.errors import to_printable
-    from tustinnet.store.header import read_description
-
-    header, structure = read_description(model)
+    header, structure = file_header.read_description(model)
     if json:
         terminal.print_json(header)
         return

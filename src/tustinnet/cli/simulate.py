@@ -1,19 +1,22 @@
 """`tustinnet simulate`: free runs as files."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tustinnet.cli import options, terminal
+import tustinnet as tn
+from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import list_input_files, require_no_new_records
 from tustinnet.cli.free_runs import choose_free_runs, compute_bands, make_band_options
 from tustinnet.cli.models import load_model
 from tustinnet.cli.records import load_records
-
-if TYPE_CHECKING:
-    from tustinnet.evaluate.bands import Band
-
+from tustinnet.evaluate import bands as free_run_bands
+from tustinnet.report import extrapolation, tables
+from tustinnet.simulate import horizon as horizons
+from tustinnet.simulate import range as training_ranges
+from tustinnet.store import files as disk
+from tustinnet.store import simulation_file
 
 _Records = Annotated[
     list[str] | None, typer.Option(metavar="NAME", help="Only this record; may be repeated.")
@@ -40,16 +43,7 @@ def simulate(
 
     A free run begins at an initial state (--start) and then uses only the logged inputs.
     """
-    terminal.prepare_jax()
-    from tustinnet.evaluate.scores import evaluate
-    from tustinnet.report.extrapolation import describe_extrapolation, extrapolation_content
-    from tustinnet.report.tables import Table, number
-    from tustinnet.simulate.horizon import horizon_words
-    from tustinnet.simulate.range import Range
-    from tustinnet.store.files import lock_folder, require_outputs
-    from tustinnet.store.header import read_header
-    from tustinnet.store.simulation_file import simulation_name, write_simulation
-
+    devices.prepare_jax()
     band_options = make_band_options(band, whole=whole_records)
     simulator = load_model(model, system)
     data_set = load_records(data, card, experiment or (), follow_links=follow_links)
@@ -63,32 +57,34 @@ def simulate(
         has_bands=band is not None,
     )
     records = runs.records
-    paths = [out / simulation_name(e) for e in records]
+    paths = [out / simulation_file.simulation_name(e) for e in records]
     inputs = list_input_files(data, card, model, system)
-    require_outputs(paths, overwrite=overwrite, read=inputs)
+    disk.require_outputs(paths, overwrite=overwrite, read=inputs)
     require_no_new_records(paths, data, card)
-    with lock_folder(out):
-        require_outputs(paths, overwrite=overwrite)  # another command may have been faster
-        scores = evaluate(simulator, records, runs.start, horizon=runs.horizon)
-        bands: list[Band | None] = [None] * len(records)
+    with disk.lock_folder(out):
+        disk.require_outputs(paths, overwrite=overwrite)  # another command may have been faster
+        scores = tn.evaluate(simulator, records, runs.start, horizon=runs.horizon)
+        bands: list[free_run_bands.Band | None] = [None] * len(records)
         if band_options is not None:
             bands = [*compute_bands(model, simulator, records, scores, band_options)]
         runs.print_notes()
-        training_range = Range.from_header(read_header(model), simulator)
+        training_range = training_ranges.Range.from_header(tn.read_header(model), simulator)
         simulations: list[dict[str, Any]] = []
         for e, score, run_band, path in zip(records, scores, bands, paths, strict=True):
-            write_simulation(out, e, score.simulated, run_band)
+            simulation_file.write_simulation(out, e, score.simulated, run_band)
             content = {"experiment": e.name, "rmse": score.rmse, "file": str(path), "left": None}
             point = None
             if training_range is not None:
                 point = training_range.extrapolation_point(simulator.channels, score.simulated, e.u)
             if point is not None:
-                content["left"] = extrapolation_content(point, e)
-                terminal.messages().print(f"note: {e.name}: {describe_extrapolation(point, e)}")
+                content["left"] = extrapolation.extrapolation_content(point, e)
+                terminal.messages().print(
+                    f"note: {e.name}: {extrapolation.describe_extrapolation(point, e)}"
+                )
             simulations.append(content)
     if json:
         terminal.print_json({**runs.as_plain(), "simulations": simulations})
         return
-    rows = [[w["experiment"], number(w["rmse"]), w["file"]] for w in simulations]
-    title = f"Free runs, start '{runs.start}'{horizon_words(runs.horizon)}"
-    terminal.print_tables(Table(["record", "RMSE", "file"], rows, title=title))
+    rows = [[w["experiment"], tables.number(w["rmse"]), w["file"]] for w in simulations]
+    title = f"Free runs, start '{runs.start}'{horizons.horizon_words(runs.horizon)}"
+    terminal.print_tables(tables.Table(["record", "RMSE", "file"], rows, title=title))

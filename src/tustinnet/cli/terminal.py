@@ -1,7 +1,6 @@
-"""Output of messages and results, signals, warnings, and the set-up of JAX for every verb."""
+"""Output of messages and results, signals, and warnings."""
 
 import os
-import re
 import signal
 import sys
 import threading
@@ -10,59 +9,28 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from tustinnet.errors import InputError
-from tustinnet.user_folders import cache_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tustinnet.report.tables import Table
-    from tustinnet.systems.files import SystemFile
+from tustinnet.cli import console, options
+from tustinnet.errors import InputError, to_printable
+from tustinnet.store import files as disk
+from tustinnet.store import kept_system
+from tustinnet.systems import files as system_files
 
 _DELAY = 0.05  # seconds until a signal is sent again
-_ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
-_SHORTER = {"changes": "set", "origin": "from"}
 _LONGEST_QUESTION = 400  # characters
-# by default JAX caches only what takes a second to compile: few of the many programs of a fit
-_SMALL_PROGRAMS = {
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
-}
-_PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
-
-
-def with_options(text: str) -> str:
-    """A text of the library with the command's options: `budget=`, an argument, is --budget here.
-
-    Options are called like the arguments, but for those that say it shorter.
-    """
-
-    def to_option(match: re.Match[str]) -> str:
-        name = _SHORTER.get(match[1], match[1])
-        return f"--{name.replace('_', '-')}"
-
-    return _ARGUMENT.sub(to_option, text)
 
 
 def echo(text: str) -> None:
     """Prints a line of results on standard output."""
-    typer.echo(with_options(text))
+    typer.echo(options.with_options(text))
 
 
-def messages() -> "Console":
-    """Console for progress and remarks: standard error, so that results can be piped."""
-    from rich.console import Console
-
-    class Messages(Console):
-        def print(self, *objects: Any, **options: Any) -> None:
-            texts = [with_options(o) if isinstance(o, str) else o for o in objects]
-            super().print(*texts, **options)
-
-    return Messages(stderr=True, highlight=False, soft_wrap=True, markup=False)
+def messages() -> "console.Messages":
+    """Console for progress and remarks."""
+    return console.Messages()
 
 
 def make_printer(*, quiet: bool) -> Callable[[str], None]:
@@ -72,21 +40,13 @@ def make_printer(*, quiet: bool) -> Callable[[str], None]:
 
 def print_json(content: Any) -> None:
     """Prints a result as JSON on standard output."""
-    from tustinnet.store.files import to_json
-
-    sys.stdout.write(to_json(content))
+    sys.stdout.write(disk.to_json(content))
     sys.stdout.flush()  # figures, which come next, take seconds
 
 
-def print_tables(*tables: "Table") -> None:
+def print_tables(*tables: "console.Table") -> None:
     """Prints results as tables on standard output."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_PIPED_WIDTH)
-    for table in tables:
-        table.print(console)
+    console.print_tables(*tables)
 
 
 def can_ask() -> bool:
@@ -96,8 +56,6 @@ def can_ask() -> bool:
 
 def ask(question: str, default: str) -> str:
     """The line that the user answers to a question on a terminal; empty for the default."""
-    from tustinnet.errors import to_printable
-
     sys.stderr.write(f"{to_printable(question, _LONGEST_QUESTION)} [{default}] ")
     sys.stderr.flush()
     return sys.stdin.readline().strip()
@@ -108,12 +66,10 @@ def confirm(question: str) -> bool:
     return can_ask() and ask(question, "y/N").lower() in ("y", "yes")
 
 
-def remember_trust(system: "SystemFile") -> None:
+def remember_trust(system: "system_files.SystemFile") -> None:
     """Remembers that the user ran this file, so that a kept copy is run without a question."""
-    from tustinnet.store.kept_system import trust
-
     try:
-        trust(system)
+        kept_system.trust(system)
     except InputError as error:  # only costs a question later
         messages().print(f"note: {error}")
 
@@ -265,60 +221,3 @@ def guard_streams() -> None:
         sys.exit("error: standard output: closed; expected an open one, or > /dev/null")
     sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]
     sys.stdout = _Output(sys.stdout)  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def prepare_jax(device: str | None = None) -> None:
-    """Sets JAX up: double precision, a device for each core, a cache of compiled programs.
-
-    Args:
-        device: `cpu` or `gpu`; by default the one that JAX prefers.
-
-    Raises:
-        InputError: JAX sees no such device.
-    """
-    import jax
-
-    from tustinnet.cores import count_cores
-
-    jax.config.update("jax_enable_x64", True)
-    if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        jax.config.update("jax_num_cpu_devices", count_cores())
-    platforms = os.environ.get("JAX_PLATFORMS", "")
-    _first_device(None, f"JAX_PLATFORMS={platforms}", "unset the variable")
-    if device is not None:
-        first = _first_device(device, f"--device {device}", "omit the option")
-        jax.config.update("jax_default_device", first)
-    _cache_programs()
-
-
-def _cache_programs() -> None:
-    """Caches compiled programs in the user's cache folder, or in JAX_COMPILATION_CACHE_DIR."""
-    import jax
-
-    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        cache = cache_folder() / "compiled"
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return  # a home that cannot be written only costs time
-        if not os.access(cache, os.W_OK):
-            return
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-    for name, value in _SMALL_PROGRAMS.items():
-        if name.upper() not in os.environ:  # a variable of the user has precedence
-            jax.config.update(name, value)
-
-
-def _first_device(kind: str | None, source: str, remedy: str) -> Any:
-    """The first device of a kind, or of any kind; an error names the source of the choice."""
-    import jax
-
-    try:
-        return jax.devices(kind)[0]
-    except (RuntimeError, AssertionError):  # the second for some devices that are absent
-        raise InputError(
-            source,
-            "JAX sees none",
-            "a device that JAX sees",
-            f"{remedy}, or install JAX for your GPU: pip install 'jax[cuda13]'",
-        ) from None

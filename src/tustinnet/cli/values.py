@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import tustinnet as tn
 from tustinnet.cli import terminal
+from tustinnet.data import quantities
 from tustinnet.errors import InputError
-
-if TYPE_CHECKING:
-    from tustinnet.channels import Channels
-    from tustinnet.simulate.range import Range
+from tustinnet.simulate import range as training_ranges
+from tustinnet.store import header as file_header
 
 
 def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, str]:
@@ -29,13 +29,11 @@ class OptionReader:
         header: the header of the model's file, which knows the columns; None without a file.
     """
 
-    def __init__(self, channels: "Channels", header: "Mapping[str, Any] | None") -> None:
-        from tustinnet.data.quantities import ValueReader
-        from tustinnet.store.header import columns_in_header
+    def __init__(self, channels: "tn.Channels", header: Mapping[str, Any] | None) -> None:
 
         self._coordinates = channels.coordinates
-        columns = columns_in_header(header or {})
-        self.values = ValueReader(channels, columns, terminal.messages().print)
+        columns = file_header.columns_in_header(header or {})
+        self.values = quantities.ValueReader(channels, columns, terminal.messages().print)
 
     def read(self, option: str, pairs: Sequence[str] | None) -> dict[str, float]:
         """Values by name, each written as `NAME=VALUE` with or without a unit."""
@@ -47,7 +45,7 @@ class OptionReader:
         return self.values.read(option, parse_pairs(option, pairs), 2)
 
     def read_point(
-        self, option: str, text: str | None, training_range: "Range | None" = None
+        self, option: str, text: str | None, training_range: "training_ranges.Range | None" = None
     ) -> dict[str, float]:
         """Values by name, written as `NAME=VALUE,..`; raises an error far from the records.
 

@@ -42,8 +42,8 @@ from .plants import load_rivals as load_rivals
 from .plants import qube_twin as qube_twin
 from .plants import system_plant as system_plant
 from .reference import read_reference as read_reference
-from .replay import Replay as Replay
-from .replay import replay as replay
+from .replaying import Replay as Replay
+from .replaying import replay as replay
 from .robustness import Robustness as Robustness
 from .robustness import RobustnessRow as RobustnessRow
 from .robustness import assess_robustness as assess_robustness

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tustinnet.control.estimator import FilterConsistency
-from tustinnet.control.replay import Replay
+from tustinnet.control.replaying import Replay
 from tustinnet.report.tables import Table
 from tustinnet.wording import counted
 

@@ -1,32 +1,31 @@
 """Starts of free runs: rules that find the state in which a free run of a record begins.
 
-A start is one class here and one entry of `STARTS`: its name, the command's help and the list of
-starts in messages come from the class. This module is read for that help, and so it loads neither
-NumPy nor JAX before a state is computed.
+A start is a class here and a name in `start_names`, with what the command's help says of it.
 """
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.models.contract import Model
+from tustinnet.signals.derivatives import polynomial_fit
+from tustinnet.simulate.along import predictions_along
+from tustinnet.simulate.input_signal import initial_inputs, input_signals
+from tustinnet.simulate.simulation import initial_states, simulate_runs
+from tustinnet.simulate.start_names import DERIVED, FITTED, STORED, WARM_UP, StartName, parse_start
+from tustinnet.simulate.state_fits import FEWEST, fit_states, fit_states_traced
 from tustinnet.wording import counted
 
-if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Array
-
-    from tustinnet.data.experiment import Experiment
-    from tustinnet.models.contract import Model
-
-    Numbers = np.ndarray
-else:
-    Array = Experiment = Model = Numbers = Any
-
-PARABOLA_SAMPLES = 6  # of the usual parabola
-FIT_SAMPLES = 20  # that a state is usually fitted to
+PARABOLA_SAMPLES = DERIVED.usual_samples
+FIT_SAMPLES = FITTED.usual_samples  # that a state is usually fitted to
 _FEWEST_PARABOLA_SAMPLES = 3
 
 
@@ -35,35 +34,18 @@ class Start(ABC):
     """A rule that finds the state in which a free run begins, from a record's first samples.
 
     Attributes:
-        form: its name, with `N` in the place of the number of samples.
-        usual_samples: the usual number of samples.
-        summary: what the rule does, for the command's help, with `N` for the number of samples.
+        kind: its name without the number of samples.
         samples: how many samples it uses, from the record's first on.
     """
 
-    form: ClassVar[str]
-    usual_samples: ClassVar[int]
-    summary: ClassVar[str]
+    kind: ClassVar[StartName]
 
     samples: int
-
-    @classmethod
-    def from_name(cls, name: str) -> "Start | None":
-        """The start of that name; None where the name is one of another start."""
-        match = re.fullmatch(cls.form.replace("N", r"(\d+)"), name)
-        if not match:
-            return None
-        return cls(int(match[1]) if match.groups() else cls.usual_samples)
-
-    @classmethod
-    def usual_name(cls) -> str:
-        """The name of the start with its usual number of samples."""
-        return cls(cls.usual_samples).name
 
     @property
     def name(self) -> str:
         """The name of the start in recipes, options and scores, such as `model-20`."""
-        return self.form.replace("N", str(self.samples))
+        return self.kind.with_samples(self.samples)
 
     @property
     def first(self) -> int:
@@ -94,23 +76,16 @@ class Start(ABC):
         They can be differentiated by the model. Here of positions and velocities, and inputs for a
         model that needs them, with the internal states that the model expects there.
         """
-        import jax
-        import jax.numpy as jnp
-
         rows, n_m = jnp.asarray(start_data), model.channels.measured.stop
         if not model.initial_needs_inputs:
             return jax.vmap(model.initial_state)(rows)
         return jax.vmap(model.initial_state)(rows[:, :n_m], rows[:, n_m:])
 
-    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+    def numeric_states(self, model: Model, start_data: Any) -> np.ndarray:
         """States at the start as numbers, computed by the engine, (records, n_x).
 
         They are those of `traced_states`, for models that are not being trained.
         """
-        import numpy as np
-
-        from tustinnet.simulate.simulation import initial_states
-
         rows, n_m = np.asarray(start_data), model.channels.measured.stop
         return initial_states(model, rows[:, :n_m], rows[:, n_m:])
 
@@ -134,38 +109,32 @@ class MeasuredStart(Start):
         """No: the record is enough."""
         return False
 
-    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Numbers:
+    def start_data(self, model: Model, experiments: Sequence[Experiment]) -> np.ndarray:
         """Positions and velocities where the runs begin, (records, 2 n_q).
 
         They are followed by the inputs there, (records, 2 n_q + n_u), for a model that needs them.
         """
-        import numpy as np
-
         measured = np.stack([self.measured_state(e) for e in experiments])
         return _with_inputs(measured, model, experiments)
 
     @abstractmethod
-    def measured_state(self, e: Experiment) -> Numbers:
+    def measured_state(self, e: Experiment) -> np.ndarray:
         """Positions and velocities at the first sample of a record [q, v], (2 n_q,)."""
 
 
 class StoredStart(MeasuredStart):
     """`file`: the first row of a record as it is stored, velocities included."""
 
-    form = "file"
-    usual_samples = 1
-    summary = "first row of the record"
+    kind = STORED
 
-    def measured_state(self, e: Experiment) -> Numbers:
+    def measured_state(self, e: Experiment) -> np.ndarray:
         """The first row of a record [q, v], (2 n_q,)."""
-        import numpy as np
-
         if e.v is None:
             raise InputError(
                 e.name,
                 "start 'file' without velocity columns",
                 "velocities in the file",
-                f"use the start '{DerivedStart.usual_name()}'",
+                f"use the start '{DERIVED.usual}'",
             )
         return np.concatenate([e.q[0], e.v[0]])
 
@@ -173,11 +142,9 @@ class StoredStart(MeasuredStart):
 class DerivedStart(MeasuredStart):
     """`derived-N`: the least-squares parabola through the first N samples, at their times."""
 
-    form = "derived-N"
-    usual_samples = PARABOLA_SAMPLES
-    summary = "parabola through the first N samples"
+    kind = DERIVED
 
-    def measured_state(self, e: Experiment) -> Numbers:
+    def measured_state(self, e: Experiment) -> np.ndarray:
         """Value and slope of the parabola at the first sample of a record [q, v], (2 n_q,)."""
         self._require_samples(e, _FEWEST_PARABOLA_SAMPLES, "the parabola")
         return parabola(e, 0, self.samples)
@@ -201,17 +168,10 @@ class FirstSamples(NamedTuple):
 class FittedStart(Start):
     """`model-N`: the state from which the model explains the first N samples best."""
 
-    form = "model-N"
-    usual_samples = FIT_SAMPLES
-    summary = "state with which the model fits the first N samples best"
+    kind = FITTED
 
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> FirstSamples:
         """The first samples of records."""
-        import numpy as np
-
-        from tustinnet.simulate.input_signal import input_signals
-        from tustinnet.simulate.state_fits import FEWEST
-
         for e in experiments:
             self._require_samples(e, FEWEST, "the fit")
         samples = min(self.samples, PARABOLA_SAMPLES)
@@ -225,15 +185,11 @@ class FittedStart(Start):
 
     def traced_states(self, model: Model, start_data: FirstSamples) -> Array:
         """States by least squares through the model, (records, n_x), see `fit_states_traced`."""
-        from tustinnet.simulate.state_fits import fit_states_traced
-
         guess = super().traced_states(model, start_data.parabola)
         return fit_states_traced(model, guess, signal=start_data.signal, q=start_data.q)
 
-    def numeric_states(self, model: Model, start_data: FirstSamples) -> Numbers:
+    def numeric_states(self, model: Model, start_data: FirstSamples) -> np.ndarray:
         """States by least squares through the model, (records, n_x), see `fit_states`."""
-        from tustinnet.simulate.state_fits import fit_states
-
         guess = super().numeric_states(model, start_data.parabola)
         return fit_states(model, guess, signal=start_data.signal, q=start_data.q)
 
@@ -245,9 +201,7 @@ class WarmUpStart(Start):
     that nothing later is used. For models whose internal states say what the past was.
     """
 
-    form = "warm-up-N"
-    usual_samples = FIT_SAMPLES
-    summary = "the model first follows N measured samples"
+    kind = WARM_UP
 
     @property
     def first(self) -> int:
@@ -256,10 +210,6 @@ class WarmUpStart(Start):
 
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> Any:
         """Positions and velocities along the first N samples, and the inputs."""
-        import numpy as np
-
-        from tustinnet.simulate.input_signal import input_signals
-
         for e in experiments:
             self._require_samples(e, PARABOLA_SAMPLES, "the warm-up")
         heads = [e[: self.samples] for e in experiments]
@@ -270,22 +220,13 @@ class WarmUpStart(Start):
 
     def traced_states(self, model: Model, start_data: Any) -> Array:
         """Measured states with the internal states that the samples led to, (records, n_x)."""
-        import jax.numpy as jnp
-
-        from tustinnet.simulate.along import predictions_along
-
         measured, signal = start_data
         run = predictions_along(model, jnp.asarray(measured), signal)
         internal = run[:, -1, model.channels.internal]
         return jnp.concatenate([jnp.asarray(measured)[:, -1].astype(run.dtype), internal], axis=1)
 
-    def numeric_states(self, model: Model, start_data: Any) -> Numbers:
+    def numeric_states(self, model: Model, start_data: Any) -> np.ndarray:
         """Measured states with the internal states that the samples led to, (records, n_x)."""
-        import numpy as np
-
-        from tustinnet.simulate.input_signal import initial_inputs
-        from tustinnet.simulate.simulation import initial_states, simulate_runs
-
         measured, signal = start_data
         inputs = initial_inputs(model, signal)
         first = None if inputs is None else np.asarray(inputs)
@@ -294,12 +235,10 @@ class WarmUpStart(Start):
         return np.concatenate([measured[:, -1], run[:, -1, model.channels.internal]], axis=1)
 
 
-def _with_inputs(measured: Numbers, model: Model, experiments: Sequence[Experiment]) -> Numbers:
+def _with_inputs(
+    measured: np.ndarray, model: Model, experiments: Sequence[Experiment]
+) -> np.ndarray:
     """Rows of first [q, v], followed by the records' first inputs for a model that needs them."""
-    import numpy as np
-
-    from tustinnet.simulate.input_signal import initial_inputs, input_signals
-
     if not model.initial_needs_inputs:
         return measured
     inputs = initial_inputs(model, input_signals(model, experiments, slice(2)))
@@ -307,50 +246,22 @@ def _with_inputs(measured: Numbers, model: Model, experiments: Sequence[Experime
     return np.concatenate([measured, inputs], axis=1)
 
 
-STARTS: tuple[type[Start], ...] = (StoredStart, DerivedStart, FittedStart, WarmUpStart)
+_STARTS: dict[StartName, type[Start]] = {
+    start.kind: start for start in (StoredStart, DerivedStart, FittedStart, WarmUpStart)
+}
 
 
 def start_named(name: str, where: object = "start") -> Start:
-    """A start by its name: `file`, `derived-6`, `model-20`, `warm-up-20`, with any number.
-
-    Args:
-        name: the name.
-        where: what names it, for messages; empty in a declaration, which says the key itself.
-
-    Raises:
-        InputError: no such start.
-    """
-    for kind in STARTS:
-        start = kind.from_name(name)
-        if start is not None:
-            return start
-    forms = [
-        f"'{kind.form}'"
-        if kind.form == kind.usual_name()
-        else f"'{kind.form}' such as {kind.usual_name()}"
-        for kind in STARTS
-    ]
-    raise InputError(where, f"unknown start '{name}'", f"{', '.join(forms[:-1])} or {forms[-1]}")
+    """A start by its name, see `parse_start`."""
+    kind, samples = parse_start(name, where)
+    return _STARTS[kind](samples)
 
 
-def starts_help() -> str:
-    """The starts and what each does, in a line for the command's help."""
-    lines = [
-        f"{kind.usual_name()} ({kind.summary.replace('N', str(kind.usual_samples))})"
-        for kind in STARTS
-    ]
-    return f"{', '.join(lines[:-1])} or {lines[-1]}; other numbers of samples are possible"
-
-
-def parabola(e: Experiment, k: int, samples: int) -> Numbers:
+def parabola(e: Experiment, k: int, samples: int) -> np.ndarray:
     """Value and slope at sample k of the least-squares parabola through so many samples there.
 
     At the beginning of a record these are the first ones, else those up to sample k.
     """
-    import numpy as np
-
-    from tustinnet.signals.derivatives import polynomial_fit
-
     near = slice(max(0, k + 1 - samples), max(k + 1, samples))
     q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[k : k + 1])
     return np.concatenate([q[0], v[0]])

@@ -10,13 +10,11 @@ from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.batches import map_in_batches
+from tustinnet.simulate.start_names import DERIVED, FITTED, STORED
 from tustinnet.simulate.start_rules import (
     FIT_SAMPLES,
-    DerivedStart,
-    FittedStart,
     MeasuredStart,
     Start,
-    StoredStart,
     WarmUpStart,
     start_named,
 )
@@ -35,18 +33,18 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
         return WarmUpStart(warm_up).name
     is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
     if is_long and any(model.searched_internal.any() for model in models):
-        return FittedStart.usual_name()
+        return FITTED.usual
     if all(e.v is not None for e in experiments):
-        return StoredStart.usual_name()
+        return STORED.usual
     is_fast = is_long and any(
         scales.is_fast for scales in coordinate_timescales(experiments).values()
     )
-    return (FittedStart if is_fast else DerivedStart).usual_name()
+    return (FITTED if is_fast else DERIVED).usual
 
 
 def default_and_fitted_starts(experiments: Sequence[Experiment], *models: Model) -> tuple[str, ...]:
     """The default start and the usual start that is fitted through the model, each once."""
-    return tuple(dict.fromkeys((default_start(experiments, *models), FittedStart.usual_name())))
+    return tuple(dict.fromkeys((default_start(experiments, *models), FITTED.usual)))
 
 
 def start_states(

@@ -30,7 +30,8 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.simulate.horizon import effective_horizon, horizon_samples, pieces
-from tustinnet.simulate.start_rules import DerivedStart, FittedStart, Start, start_named
+from tustinnet.simulate.start_names import DERIVED, FITTED
+from tustinnet.simulate.start_rules import Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
 _HELD_HORIZON = 0.25  # s, of free runs of a system that a controller of unknown kind held
@@ -97,7 +98,7 @@ class Problem:
     def measured_start(self) -> Start:
         """The start of free runs whose initial states are found without a model."""
         default = self.default_start
-        return start_named(DerivedStart.usual_name()) if default.needs_model else default
+        return start_named(DERIVED.usual) if default.needs_model else default
 
     def scoring_start(self, horizon: int | None) -> Start:
         """The start of the free runs that are scored, over a horizon in steps or as a whole.
@@ -106,7 +107,7 @@ class Problem:
         than any model misses; a state fitted through the model has no such error. A controller in
         the loop leaves nothing of an error, and later samples say little of the state before them.
         """
-        fitted = start_named(FittedStart.usual_name())
+        fitted = start_named(FITTED.usual)
         if horizon is None or horizon < fitted.samples or self.system.feedback is not None:
             return self.default_start
         return fitted

@@ -16,7 +16,7 @@ from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
 from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.signals.derivatives import polynomial_fit
-from tustinnet.simulate.start_rules import DerivedStart
+from tustinnet.simulate.start_names import DERIVED
 from tustinnet.simulate.starts import initial_state
 
 _LEAST_ERROR = 1e-9  # rad or m
@@ -184,7 +184,7 @@ def cut_records(
         e = experiments[i]
         near = slice(max(0, begin - _LOCAL), max(0, begin - _LOCAL) + 2 * _LOCAL + 1)
         if begin == 0:
-            start = DerivedStart.usual_name() if is_estimated else options.initial_treatment
+            start = DERIVED.usual if is_estimated else options.initial_treatment
             x0[s, channels.measured] = initial_state(e, start)
             is_free[s, channels.measured] = float(is_estimated)
             # most internal states of a record start where expected
