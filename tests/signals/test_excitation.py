@@ -61,6 +61,20 @@ def test_a_delayed_held_input_keeps_its_impulse():
     assert excitation(u, ("zero-order",), (0.5,)).mean.sum() == pytest.approx(u.sum())
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.75, 3.0])
+def test_a_delayed_held_input_moves_a_mass_as_far_as_the_steps_do(delay: float):
+    u = np.random.default_rng(0).normal(size=30)
+    pieces = excitation(u[:, None], ("zero-order",), (delay,)).pieces
+    fine = 400  # steps in a period, in the middle of which the input changes nowhere
+    at = (np.arange(29 * fine) + 0.5) / fine
+    true = u[np.maximum(np.floor(at - delay).astype(int), 0)]
+    held = between(pieces, (np.arange(fine) + 0.5) / fine).ravel()
+    for x in (true, held):
+        speed = np.cumsum(x) / fine
+        x[:] = np.cumsum(speed - x / 2 / fine) / fine
+    np.testing.assert_allclose(held[fine - 1 :: fine], true[fine - 1 :: fine], atol=1e-4)
+
+
 # --- by records ---
 
 

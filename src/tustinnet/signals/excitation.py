@@ -76,7 +76,7 @@ def excitation(
         if hold == "first-order":
             powers = [samples[:-1], np.diff(samples)]
         elif part := delay % 1.0:  # of the period, after which a held input changes
-            whole = math.floor(delay)
+            whole = float(math.floor(delay))
             change = _delayed(column, whole) - _delayed(column, whole + 1)
             slope = 6 * part * (1 - part) * change[:-1]
             powers = [samples[:-1] - slope / 2, slope]

@@ -484,7 +484,7 @@ def test_the_published_scaling_is_refused_for_linear_coordinates():
 )
 def test_a_kept_epoch_at_an_end_of_the_last_stage_is_told(prepared, kept, said):
     progress = Progress(stage=1, epochs=(5, 100), best_epoch=kept, outcome="finished")
-    found = " ".join(describe_kept_epoch(with_stages(prepared, epochs=100), progress))
+    found = " ".join(map(str, describe_kept_epoch(with_stages(prepared, epochs=100), progress)))
     assert bool(found) is bool(said)
     assert re.search(said, found)
     assert not said or "validation" in found

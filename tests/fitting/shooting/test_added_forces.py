@@ -160,7 +160,7 @@ def test_the_lag_of_an_input_that_never_changes_is_refused():
 
 def test_a_friction_that_is_not_there_is_told():
     findings = tn.identify(data_set(records()), KNOWN_GAIN, recipe("coulomb")).findings
-    assert any("'angle.coulomb' is 0, its lower bound" in f for f in findings)
+    assert any("'angle.coulomb' is 0, its lower bound" in f.text for f in findings)
 
 
 def test_a_file_keeps_the_forces(result, tmp_path):
