@@ -147,6 +147,27 @@ def test_a_smooth_column_is_not_caused_by_whatever_else_is_smooth(tmp_path: Path
     assert made.notes == ("no input was found: the records are taken for free motion",)
 
 
+def test_joints_and_velocities_without_names_are_two_blocks_that_say_the_period(
+    tmp_path: Path,
+) -> None:
+    """A short piece of a motion in which all joints of an arm move as one, logged without times."""
+    dt, part = 0.004, np.linspace(0, 1, 130)
+    course = 3 * part**2 - 2 * part**3
+    swings = np.array([0.3, -0.15, 1e-5, 0.1, -0.05, 0.4])
+    q = np.array([1.1, -0.8, -0.4, -0.7, 0.7, -0.85]) + np.outer(course, swings)
+    v = np.gradient(q, dt, axis=0)
+    v = np.stack([np.convolve(np.pad(x, 4, "edge"), np.ones(9) / 9, "valid") for x in v.T], axis=1)
+    rng = np.random.default_rng(0)
+    table = np.hstack([q + 1e-6 * rng.normal(size=q.shape), v + 1e-4 * rng.normal(size=v.shape)])
+    np.savetxt(tmp_path / "trajectory.csv", table, "%.6g", ",")
+    made = draft_card(tmp_path, ["trajectory.csv"])
+    assert [c.column for c in made.choice.coordinates] == [f"column {k}" for k in range(1, 7)]
+    velocities = [c.velocity.column if c.velocity else "" for c in made.choice.coordinates]
+    assert velocities == [f"column {k}" for k in range(7, 13)]
+    assert made.choice.inputs == []
+    assert made.dt == pytest.approx(dt)
+
+
 def test_directions_of_a_circle_are_no_positions_beside_its_angle(tmp_path: Path) -> None:
     angle = 1.2 * np.sin(np.arange(N) / 40)
     x, y = 0.7 * np.sin(angle), -0.7 * np.cos(angle)

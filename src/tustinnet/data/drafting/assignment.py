@@ -73,12 +73,16 @@ class _Prices:
         plain = np.array([r.qualifier is None for r in t.readings])
         things = [r.object for r in t.readings]
         are_one = np.array([[bool(a) and a == b for b in things] for a in things])
-        is_said = np.outer(positions, positions)
+        are_of_block = np.zeros((len(columns), len(columns)), bool)
+        for block in t.blocks:
+            places = [*block.values()]
+            are_of_block[np.ix_(places, places)] = True
+        is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
         self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T)) + w.member * are_one
         self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
-        self.velocities = t.repeats.copy()
+        self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
         self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
         is_copy = (t.repeats > 0) | t.is_alike
         self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)

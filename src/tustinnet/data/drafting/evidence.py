@@ -1,6 +1,7 @@
 """Evidence on the roles of columns: points of their names, shapes and relations, which add up."""
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -8,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tustinnet.data.columns import NUMBERED
 from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
 from tustinnet.data.drafting.numbers import Numbers, is_decimal
 from tustinnet.data.drafting.relations import (
@@ -281,6 +283,9 @@ class EvidenceTable:
         self.follow = self._follow_points(fit, late)
         self.cause = self._cause_points(find_causes(records))
         self.family = find_families(self.readings, self.slope)
+        for block in self.blocks:
+            for column in block.values():
+                self.family[column] = min(block.values())
         self.stage = [stage_of(r) for r in self.readings]
         self.is_disturbance = [bool(DISTURBANCES & {*r.words}) for r in self.readings]
         places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
@@ -306,7 +311,10 @@ class EvidenceTable:
             angle = np.concatenate([np.unwrap(np.arctan2(y, x)) for x, y in points])
             for k in range(len(self.names)):
                 values = np.concatenate([r[:, k] for r in records])
-                if k not in (i, j) and abs(np.corrcoef(values, angle)[0, 1]) > 1 - w.circle / 6:
+                units = [unit * np.std(values) / np.std(angle) for unit in ANGLE.values()]
+                is_angle = min(abs(ratio - 1) for ratio in units) < 2 * w.circle
+                is_alike = abs(np.corrcoef(values, angle)[0, 1]) > 1 - w.circle / 6
+                if k not in (i, j) and is_angle and is_alike:
                     text = f"of a circle on which '{self.names[k]}' is the angle"
                     self.own[i].append(Evidence("other", w.useless, text))
 
@@ -346,8 +354,12 @@ class EvidenceTable:
             is_unit = explains_factor(float(slopes.factor[i, j]), a.unit, b.unit, unsure)
             if has_times and not is_unit and not numbers[self.names[i]].whole:
                 points[i, j] -= w.no_factor
-        pairs = [[_are_of_one(a, b) for b in self.readings] for a in self.readings]
-        points += w.member * np.array(pairs)
+        pairs = np.array([[_are_of_one(a, b) for b in self.readings] for a in self.readings])
+        self.blocks = find_blocks(self.names, points)
+        for one, other in itertools.permutations(self.blocks, 2):
+            for joint in one.keys() & other.keys():
+                pairs[one[joint], other[joint]] = True
+        points += w.member * pairs
         np.fill_diagonal(points, -w.no_slope)
         return points
 
@@ -412,6 +424,40 @@ def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c
             for i in members:
                 families[i] = members[0]
     return families
+
+
+def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[dict[int, int]]:
+    """Columns without names that come as a block of positions and one of their velocities.
+
+    Two velocities have to be seen as many columns behind (or before) their positions, and more than
+    at any other distance: joints that move as one have the velocities of one another. What is
+    between two of a block, as a joint that hardly moves, belongs to it.
+
+    Args:
+        names: the columns.
+        slope: points for each column as the derivative of each, [i, j].
+
+    Returns:
+        Of each block the places of its columns, by joint; none where there are none.
+    """
+    numbers = [n.removeprefix(NUMBERED) if n.startswith(NUMBERED) else "" for n in names]
+    place = {int(number): i for i, number in enumerate(numbers) if number.isdecimal()}
+    seen = [
+        (a, b)
+        for a, i in place.items()
+        for b, j in place.items()
+        if slope[i, j] >= WEIGHTS.derivative / 2
+    ]
+    counts = [*Counter(b - a for a, b in seen).most_common(2), (0, 1), (0, 1)]
+    (distance, most), (_, next_most) = counts[:2]
+    if most == next_most:
+        return []
+    pairs = [(a, b) for a, b in seen if b - a == distance]
+    positions = {a for a, _ in pairs} - {b for _, b in pairs}  # of three blocks the first
+    joints = range(min(positions), max(positions) + 1)
+    if {b for _, b in pairs} & {*joints}:
+        return []
+    return [{k: place[k + d] for k in joints if k + d in place} for d in (0, distance)]
 
 
 def _are_of_one(a: NameReading, b: NameReading) -> bool:

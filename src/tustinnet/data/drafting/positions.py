@@ -1,5 +1,6 @@
 """Coordinates from position columns: kind, unit, resolution, and the velocity column's unit."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -471,7 +472,7 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
     Returns:
         The period; None where no velocity has a known unit, or two say different periods.
     """
-    periods: list[float] = []
+    periods: list[tuple[float, float]] = []  # what a slope leaves of its velocity, and the period
     sizes = {**ANGULAR_SPEEDS, **LINEAR_SPEEDS}
     for c in choice.coordinates:
         if c.velocity is None:
@@ -486,10 +487,12 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
             if speed not in sizes or unit not in (*ANGLE, *LENGTH):
                 continue
             factor *= sizes[speed] / (ANGLE | LENGTH)[unit]
-        periods.append(dt / factor)
-    if not periods or max(periods) > (1 + _SAME_FACTOR) * min(periods):
+        periods.append((math.sqrt(max(1 - correlation**2, 0.0)), dt / factor))
+    if not periods:
         return None
-    period = float(np.median(periods))
+    least, period = min(periods)
+    if any(abs(p / period - 1) > max(_SAME_FACTOR, left + least) for left, p in periods):
+        return None
     usual = float(f"{period:.2g}")
     period = usual if abs(period / usual - 1) < _SAME_FACTOR else float(f"{period:.4g}")
     return period if _PERIODS[0] <= period <= _PERIODS[1] else None
