@@ -134,7 +134,7 @@ class Weights:
     cause: float = 5.0
     back: float = 0.6
     no_input: float = 3.0
-    no_position: float = 8.0
+    no_position: float = 12.0
     further_input: float = 2.5
     stage: float = 8.0
     copy: float = 4.0
