@@ -79,7 +79,7 @@ class Finding:
         return {
             "code": self.code,
             "severity": self.severity,
-            "text": self.statement,
+            "text": self.text,
             "mend": self.mend,
             **{name: value for name, value in where.items() if value not in ([], "", None)},
             "values": _plain(self.values),

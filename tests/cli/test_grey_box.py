@@ -354,7 +354,7 @@ def test_a_search_that_reaches_its_limit_keeps_its_model_and_warns_once(
         "--no-report",
     )
     assert code == 0
-    assert err.count("warning: stopped at the limit of 1 iterations") == 1
+    assert err.count("warning: stopped at the limit of 1 iteration ") == 1
     assert "stopped at the limit" not in out
     assert "error: " not in err
     assert (tmp_path / "out" / "model.safetensors").is_file()

@@ -36,7 +36,7 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
         assert summary["spoiled"] == header
         if option:
             assert "* left out: run2, " in printed
-            assert header["left_out"][0].startswith("left out: run2, ")
+            assert header["left_out"][0]["text"].startswith("left out: run2, ")
             assert header["parts"] == []
             assert "left out: run2, " in (out / "report.html").read_text()
         else:
@@ -57,7 +57,7 @@ def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     assert code == 0, err
     assert "* left out: run2, " in printed
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["spoiled"]["left_out"][0].startswith("left out: run2, ")
+    assert summary["spoiled"]["left_out"][0]["text"].startswith("left out: run2, ")
     assert summary["spoiled"]["parts"] == []
     scored = next(iter(summary["candidates"][0]["starts"].values()))["rmse"]
     assert {name.split("[")[0] for name in scored} == {f"run{i}" for i in range(6)}

@@ -95,7 +95,7 @@ def test_a_delay_of_the_inputs_is_known():
     rows = [layout.matrix @ history.add(now) for now in u[:-1]]
     np.testing.assert_allclose(rows[5:], expected[5:], rtol=1e-12)
     history.reset()
-    np.testing.assert_array_equal(layout.matrix @ history.add(u[0]), np.zeros(1))
+    np.testing.assert_array_equal(layout.matrix @ history.add(u[0]), np.zeros(2))
 
 
 def test_noise_of_a_right_model_is_that_of_its_encoder():

@@ -95,7 +95,7 @@ class ExperimentReport:
         rest_share: share of samples near an equilibrium.
         coordinates: a report for each coordinate.
         inputs: a report for each input.
-        suspicious: sentences about what is wrong with it, the texts of its findings.
+        suspicious: sentences about what is wrong with it, the statements of its findings.
         notes: remarks on how the record was read.
     """
 
@@ -187,7 +187,7 @@ def _report(e: Experiment, findings: Sequence[Finding]) -> ExperimentReport:
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
         coordinates=coordinates,
         inputs=tuple(_inspect_input(e, j) for j in range(e.u.shape[1])),
-        suspicious=tuple(f.text for f in findings if f.is_serious),
+        suspicious=tuple(f.statement for f in findings if f.is_serious),
         notes=e.notes,
     )
 

@@ -49,7 +49,7 @@ def test_what_stands_for_the_same_is_said():
     loose = tn.read_recipe("grey", ['model.free=["voltage.gain"]'])
     message = " ".join(map(str, tn.identify(data_set(records()), SWING, loose).findings))
     assert "gain and voltage.gain are not identifiable separately" in message
-    assert "here it was fixed at its first value" in message
+    assert "was fixed at its first value" in message
 
 
 def test_measured_motion_is_the_physical_one_through_the_sensors():
