@@ -123,6 +123,14 @@ def test_what_has_no_column_is_one_line_each(tmp_path: Path, capsys) -> None:
     assert "locked={'lift': 0.0, 'roll': 0.0}" in err
 
 
+def test_fewer_positions_than_joints_that_nothing_joins_are_counted(tmp_path: Path, capsys) -> None:
+    folder = write_logs(tmp_path / "logs", "time_s,q1,q2,i1,i2", np.array([1, 1, 5, 5.0]))
+    code, _, err = tustinnet(capsys, "init", folder, "--system", ROBOTS / "scara.urdf", "--yes")
+    assert code == 1
+    assert "2 positions that neither names nor numbers join to the system's coordinates" in err
+    assert "('q1', 'q2'): no column was found for the coordinate 'shoulder'" in err
+
+
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [

@@ -109,6 +109,16 @@ class Draft:
         Raises:
             InputError: no column could be a position, or no record could be read.
         """
+        positions = [f"'{c.name}'" for c in self.columns if c.role == "position"]
+        if not self.choice.coordinates and self.choice.missing and positions:
+            raise InputError(
+                folder,
+                f"{counted(len(positions), 'position')} that neither names nor numbers join to the "
+                f"system's coordinates ({', '.join(positions)}): "
+                f"{'; '.join(self.choice.missing)}",
+                "as many positions as coordinates, or columns that are named like them",
+                "lock joints that stand still, in a system file: tn.load_robot(FILE, locked={...})",
+            )
         if not self.choice.coordinates:
             roles = ", ".join(f"'{c.name}' ({c.role})" for c in self.columns)
             raise InputError(folder, f"no column could be a position: {roles}", "positions")
