@@ -33,7 +33,6 @@ import pytest
 import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
 
 import tustinnet as tn
-from tustinnet.engine import machine
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.task import Member
@@ -50,23 +49,6 @@ jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine w
 DT = 0.02
 _SHARE = 0.3  # of the room for programs, which one module may take after another
 COUNT = 2 * np.pi / 4096
-
-
-# as with XLA: LLVM takes five times as long to make code fast, which serves few runs
-_USUAL = (machine._PASSES, machine._LEVEL)
-machine._PASSES = machine._LEVEL = 0
-
-
-@pytest.fixture(scope="module")
-def optimised() -> Iterator[None]:
-    """Machine code as people run it."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, level in zip(("_PASSES", "_LEVEL"), _USUAL, strict=True):
-            patch.setattr(machine, name, level)
-        for kept in (machine._target, machine._compile):
-            kept.cache_clear()
-        yield
-    machine._target.cache_clear()
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -14,8 +14,6 @@ from tustinnet.engine.text import Module
 from tustinnet.export.source import Source
 from tustinnet.program.numbers import run
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 
 def stepped(source: Source, points: np.ndarray) -> np.ndarray:
     n_x = source.n_x

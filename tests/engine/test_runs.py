@@ -14,8 +14,6 @@ from tustinnet.engine import engines as engine
 from tustinnet.engine.equations import Equations, Formula, ResidualFormula, SampledValues
 from tustinnet.engine.runs import Directions, Runs, Samples
 
-pytestmark = pytest.mark.usefixtures("optimised")
-
 SMALL = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 

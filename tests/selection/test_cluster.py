@@ -28,8 +28,6 @@ from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import SystemFile
 
 SCORING = Scorer(3, "model-10")
-# as workers have it, so that numbers are the same to the last bit
-pytestmark = pytest.mark.usefixtures("optimised")
 PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
 
