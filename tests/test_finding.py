@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tustinnet
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.store.files import to_json
 from tustinnet.words import WORDS, put_in_words
 from tustinnet.words.check import CHECK
@@ -21,16 +21,16 @@ SOURCE = "\n".join(p.read_text() for p in Path(tustinnet.__file__).parent.rglob(
 
 
 def test_a_finding_is_its_code_its_values_and_what_to_do():
-    finding = found("no effect on simulations", parameter="gain")
+    finding = make_finding("no effect on simulations", parameter="gain")
     assert (finding.severity, finding.mend) == ("warning", "fix it")
     assert str(finding) == "'gain' has hardly any effect on the simulations; fix it"
     assert finding.as_plain()["values"] == {"parameter": "gain"}
 
 
 def test_a_finding_is_written_as_json_with_those_that_are_its_parts():
-    part = found("changed", parameter="mass", before=np.float64(1.0), after=float("nan"))
+    part = make_finding("changed", parameter="mass", before=np.float64(1.0), after=float("nan"))
     plain = json.loads(
-        to_json(found("refitted", changes=[part], start="s", before=2, after=1).as_plain())
+        to_json(make_finding("refitted", changes=[part], start="s", before=2, after=1).as_plain())
     )
     assert plain["values"]["changes"] == [
         {"code": "changed", "parameter": "mass", "before": 1.0, "after": None}

@@ -86,7 +86,7 @@ class Finding:
         }
 
 
-def found(code: str, /, **values: Any) -> Finding:
+def make_finding(code: str, /, **values: Any) -> Finding:
     """A finding by its code and values, of the severity that its sentence has."""
     sentence = WORDS[code]
     return Finding(code, values, sentence.severity, put_in_words(sentence.mend, values))

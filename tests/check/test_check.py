@@ -19,7 +19,7 @@ from tustinnet.check.draft_scales import find_scales
 from tustinnet.data.catalog import locate
 from tustinnet.data.drafting.draft import draft_card, draft_examined, examine_logs
 from tustinnet.data.loading import load_folder
-from tustinnet.finding import Finding, found, merge_findings, sort_findings
+from tustinnet.finding import Finding, make_finding, merge_findings, sort_findings
 
 DT, COUNT = 0.01, 2 * np.pi / 4096
 # machines that are simulated in a second; `benchmarks/check.py` runs all faults
@@ -237,7 +237,7 @@ def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
 
 
 def test_findings_are_sorted_by_severity_and_equal_ones_are_merged() -> None:
-    note = replace(found("degrees wrap"), records=("r1",), time=1.0)
+    note = replace(make_finding("degrees wrap"), records=("r1",), time=1.0)
     severe = replace(note, severity="severe")
     merged = merge_findings([note, severe, replace(note, records=("r2",), time=2.0)])
     assert [f.severity for f in sort_findings(merged)] == ["severe", "note"]

@@ -11,7 +11,7 @@ from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
 from tustinnet.cli.select import print_choice, read_options
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.report.tables import Table
 
 PLAN = """
@@ -69,8 +69,10 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_notes_are_printed_once(monkeypatch, capsys, quiet):
-    left_out = found("committee failed", committee="b", why="too late")
-    choice: Any = SimpleNamespace(findings=(found("records diverge"), left_out), notes=(left_out,))
+    left_out = make_finding("committee failed", committee="b", why="too late")
+    choice: Any = SimpleNamespace(
+        findings=(make_finding("records diverge"), left_out), notes=(left_out,)
+    )
     monkeypatch.setattr(
         "tustinnet.report.selection.candidates_table", lambda choice: Table(["a"], [["1"]])
     )

@@ -308,7 +308,7 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         check,
         f"in a card of its own, {line}" if key else without_record(e),
         name,
-        left=verdict.after / verdict.before,
+        residual=verdict.after / verdict.before,
         **values,
     )
 

@@ -21,7 +21,7 @@ from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
 from tustinnet.data.units import velocity_factor
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
 from tustinnet.words.sentence import SEVERITIES, Severity
@@ -212,15 +212,15 @@ def _meaning_of_jumps(
     turn = 2 * np.pi
     if c.kind == "angular":
         if block is not None and not block.unwrap and abs(typical / turn - 1) < 0.2:
-            return found("encoder wraps"), coordinate_line(c.name, "unwrap = true")
+            return make_finding("encoder wraps"), coordinate_line(c.name, "unwrap = true")
         if (other := _turn_of_other(view, j, typical)) is not None:
             mend = coordinate_line(c.name, f"exchange `column` with that of {other}")
-            return found("turn of another", other=other), mend
+            return make_finding("turn of another", other=other), mend
         degrees = abs(360 - turn * round(360 / turn))
         if abs(typical / degrees - 1) < LEVELS.same_wrap:
-            return found("degrees wrap"), coordinate_line(c.name, 'unit = "deg"')
+            return make_finding("degrees wrap"), coordinate_line(c.name, 'unit = "deg"')
         if abs(typical / np.deg2rad(turn) - 1) < LEVELS.same_wrap:
-            return found("radians wrap"), coordinate_line(c.name, 'unit = "rad"')
+            return make_finding("radians wrap"), coordinate_line(c.name, 'unit = "rad"')
     if not count:
         return None
     for bits in _BITS:
@@ -231,7 +231,7 @@ def _meaning_of_jumps(
             3 * count, LEVELS.same_jump * jump
         ):
             mend = "no line of the card: add the overflows to the column in the file"
-            return found("counter overflows", bits=bits), mend
+            return make_finding("counter overflows", bits=bits), mend
     return None
 
 
@@ -390,8 +390,8 @@ def velocities(view: RecordView) -> Iterator[Finding]:
             yield _velocity_finding(
                 view,
                 j,
-                found("has outliers", rows=(rows + lead).tolist()),
-                found("by up to", largest=np.abs(v[rows, j] - usual).max()),
+                make_finding("has outliers", rows=(rows + lead).tolist()),
+                make_finding("by up to", largest=np.abs(v[rows, j] - usual).max()),
                 _UNUSED,
                 "warning",
             )
@@ -413,27 +413,27 @@ def _compare_velocity(
     best = int(np.argmax(others))
     # noise of one of both alone may change the gain by as much as the correlation
     deviation = abs(gain - 1) - (1 - correlation)
-    how = found("times the slope", gain=gain, correlation=correlation)
+    how = make_finding("times the slope", gain=gain, correlation=correlation)
     key, relation, severity = _UNUSED, None, "severe"
     if best != j and others[best] > max(LEVELS.high_correlation, abs(correlation) + 0.1):
-        relation = found("is that of another", other=e.coordinates[best].name)
-        how = found("correlates with another", correlation=correlation, other=others[best])
+        relation = make_finding("is that of another", other=e.coordinates[best].name)
+        how = make_finding("correlates with another", correlation=correlation, other=others[best])
     elif correlation < -LEVELS.high_correlation:
-        relation = found("has the opposite sign")
+        relation = make_finding("has the opposite sign")
     elif correlation < LEVELS.low_correlation:
-        relation, severity = found("disagrees"), "warning"
+        relation, severity = make_finding("disagrees"), "warning"
     elif correlation > LEVELS.high_correlation and deviation > LEVELS.gain_of_velocity:
         key = _velocity_unit(view, j, gain)
         severity = "severe" if deviation > LEVELS.other_gain else "warning"
         if key != _UNUSED or e.v_measured:  # else nothing is to be done, whatever its scale is
-            relation = found("has another scale")
+            relation = make_finding("has another scale")
     if relation is not None:
         yield _velocity_finding(view, j, relation, how, key, severity)
     if correlation > LEVELS.high_correlation and lag > LEVELS.lag_of_velocity:
         period = timescales([e.q[:, j]]).period
         if lag > LEVELS.lag_share * min(period, 400.0):
-            how = found("milliseconds", milliseconds=1e3 * lag * e.dt, samples=lag)
-            yield _velocity_finding(view, j, found("lags"), how, _UNUSED, "warning")
+            how = make_finding("milliseconds", milliseconds=1e3 * lag * e.dt, samples=lag)
+            yield _velocity_finding(view, j, make_finding("lags"), how, _UNUSED, "warning")
 
 
 def _velocity_unit(view: RecordView, j: int, gain: float) -> str:

@@ -12,7 +12,7 @@ from tustinnet.check.levels import LEVELS
 from tustinnet.data.card import Card, CoordinateCard, InputCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.recording import Recording, describe_recording
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.signals import transients
 from tustinnet.signals.outliers import sensor_noise
 from tustinnet.words import WORDS
@@ -107,7 +107,7 @@ class RecordView:
             values: what its sentence names.
         """
         return replace(
-            found(code, **values),
+            make_finding(code, **values),
             severity=severity or WORDS[code].severity,
             mend=mend,
             records=(self.experiment.name,),

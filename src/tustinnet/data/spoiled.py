@@ -15,7 +15,7 @@ import numpy as np
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import quote
 from tustinnet.data.experiment import Experiment
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
@@ -155,7 +155,7 @@ def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tup
         if is_last or not of_record:
             experiments.append(e)
             continue
-        findings += [found("left out", place=p.place, reason=p.reason) for p in of_record]
+        findings += [make_finding("left out", place=p.place, reason=p.reason) for p in of_record]
         experiments += [replace(e[a:b], name=f"{e.name}[{a}:{b}]") for a, b in kept]
     return replace(data, experiments=tuple(experiments)), tuple(findings)
 

@@ -8,7 +8,7 @@ import numpy as np
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse_by_unit
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.models.contract import Model
 from tustinnet.simulate.horizon import FOLLOWED
 from tustinnet.simulate.starts import start_named
@@ -91,7 +91,7 @@ def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> 
         for e, s in zip(records, whole, strict=True)
     ]
     to_the_end = sum(a >= b for a, b in zip(seconds, lengths, strict=True))
-    return found(
+    return make_finding(
         "follows to the end" if to_the_end == len(records) else "follows for",
         records=len(records),
         limit=FOLLOWED,

@@ -11,7 +11,7 @@ from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
 from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe_reading import read_recipe
@@ -49,7 +49,7 @@ def leave_out_unexplained(
     try:
         fit = identify_task(task, Member(), SILENT, should_stop)
     except UnfinishedSearchError:
-        return data, (found("spoiled no time"),)
+        return data, (make_finding("spoiled no time"),)
     except Exception as error:  # of any kind: all records are fitted to
-        return data, (found("spoiled not searched", why=error_message(error)),)
+        return data, (make_finding("spoiled not searched", why=error_message(error)),)
     return leave_out(data, find_spoiled(fit.model, roles.all))

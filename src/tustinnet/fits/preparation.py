@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.left_out import leave_out_unexplained, leave_out_visible
 from tustinnet.fits.timing import determine_timing
@@ -128,7 +128,7 @@ def _leave_out_unexplained(
         records.data, options.system, should_stop, options.on_message
     )
     if not findings and not records.left_out:
-        findings = (found("spoiled none"),)
+        findings = (make_finding("spoiled none"),)
     return replace(records, data=data, left_out=(*records.left_out, *findings))
 
 

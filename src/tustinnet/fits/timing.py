@@ -13,7 +13,7 @@ from tustinnet.channels import Hold, Input
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.signals.input_timing import (
     DeclaredTiming,
@@ -74,7 +74,7 @@ def determine_timing(
     except InputError as error:
         estimates = None
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
-            findings.append(found("timing not found", why=str(error), hold=_USUAL))
+            findings.append(make_finding("timing not found", why=str(error), hold=_USUAL))
     lags, acting = list[str](), list[Input]()
     for j, (own, what) in enumerate(zip(inputs, declared, strict=True)):
         one = estimates[j] if estimates else None
@@ -119,10 +119,10 @@ def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: floa
     hold = timing.hold if declared.hold is None else None
     common = {"input": name, "hold": hold, "rivals": list(timing.rivals) if hold else []}
     if declared.delay is not None:
-        return found("timing declared", declared=declared.delay, **common)
+        return make_finding("timing declared", declared=declared.delay, **common)
     verdict = "hidden" if timing.verdict == "unclear" and timing.is_hidden else timing.verdict
     delay, lag = timing.delay, timing.lag
-    return found(
+    return make_finding(
         f"timing {verdict}",
         **common,
         delay=delay.value,
@@ -146,7 +146,7 @@ def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]
     """Holds that a system declares otherwise than the records."""
     unknown = (None, "unknown")
     return [
-        found("hold of card", input=i.name, hold=i.hold, of_system=declared[i.name])
+        make_finding("hold of card", input=i.name, hold=i.hold, of_system=declared[i.name])
         for i in inputs
         if i.hold not in unknown and declared.get(i.name) not in (*unknown, i.hold)
     ]

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from tustinnet.channels import Channels, Input
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_beyond_limits
 from tustinnet.fitting.inverse_dynamics.identification import identify_by_inverse_dynamics
 from tustinnet.fitting.listener import Listener
@@ -162,7 +162,7 @@ def _make_problem(
     alone = [e.without_controller() for e in records]
     system = system.plant.for_records(alone, f"record '{first.name}'")
     of_file = () if system.source is None else system.source.remarks
-    of_file = tuple(found("of file", remark=remark) for remark in of_file)
+    of_file = tuple(make_finding("of file", remark=remark) for remark in of_file)
     beyond_limits = describe_beyond_limits(system, alone)
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")

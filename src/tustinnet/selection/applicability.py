@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import coordinate_timescales, rotating_coordinates
 from tustinnet.errors import InputError
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.timing import LAG
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
@@ -55,7 +55,7 @@ def applicable_candidates(
     findings = []
     for why in dict.fromkeys(omitted.values()):
         names = [name for name, reason in omitted.items() if reason == why]
-        findings.append(found("candidates left out", why=why, candidates=names))
+        findings.append(make_finding("candidates left out", why=why, candidates=names))
     candidates = [c for c in plan.candidates if c.name not in omitted]
     if not candidates:
         where, expected = f"plan '{plan.name}'", "a candidate that can take part"

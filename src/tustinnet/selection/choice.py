@@ -14,7 +14,7 @@ from tustinnet.evaluate.horizons import describe_followed
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.scores import Score, scores_header
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
@@ -117,10 +117,10 @@ class Choice:
     def findings(self) -> tuple[Finding, ...]:
         """The accuracy of the chosen model, and the reasons for the choice."""
         best = self.result(self.best)
-        chosen = found("chosen", name=self.best, made=self.origins[self.best])
+        chosen = make_finding("chosen", name=self.best, made=self.origins[self.best])
         mean, _ = mean_and_error(best.rmse().values())
         if not math.isfinite(mean):
-            return (chosen, found("records diverge"), *self._unscored, *self.notes)
+            return (chosen, make_finding("records diverge"), *self._unscored, *self.notes)
         return (
             chosen,
             *self._accuracy(best),
@@ -130,7 +130,7 @@ class Choice:
             *self._decisive_record(best),
             *self._stopped_fits,
             *self._alternatives(best),
-            *[found("spoiled", **part.as_plain()) for part in self.spoiled],
+            *[make_finding("spoiled", **part.as_plain()) for part in self.spoiled],
             *self._unscored,
             *self.notes,
         )
@@ -139,7 +139,7 @@ class Choice:
         rmse, total = best.rmse(), len(self._records)
         mean, error = mean_and_error(rmse.values())
         worst = max(rmse, key=lambda record: rmse[record])
-        yield found(
+        yield make_finding(
             "accuracy",
             horizon=self.context.scoring.horizon,
             records=len(rmse),
@@ -155,7 +155,7 @@ class Choice:
             few=len(rmse) < FEW,
         )
         if best.unexplained:
-            yield found("forces unexplained", shares=dict(best.unexplained))
+            yield make_finding("forces unexplained", shares=dict(best.unexplained))
         if self.whole:
             records = [self.context.data[name] for name in self.whole]
             yield describe_followed(records, list(self.whole.values()))
@@ -170,7 +170,7 @@ class Choice:
         remedies = ["look at them (inspect)"]
         remedies += [] if self.budget is None else ["give more time (`budget=`)"]
         remedies += [] if self.context.system else ["give equations of motion (`system=`)"]
-        yield found(
+        yield make_finding(
             "nothing follows closely" if self.follows else "nothing follows",
             horizon=self.context.scoring.horizon,
             reference=self.reference.label,
@@ -181,7 +181,7 @@ class Choice:
         scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
         if (decisive := find_decisive_record(best, scored)) is not None:
             record, other, difference = decisive
-            yield found(
+            yield make_finding(
                 "one record decides",
                 record=record,
                 other=other.name,
@@ -201,13 +201,13 @@ class Choice:
             fits[code].extend(result.fits)
         for code, scores in fits.items():
             if stopped := sum(fit.is_out_of_time for fit in scores):
-                yield found(code, stopped=stopped, total=len(scores))
+                yield make_finding(code, stopped=stopped, total=len(scores))
 
     def _alternatives(self, best: CandidateResult) -> Iterator[Finding]:
         """The simplest that is as good, and the bands of the chosen one."""
         if self.simplest != self.best:
             difference = paired_difference(self.result(self.simplest), best)
-            yield found(
+            yield make_finding(
                 "simplest",
                 name=self.simplest,
                 made=self.origins[self.simplest],
@@ -218,7 +218,7 @@ class Choice:
             )
         if self.bands is not None:
             level = math.floor(100 * self.bands.highest_level)
-            yield found("bands", level=level, records=len(self.bands.records))
+            yield make_finding("bands", level=level, records=len(self.bands.records))
 
     @property
     def claim(self) -> ErrorRange | None:
@@ -230,7 +230,7 @@ class Choice:
         """The error of a new record, and what makes the scores say little of it."""
         rmse, claim, unit = self.result(self.best).rmse(), self.claim, self.unit
         if claim is not None:
-            yield found(
+            yield make_finding(
                 "expected vaguely" if claim.high > _VAGUE * claim.typical else "expected",
                 typical=claim.typical,
                 low=claim.low,
@@ -242,14 +242,14 @@ class Choice:
             if mean > _UNEVEN * claim.typical:
                 by_kind = {kind: expected_range(errors) for kind, errors in self._by_kind.items()}
                 typical = {kind: r.typical for kind, r in by_kind.items() if r}
-                yield found(
+                yield make_finding(
                     "few records make the mean",
                     records=[name for name, value in rmse.items() if value > mean],
                     kinds=typical if len(typical) > 1 else None,
                     unit=unit,
                 )
         if self.is_cut:
-            yield found("pieces are alike")
+            yield make_finding("pieces are alike")
 
     @property
     def _by_kind(self) -> dict[str, list[float]]:
@@ -266,7 +266,10 @@ class Choice:
         for result in self.candidates.results:
             if not result.fits_by_fold:
                 reasons.setdefault(result.why or "not tried", []).append(result.name)
-        return [found("without score", why=why, candidates=names) for why, names in reasons.items()]
+        return [
+            make_finding("without score", why=why, candidates=names)
+            for why, names in reasons.items()
+        ]
 
     def _comparison_with_next(self, best: CandidateResult) -> Finding:
         def others(results: Iterable[CandidateResult]) -> list[CandidateResult]:
@@ -276,7 +279,7 @@ class Choice:
         results = others(self.candidates.choosable) or others(self.candidates.all_results)
         differences = {r.name: paired_difference(r, best) for r in results}
         if not differences:
-            return found("compared with nothing")
+            return make_finding("compared with nothing")
         name = min(differences, key=lambda other: differences[other].mean)
         difference = differences[name]
         mean, error, count = difference.mean, difference.standard_error, difference.records
@@ -286,7 +289,7 @@ class Choice:
             code = "other better"
         elif mean > max(CLEAR * error, level):
             code = "clearly better" if count >= FEW else "not clearly better few"
-        return found(
+        return make_finding(
             code, other=name, difference=abs(mean), error=error, unit=self.unit, records=count
         )
 

@@ -12,7 +12,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.families.committee import committee
 from tustinnet.families.family import family_of
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.models.contract import Model
 from tustinnet.selection.jobs import FitScore, RunContext
@@ -67,7 +67,7 @@ def score_committees(
     of_best = {average.name for average in plan.committees if average.best is not None}
     for average in plan.committees:
         if average.best is not None and len(close) < 2 <= len(by_name):
-            far_off = found(
+            far_off = make_finding(
                 "committee far off", committee=average.name, factor=_CLOSE, best=close[0]
             )
             on_message(far_off.text)
@@ -80,12 +80,14 @@ def score_committees(
         try:
             scored = score_committee(name, [by_name[m] for m in members], context, deadline)
         except Exception as error:  # of any kind: committees that were scored before are not lost
-            on_message(found("committee failed", committee=name, why=error_message(error)).text)
+            on_message(
+                make_finding("committee failed", committee=name, why=error_message(error)).text
+            )
             continue
         if scored is None:
-            on_message(found("committee unjudged", committee=name).text)
+            on_message(make_finding("committee unjudged", committee=name).text)
         elif name in of_best and 1.0 in scored.shares.values():
-            on_message(found("committee no better", committee=name).text)
+            on_message(make_finding("committee no better", committee=name).text)
         else:
             results[name] = scored
     return results

@@ -8,7 +8,7 @@ from itertools import pairwise
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.roles import Roles, records_without_test
 
@@ -107,7 +107,7 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, Finding | None]:
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
         ]
-    cut = found("cut into pieces", records=len(records), pieces=len(pieces))
+    cut = make_finding("cut into pieces", records=len(records), pieces=len(pieces))
     return replace(data, experiments=tuple(pieces)), cut
 
 

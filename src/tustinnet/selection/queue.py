@@ -15,7 +15,7 @@ from statistics import fmean
 import numpy as np
 
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
@@ -429,7 +429,7 @@ class CandidateQueue:
         horizon = max(min(chosen, default=usual), shortest)
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
         self.notes.append(
-            found("judged by pieces", horizon=horizon, may_be_controlled=may_be_controlled)
+            make_finding("judged by pieces", horizon=horizon, may_be_controlled=may_be_controlled)
         )
         self._on_message(self.notes[-1].text)
         self.context = before.with_changes(scoring=replace(before.scoring, horizon=horizon))

@@ -14,7 +14,7 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import Score
 from tustinnet.evaluate.spoiled import find_spoiled
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT
@@ -158,9 +158,9 @@ def select_model(
         _require_no_earlier(folder)
     before = [] if cut is None else [cut]
     if plan.horizon is not None and horizon is None:
-        before.append(found("records shorter than horizon", horizon=plan.horizon))
+        before.append(make_finding("records shorter than horizon", horizon=plan.horizon))
     if records.channels.controller is not None:
-        before.append(found("judged in loop"))
+        before.append(make_finding("judged in loop"))
     before += omitted
     for finding in before:
         reporter.on_message(finding.text)
@@ -208,10 +208,10 @@ def select_model(
             _require_result(queue, stop, reporter)
             is_interrupted = True
             choice = _choose(queue, reporter, OVER, prepared.left_out, stopwatch)
-        notes = (*notes, *queue.notes, *([found("interrupted")] if is_interrupted else []))
+        notes = (*notes, *queue.notes, *([make_finding("interrupted")] if is_interrupted else []))
         if budget is not None and (share := others.share) > _BUSY:
             longer = budget / (1 - share)
-            busy = found("processors shared", share=share, longer=longer, budget=budget)
+            busy = make_finding("processors shared", share=share, longer=longer, budget=budget)
             reporter.on_message(busy.text)
             notes = (*notes, busy)
         choice = replace(
@@ -231,7 +231,7 @@ def _require_result(queue: CandidateQueue, stop: KeyboardInterrupt, reporter: Re
     if getattr(stop, "number", signal.SIGINT) != signal.SIGINT or not queue.remaining():
         raise stop
     best = queue.remaining()[0].name
-    reporter.on_message(found("ends with best", candidate=best).text)
+    reporter.on_message(make_finding("ends with best", candidate=best).text)
 
 
 def _choose(
@@ -267,11 +267,11 @@ def _choose(
         bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
-        reporter.on_message(found("no bands", why=error_message(error)).text)
+        reporter.on_message(make_finding("no bands", why=error_message(error)).text)
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
     if deadline.has_passed():
-        reporter.on_message(found("spoiled no time").text)
+        reporter.on_message(make_finding("spoiled no time").text)
     else:
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")

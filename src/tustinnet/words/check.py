@@ -2,7 +2,7 @@
 
 from tustinnet.words.sentence import note, severe, warning
 
-_LEFT = "the model of the others leaves {left:.2g} of its residual then"
+_LEFT = "the model of the others leaves {residual:.2g} of its residual then"
 
 CHECK = {
     # --- of a record ---
@@ -93,6 +93,7 @@ CHECK = {
         size="by {beyond:.3g} {unit} in {samples:sample}, {share:.1%}",
     ),
     # --- between records ---
+    # a size may stand for a change of the machine; a sign and a swap cannot
     "sign": severe("{channel} has the opposite sign in this record", size=_LEFT),
     "swap": severe("{channels:and} are swapped in this record", size=_LEFT),
     "gain": warning(

@@ -158,8 +158,8 @@ IDENTIFICATION = {
         "others, records that are left out are explained as well"
     ),
     "optional terms left": note(
-        "optional terms: {left} of {offered} are left; the time limit ended the search for those "
-        "that are not needed"
+        "optional terms: {remaining} of {offered} are left; the time limit ended the search for "
+        "those that are not needed"
     ),
     "changed": note("{parameter} {before:.3g} -> {after:.3g}"),
     "refitted": note(

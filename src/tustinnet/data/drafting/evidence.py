@@ -442,17 +442,17 @@ def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[d
     """
     numbers = [n.removeprefix(NUMBERED) if n.startswith(NUMBERED) else "" for n in names]
     place = {int(number): i for i, number in enumerate(numbers) if number.isdecimal()}
-    seen = [
+    strong = [
         (a, b)
         for a, i in place.items()
         for b, j in place.items()
         if slope[i, j] >= WEIGHTS.derivative / 2
     ]
-    counts = [*Counter(b - a for a, b in seen).most_common(2), (0, 1), (0, 1)]
+    counts = [*Counter(b - a for a, b in strong).most_common(2), (0, 1), (0, 1)]
     (distance, most), (_, next_most) = counts[:2]
     if most == next_most:
         return []
-    pairs = [(a, b) for a, b in seen if b - a == distance]
+    pairs = [(a, b) for a, b in strong if b - a == distance]
     positions = {a for a, _ in pairs} - {b for _, b in pairs}  # of three blocks the first
     joints = range(min(positions), max(positions) + 1)
     if {b for _, b in pairs} & {*joints}:

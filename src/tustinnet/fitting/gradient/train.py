@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.gradient.epoch import compute_validation_rmse
 from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop, train
 from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
@@ -94,7 +94,7 @@ def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[Finding
         "criterion": criterion,
     }
     if best_epoch > recipe.epochs - few:
-        return (found("still improving", **kept, longer=2 * recipe.epochs),)
+        return (make_finding("still improving", **kept, longer=2 * recipe.epochs),)
     if best_epoch <= few:
-        return (found("worse after first", **kept, rate=recipe.rate / 3),)
+        return (make_finding("worse after first", **kept, rate=recipe.rate / 3),)
     return ()

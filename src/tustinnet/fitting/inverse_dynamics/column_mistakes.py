@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
 from tustinnet.fitting.inverse_dynamics.solver import Prior, solve_in_box
@@ -139,7 +139,7 @@ def _describe_far_positions(
         far = (_FAR_ANGLE if is_angle else _FAR_LENGTH) * (most - least)
         if low < least - far or high > most + far:
             findings.append(
-                found(
+                make_finding(
                     "far angle" if is_angle else "far position",
                     coordinate=c.name,
                     low=low,
@@ -173,7 +173,7 @@ def _describe_large_forces(
             continue
         unit = "N m" if system.coordinates[k].kind == "angular" else "N"
         findings.append(
-            found(
+            make_finding(
                 "force at limit" if force[k] <= _USUAL_GAIN * most else "force beyond limit",
                 input=i.name,
                 force=force[k],
@@ -191,7 +191,7 @@ def _describe_poor(poor: Sequence[ForceError]) -> list[Finding]:
     names = [e.coordinate for e in poor if e.share > _MOST]
     if not names:
         return []
-    return [found("forces missing", joints=names)]
+    return [make_finding("forces missing", joints=names)]
 
 
 class _Comparison:
@@ -368,12 +368,12 @@ class _Comparison:
         }
         if best.kind in ("gain", "gains") and not 1 / _USUAL_GAIN < -after.gain < _USUAL_GAIN:
             cause = _unit_of(after.gain)
-            return found("forces by factor", **common, factor=after.gain, cause=cause)
+            return make_finding("forces by factor", **common, factor=after.gain, cause=cause)
         if best.kind == "degrees":
-            return found("position in degrees", **common)
+            return make_finding("position in degrees", **common)
         if len(best.joints) > 1 and best.kind not in ("gains", "signs"):
             what = {"both": "positions and forces"}.get(best.kind, best.kind)
-            return found("columns exchanged", **common, what=what)
+            return make_finding("columns exchanged", **common, what=what)
         meanings = {
             "gain": "the force",
             "gains": "the forces",
@@ -382,7 +382,7 @@ class _Comparison:
             "both": "both position and force (or the axis in the file)",
         }
         what = dict.fromkeys(meanings[c.kind] for c in (best, *alike) if c.kind in meanings)
-        return found("column sign reversed", **common, what=[*what])
+        return make_finding("column sign reversed", **common, what=[*what])
 
 
 def _turned(

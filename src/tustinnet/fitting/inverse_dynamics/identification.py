@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.inverse_dynamics.along import (
     FilteredRecord,
     filter_record,
@@ -337,7 +337,7 @@ def _make_identification(
         for e in _estimates(vector, space, deviations, informed)
     )
     base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
-    told = [
+    all_findings = [
         *state.remarks,
         findings.describe_forces(errors),
         *findings.describe_trials(result.trials),
@@ -370,13 +370,13 @@ def _make_identification(
         outcome=(
             findings.describe_stop(replace(state, is_stopped=True))
             if result.is_stopped
-            else found(
+            else make_finding(
                 "converged forces" if fit.is_converged else "not converged forces",
                 steps=result.steps,
             )
         ).text,
         reversed_signs=(),
-        findings=tuple(told),
+        findings=tuple(all_findings),
         trust="residuals" if parameter_errors.between is None else "records",
         rmse={e.name: x for e, x in zip(records, by_record, strict=True)},
         autocorrelation=(),
@@ -549,7 +549,7 @@ def _describe_slip(
         travels = values[f"{force.channel}.{SLIP}_travel"] * np.array(SLIP_TRAVELS)
         is_linear = system.coordinates[force.index].kind == "linear"
         listed.append(
-            found(
+            make_finding(
                 "holds",
                 joint=force.channel,
                 level=levels.sum(),
@@ -558,7 +558,7 @@ def _describe_slip(
                 travel_unit="mm" if is_linear else "mrad",
             )
         )
-    return [found("holds at rest", joints=listed)] if listed else []
+    return [make_finding("holds at rest", joints=listed)] if listed else []
 
 
 def _describe_carried(
@@ -606,9 +606,9 @@ def _describe_carried(
                         f"{link}.{c}{lightest}": -less / mass,
                     }
                 )
-                centers.append(found("centre", value=center, error=error))
+                centers.append(make_finding("centre", value=center, error=error))
             carried.append(
-                found(
+                make_finding(
                     "carries",
                     link=link,
                     mass=mass,

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Input, PDLoop
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.models.feedback import gain_name
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.signals.low_pass import low_pass, occupied_band
@@ -92,7 +92,9 @@ def gain_parameters(
                 parameters.append(
                     Parameter(name, unit, value, value / _RANGE, value * _RANGE, prior=error)
                 )
-            listed.append(found("controller gain", gain=name, value=value, error=error, unit=unit))
+            listed.append(
+                make_finding("controller gain", gain=name, value=value, error=error, unit=unit)
+            )
     return ControllerGains(
         tuple(parameters), _remarks(listed, shares, compares_inputs=compares_inputs)
     )
@@ -104,15 +106,15 @@ def _remarks(
     """The gains that were found, and how well the law gives what was recorded."""
     used = "are used for its gains alone" if listed else "are not used in simulations"
     used = "are compared with those that the motion needs" if compares_inputs else used
-    remarks = [found("controller in loop", inputs=[*shares], used=used)]
+    remarks = [make_finding("controller in loop", inputs=[*shares], used=used)]
     if listed:
-        remarks.append(found("controller gains", gains=listed))
+        remarks.append(make_finding("controller gains", gains=listed))
     if shares:
         low, high = min(shares.values()), max(shares.values())
         low = low if len(shares) > 1 else None
-        remarks.append(found("controller unexplained", low=low, high=high))
+        remarks.append(make_finding("controller unexplained", low=low, high=high))
     if other := [name for name, share in shares.items() if share > _OTHER_LAW]:
-        remarks.append(found("controller other law", inputs=other))
+        remarks.append(make_finding("controller other law", inputs=other))
     return tuple(remarks)
 
 

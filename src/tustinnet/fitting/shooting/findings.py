@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.report import (
     Disagreement,
     Estimate,
@@ -48,13 +48,13 @@ def describe_outcome(
         horizons: horizons [s] of records that were not simulated as a whole.
     """
     if status in ("diverged", "converged", "stalled"):
-        return found(status, iterations=iterations)
+        return make_finding(status, iterations=iterations)
     # where records are not followed at all, shorter segments help
     lost = [e for e in records if rmse[e.name] > np.sqrt(np.sum(e.q.var(axis=0)))]
     if not lost:
-        return found("limit of iterations", iterations=iterations)
+        return make_finding("limit of iterations", iterations=iterations)
     span = min(horizons.get(e.name, (len(e) - 1) * e.dt) for e in lost)
-    return found(
+    return make_finding(
         "limit of iterations lost",
         iterations=iterations,
         records=[e.name for e in lost],
@@ -66,8 +66,8 @@ def describe_outcome(
 def describe_stop(state: SearchState) -> Finding:
     """Where a search was stopped, and the stage whose result it has."""
     if not state.stages:
-        return found("out of time optional", stage=state.stage)
-    return found(
+        return make_finding("out of time optional", stage=state.stage)
+    return make_finding(
         "out of time", finished=state.finished_stages, stages=state.stages, stage=state.stage
     )
 
@@ -76,7 +76,7 @@ def describe_signs(reversed_signs: SignAlternatives) -> list[Finding]:
     """Coordinates and inputs whose sign is probably reversed."""
     if not reversed_signs:
         return []
-    return [found("sign reversed", alternatives=[[*names] for names in reversed_signs])]
+    return [make_finding("sign reversed", alternatives=[[*names] for names in reversed_signs])]
 
 
 def describe_horizons(
@@ -107,19 +107,19 @@ def describe_horizons(
     for seconds, names in sorted(names_by_horizon.items()):
         code = "segments" if is_from_recipe else "segments errors grow"
         code = "segments diverge" if seconds == longest_stable else code
-        findings.append(found(code, records=names, seconds=seconds))
+        findings.append(make_finding(code, records=names, seconds=seconds))
     if whole := [e.name for e in records if e.name not in horizons]:
-        findings.append(found("whole records", records=whole))
+        findings.append(make_finding("whole records", records=whole))
     if scoring_start is not None:
         shortest = min(horizons.values())
-        findings.append(found("validation segments", seconds=shortest, start=scoring_start))
+        findings.append(make_finding("validation segments", seconds=shortest, start=scoring_start))
     return findings
 
 
 def describe_disagreements(disagreements: Sequence[Disagreement]) -> list[Finding]:
     """Parameters on which records disagree, and what to do about it."""
     return [
-        found(
+        make_finding(
             "groups disagree" if d.group else "record contradicts",
             parameter=d.parameter,
             unit=d.unit,
@@ -159,7 +159,7 @@ def describe_bounds(
         name = e.name.partition("[")[0]
         basis = bases.get(name, "")
         findings.append(
-            found(
+            make_finding(
                 "at bound" if follows else "at bound misfit",
                 parameter=e.name,
                 bound=e.bound,
@@ -169,14 +169,14 @@ def describe_bounds(
             )
         )
         if e.bound == "lower" and name.endswith(".stribeck_speed"):
-            findings.append(found("breakaway sticks"))
+            findings.append(make_finding("breakaway sticks"))
         if basis:
             ranges[name] = _wider(e)
     if follows:
-        findings += [found("vanished", parameter=name) for name in vanished]
+        findings += [make_finding("vanished", parameter=name) for name in vanished]
     elif vanished:
         findings.append(
-            found(
+            make_finding(
                 "vanished misfit",
                 parameters=vanished,
                 advises_forces=not system.added_parameters,
@@ -184,7 +184,7 @@ def describe_bounds(
         )
     if ranges and system.source is not None:
         some = dict([*ranges.items()][:_MOST_RANGES])
-        findings.append(found("wider ranges", call=system.source.call(ranges=some)))
+        findings.append(make_finding("wider ranges", call=system.source.call(ranges=some)))
     return findings
 
 
@@ -212,12 +212,14 @@ def describe_forces(errors: Sequence[ForceError]) -> Finding:
     def mean(share: str) -> float | None:
         return float(np.mean([getattr(e, share) for e in driven])) if driven else None
 
-    return found(
+    return make_finding(
         "missing forces",
         split="validation" if errors[-1].split == "validation" else "training",
         cutoff=errors[-1].cutoff,
         joints=[
-            found("missing force", joint=e.coordinate, share=e.share, force=e.missing, unit=e.unit)
+            make_finding(
+                "missing force", joint=e.coordinate, share=e.share, force=e.missing, unit=e.unit
+            )
             for e in errors
         ],
         mean=mean("share"),
@@ -237,10 +239,12 @@ def describe_trials(trials: Sequence[tuple[str, float, float, bool]]) -> list[Fi
     if not trials:
         return []
     listed = [
-        found("force kept" if is_kept else "force not kept", force=name, before=before, after=after)
+        make_finding(
+            "force kept" if is_kept else "force not kept", force=name, before=before, after=after
+        )
         for name, before, after, is_kept in trials
     ]
-    return [found("forces tried", trials=listed)]
+    return [make_finding("forces tried", trials=listed)]
 
 
 def describe_informed(
@@ -254,7 +258,7 @@ def describe_informed(
         rank: how many combinations of parameters change the forces at all.
     """
     kept = [name for name, is_informed in zip(names, informed, strict=True) if not is_informed]
-    return found("base parameters", rank=rank, total=len(names), uninformed=kept)
+    return make_finding("base parameters", rank=rank, total=len(names), uninformed=kept)
 
 
 def describe_scale(
@@ -278,12 +282,12 @@ def describe_scale(
         spread = float(np.linalg.norm([*spreads.values()]) * derivatives[e.name])
         if spread > (e.error or 0.0):
             by = max(spreads, key=lambda name: spreads[name])
-            one = found("known beside", parameter=e.name, spread=spread, fixed=by)
+            one = make_finding("known beside", parameter=e.name, spread=spread, fixed=by)
             known.append((spread / (abs(e.value) or spread), one))
     if not known:
         return []
     known.sort(key=lambda pair: -pair[0])
-    return [found("known beside fixed", known=[one for _, one in known])]
+    return [make_finding("known beside fixed", known=[one for _, one in known])]
 
 
 def describe_stretches(stretches: Sequence[Stretch]) -> list[Finding]:
@@ -291,9 +295,9 @@ def describe_stretches(stretches: Sequence[Stretch]) -> list[Finding]:
     if not stretches:
         return []
     longest = sorted(stretches, key=lambda s: s.begin - s.end)[:_MOST_STRETCHES]
-    listed = [found("stretch", record=s.record, begin=s.begin, end=s.end) for s in longest]
+    listed = [make_finding("stretch", record=s.record, begin=s.begin, end=s.end) for s in longest]
     return [
-        found(
+        make_finding(
             "stretches weigh little",
             count=len(stretches),
             stretches=listed,
@@ -315,8 +319,8 @@ def describe_condition(names: Sequence[str], uncertainty: Uncertainty) -> list[F
     order: list[int] = np.argsort(-direction).tolist()
     involved = [names[i] for i in order if direction[i] > 0.1]
     if len(involved) == 1:
-        return [found("no effect on simulations", parameter=involved[0])]
-    return [found("badly conditioned", condition=uncertainty.condition, parameters=involved)]
+        return [make_finding("no effect on simulations", parameter=involved[0])]
+    return [make_finding("badly conditioned", condition=uncertainty.condition, parameters=involved)]
 
 
 def describe_errors(
@@ -334,10 +338,10 @@ def describe_errors(
         n_records: number of training records.
     """
     if _is_at_noise(noise_ratio):
-        return [found("residuals of counts" if noise_ratio else "residuals of nothing")]
+        return [make_finding("residuals of counts" if noise_ratio else "residuals of nothing")]
     strongest = float(lag[np.argmax(np.abs(lag))])
     is_correlated = abs(strongest) > _CORRELATED
-    residuals = found(
+    residuals = make_finding(
         "residuals correlated" if is_correlated else "residuals independent",
         ratio=noise_ratio,
         correlation=strongest,
@@ -348,7 +352,7 @@ def describe_errors(
         source = "errors of segments"
     else:
         source = "errors unknown" if is_correlated else "errors of residuals"
-    return [residuals, found(source, records=n_records, segments=uncertainty.segments)]
+    return [residuals, make_finding(source, records=n_records, segments=uncertainty.segments)]
 
 
 def _is_at_noise(noise_ratio: float | None) -> bool:

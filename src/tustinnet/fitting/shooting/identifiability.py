@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
 _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
@@ -40,9 +40,9 @@ class ConfoundedParameters:
     def finding(self) -> Finding:
         """What is said of it: they have no effect, only their ratios have, or other changes."""
         if len(self.shares) == 1:
-            return found("no effect", fixed=self.suggestion)
+            return make_finding("no effect", fixed=self.suggestion)
         is_ratio = np.allclose([*self.shares.values()], 1.0, atol=1e-3)
-        return found(
+        return make_finding(
             "only ratios" if is_ratio else "not separate",
             parameters=[*self.shares],
             fixed=self.suggestion,
@@ -60,7 +60,9 @@ def describe_confounded(confounded: Sequence[ConfoundedParameters], total: int) 
     if len(confounded) <= _MOST_SETS:
         return [one.finding for one in confounded]
     names = list(dict.fromkeys(one.suggestion for one in confounded))
-    return [found("combinations without effect", count=len(confounded), total=total, fixed=names)]
+    return [
+        make_finding("combinations without effect", count=len(confounded), total=total, fixed=names)
+    ]
 
 
 def has_diverged(products: Float[np.ndarray, "n_p n_p"]) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tustinnet.errors import InputError
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
 from tustinnet.fitting.shooting.least_squares import StoppingRule
@@ -91,16 +91,16 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     problem, state = _drop_all_unneeded(problem, state, stage)
     if state.is_stopped:
         remaining = len(problem.system.optional)
-        remark = found("optional terms left", left=remaining, offered=len(offered))
+        remark = make_finding("optional terms left", remaining=remaining, offered=len(offered))
         return problem, replace(state, remarks=(*remarks, remark))
 
     kept, fixed_values = problem.system.optional, state.space.fixed_values
-    remark = found(
+    remark = make_finding(
         "optional terms dropped" if len(kept) < len(offered) else "optional terms",
         kept=len(kept),
         offered=len(offered),
         terms=[
-            found("term at", term=n, value=fixed_values[n]) if n in fixed_values else n
+            make_finding("term at", term=n, value=fixed_values[n]) if n in fixed_values else n
             for n in kept
         ],
         none=not kept,

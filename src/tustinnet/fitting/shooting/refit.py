@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from tustinnet.engine.engines import compare
 from tustinnet.engine.runs import Directions, Runs, Samples
-from tustinnet.finding import Finding, found
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.report import Refit
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
@@ -96,7 +96,7 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
             obstacle = "free runs diverge; `horizon` in the table [search] shortens them"
     if refit is None or obstacle:
         return RefitResult(
-            state, finding=found("not refitted", why=obstacle), is_stopped=is_stopped
+            state, finding=make_finding("not refitted", why=obstacle), is_stopped=is_stopped
         )
 
     space, after = state.space, refit.values
@@ -104,13 +104,13 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
     refitted = replace(state, vector=space.clip(space.to_vector(before | after)))
     changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
     most = sorted(changes, key=lambda name: -changes[name])[:_LISTED]
-    finding = found(
+    finding = make_finding(
         "refitted",
         start=start.name,
         before=refit.before,
         after=refit.after,
         changes=[
-            found("changed", parameter=name, before=before[name], after=after[name])
+            make_finding("changed", parameter=name, before=before[name], after=after[name])
             for name in most
         ],
     )

@@ -77,7 +77,7 @@ def make_identification(
         () if state.robust_weights is None else _downweighted(state.robust_weights, records)
     )
     has_converged = result.status == "converged" and not state.is_stopped
-    told = [
+    all_findings = [
         *findings.describe_signs(reversed_signs),
         *state.remarks,
         *findings.describe_horizons(
@@ -99,7 +99,7 @@ def make_identification(
         ),
     ]
     if refit_result.finding is not None:
-        told.append(refit_result.finding)
+        all_findings.append(refit_result.finding)
     model = make_model(problem, final_state)
     return Identification(
         system=problem.system,
@@ -117,7 +117,7 @@ def make_identification(
             )
         ).text,
         reversed_signs=reversed_signs,
-        findings=tuple(told),
+        findings=tuple(all_findings),
         trust=uncertainty.source,
         rmse=rmse,
         autocorrelation=tuple(lag.tolist()),

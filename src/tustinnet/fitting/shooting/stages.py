@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from tustinnet.errors import InputError
-from tustinnet.finding import found
+from tustinnet.finding import make_finding
 from tustinnet.fitting.listener import Iteration, SearchProgress, StageResult
 from tustinnet.fitting.residual import robust_weights
 from tustinnet.fitting.shooting.equation_error import estimate_by_equation_error
@@ -313,7 +313,7 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
     products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
     if has_diverged(products):
-        return replace(state, remarks=(*state.remarks, found("identifiability unchecked")))
+        return replace(state, remarks=(*state.remarks, make_finding("identifiability unchecked")))
     confounded = find_confounded(space, vector, products)
     if not confounded:
         return state
