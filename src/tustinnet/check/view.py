@@ -15,7 +15,6 @@ from tustinnet.data.recording import Recording, describe_recording
 from tustinnet.finding import Finding, make_finding
 from tustinnet.signals import transients
 from tustinnet.signals.outliers import sensor_noise
-from tustinnet.words import WORDS
 from tustinnet.words.sentence import Severity
 
 Block = TypeVar("Block", CoordinateCard, InputCard)
@@ -106,9 +105,10 @@ class RecordView:
             is_velocity: whether it concerns the velocity column of the coordinate.
             values: what its sentence names.
         """
+        finding = make_finding(code, **values)
         return replace(
-            make_finding(code, **values),
-            severity=severity or WORDS[code].severity,
+            finding,
+            severity=severity or finding.severity,
             mend=mend,
             records=(self.experiment.name,),
             channel=channel,

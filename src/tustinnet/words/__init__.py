@@ -20,9 +20,9 @@ from tustinnet.words.check import CHECK
 from tustinnet.words.identification import IDENTIFICATION
 from tustinnet.words.preparation import PREPARATION
 from tustinnet.words.selection import SELECTION
-from tustinnet.words.sentence import Sentence, Severity
+from tustinnet.words.sentence import Sentence
 
-__all__ = ["WORDS", "Sentence", "Severity", "put_in_words"]
+__all__ = ["WORDS", "put_in_words"]
 
 WORDS: Mapping[str, Sentence] = {**CHECK, **PREPARATION, **IDENTIFICATION, **SELECTION}
 

@@ -253,6 +253,7 @@ class EvidenceTable:
         cause: net points for column i as what moves column j, [i, j].
         repeats: prices of using two columns of the same values.
         is_alike: whether two columns are proportional, nearly.
+        blocks: of columns without names, positions and their velocities, see `find_blocks`.
         family: the family of each column; those of one family have one role.
         stage: the stage of a drive of which a column speaks.
         joint: the words that say at which of several positions a column acts.
@@ -277,7 +278,9 @@ class EvidenceTable:
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
-        self.slope = self._slope_points(slopes, numbers, has_times)
+        slope = self._slope_points(slopes, numbers, has_times)
+        self.blocks = find_blocks(self.names, slope)
+        self.slope = slope + self._member_points()
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
         self.follow = self._follow_points(fit, late)
@@ -354,14 +357,17 @@ class EvidenceTable:
             is_unit = explains_factor(float(slopes.factor[i, j]), a.unit, b.unit, unsure)
             if has_times and not is_unit and not numbers[self.names[i]].whole:
                 points[i, j] -= w.no_factor
+        np.fill_diagonal(points, -w.no_slope)
+        return points
+
+    def _member_points(self) -> Pairs:
+        """Points of pairs of one joint, by their names or their places in blocks."""
         pairs = np.array([[_are_of_one(a, b) for b in self.readings] for a in self.readings])
-        self.blocks = find_blocks(self.names, points)
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 pairs[one[joint], other[joint]] = True
-        points += w.member * pairs
-        np.fill_diagonal(points, -w.no_slope)
-        return points
+        np.fill_diagonal(pairs, val=False)
+        return WEIGHTS.member * pairs
 
     def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
         """Sets which columns have the same values."""

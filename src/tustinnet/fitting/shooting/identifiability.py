@@ -17,7 +17,6 @@ _NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter ac
 _DIVERGED = 1e30  # squared derivatives: a change in the last digit moves the simulation by 1
 _MEMBER = 1e-3  # of the largest share
 _MOST_SETS = 5  # of parameters, each with a sentence of its own
-_MOST_NAMES = 12  # in a sentence
 
 
 @dataclass(frozen=True)
