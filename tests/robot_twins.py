@@ -14,6 +14,19 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 COUNT = 2 * np.pi / 2**16
 
+# an arm of two driven joints that gravity pulls down
+LINK = """<link name="{0}"><inertial><origin xyz="{1} 0 0.01"/><mass value="{2}"/>
+  <inertia ixx="0.002" iyy="0.02" izz="0.02"/></inertial></link>
+  <joint name="{3}" type="continuous"><parent link="{4}"/><child link="{0}"/>
+  <origin xyz="{5} 0 0"/><axis xyz="0 1 0"/><dynamics damping="0.8" friction="1.0"/>
+  <limit effort="60" velocity="5"/></joint>"""
+ARM = (
+    '<robot name="arm"><link name="base"/>'
+    + LINK.format("upper", 0.15, 2.5, "shoulder", "base", 0)
+    + LINK.format("lower", 0.12, 1.2, "elbow", "upper", 0.3)
+    + "</robot>"
+)
+
 
 def true_values(system: LagrangianSystem, seed: int, change: float = 0.3) -> dict[str, float]:
     """Values of a robot that is not just as its file says.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from robot_twins import record_in_loop, true_values
+from robot_twins import ARM, record_in_loop, true_values
 from small_selection import plan_in, swings
 from swinging import CREEPING, SWING, TRUTH
 
@@ -139,6 +139,19 @@ def test_resumed_nothing_is_fitted_again_but_the_last_model(made):
     again = selected(folder, "resume")
     assert again.tasks == []
     assert again.choice.result("grey").unexplained == made.choice.result("grey").unexplained
+
+
+def test_columns_that_forces_show_to_be_mistaken_end_the_search(tmp_path):
+    """Torques that are exchanged: no candidate that follows could be worth its time."""
+    (arm := tmp_path / "arm.urdf").write_text(ARM)
+    system = tn.load_system(arm)
+    data = record_in_loop(system, true_values(system, seed=3), count=3, seconds=4.0)
+    exchanged = replace(data, experiments=tuple(replace(e, u=e.u[:, ::-1]) for e in data))
+    options = SelectionOptions(plan_in(tmp_path, PLAN), system)
+    with pytest.raises(tn.InputError, match=r"forces of .* are probably exchanged"):
+        select_model(exchanged, tmp_path / "run", options)
+    assert not (tmp_path / "run/candidates/grey").exists()
+    assert not (tmp_path / "run/model.safetensors").exists()
 
 
 def test_values_by_group_are_begun_with_where_the_fold_has_the_group():

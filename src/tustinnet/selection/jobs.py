@@ -29,6 +29,7 @@ from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.fit import MakeListener, fit_task
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
+from tustinnet.fitting.inverse_dynamics.column_mistakes import COLUMN_MISTAKES
 from tustinnet.fitting.inverse_dynamics.of_model import unexplained_forces
 from tustinnet.fitting.listener import SILENT
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
@@ -118,6 +119,8 @@ class FitScore:
         rmse: of every record left out, by start [rad or m].
         unexplained: share of the inputs' force at each coordinate that equations of motion do not
             explain along these records; of other models, and where forces tell nothing, none.
+        column_mistakes: what forces along the records say of their columns: exchanged, in another
+            unit, of the other sign.
     """
 
     seed: int
@@ -126,6 +129,7 @@ class FitScore:
     horizon: float | None
     rmse: RmseByStart
     unexplained: Mapping[str, float] = field(default_factory=dict)
+    column_mistakes: tuple[str, ...] = ()
 
     @property
     def is_out_of_time(self) -> bool:
@@ -497,8 +501,17 @@ def _score_fits(
                 **context.system_header(fit.model),
             }
             save(fit.model, context.folder / model, **header)
-        unexplained = _unexplained_forces(job, fit, context)
-        scores.append(FitScore(fit.seed, fit.outcome, model, fit.horizon, rmse, unexplained))
+        scores.append(
+            FitScore(
+                fit.seed,
+                fit.outcome,
+                model,
+                fit.horizon,
+                rmse,
+                unexplained=_unexplained_forces(job, fit, context),
+                column_mistakes=tuple(f.text for f in fit.findings if f.code in COLUMN_MISTAKES),
+            )
+        )
     ended: Ended = "out of time" if any(f.is_out_of_time for f in fits) else "done"
     if ended == "done":
         return JobResult(job.candidate, job.fold, spent(), ended, tuple(scores))

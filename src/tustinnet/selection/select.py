@@ -26,7 +26,7 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
-from tustinnet.selection.jobs import NO_STAGE, SPENT, MakeJobListener, RunContext
+from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeJobListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.queue import NO_TIME, CandidateQueue
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
@@ -128,8 +128,8 @@ def select_model(
 
     Raises:
         InputError: a plan that does not fit, a selection to be resumed that had other options,
-            records too few or too short, a budget in which no candidate was fitted, or none that
-            could be.
+            records too few or too short, columns that forces along the records show to be
+            mistaken, a budget in which no candidate was fitted, or none that could be.
     """
     require_float64("select_model")
     options, reporter = options or SelectionOptions(), reporter or Reporter()
@@ -189,9 +189,14 @@ def select_model(
             plan, candidates, context, reporter.on_message, rounds_end, ending, promising
         )
         workplace = Workplace(executor, reporter.make_job_listener, reporter.on_message)
+
+        def take(result: JobResult) -> None:
+            queue.add(result)
+            _require_right_columns(result, data.name)
+
         is_interrupted = False
         try:
-            run_jobs(queue.choose, queue.add, lambda: queue.context, workplace)
+            run_jobs(queue.choose, take, lambda: queue.context, workplace)
         except KeyboardInterrupt as stop:
             _require_result(queue, stop, reporter)
             is_interrupted = True
@@ -224,6 +229,25 @@ def select_model(
         )
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice
+
+
+def _require_right_columns(result: JobResult, name: str) -> None:
+    """Ends a selection on columns that are mistaken, as the forces along the records show.
+
+    Whatever else is tried would be fitted to them as well.
+
+    Args:
+        result: the result of a job.
+        name: the name of the data.
+    """
+    for fit in result.scores:
+        if fit.column_mistakes:
+            raise InputError(
+                f"data '{name}'",
+                "; ".join(fit.column_mistakes),
+                "columns whose forces the system explains",
+                "or try recipes that compare no forces (`plan=`, `recipe=`)",
+            )
 
 
 def _require_result(queue: CandidateQueue, stop: KeyboardInterrupt, reporter: Reporter) -> None:

@@ -27,6 +27,14 @@ from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
 
+# codes of the findings that name what would mend the columns
+COLUMN_MISTAKES = {
+    "forces by factor",
+    "position in degrees",
+    "columns exchanged",
+    "column sign reversed",
+}
+
 _MUCH = 0.15  # share of the force that is missing at a joint, from which columns are doubted
 _MOST = 0.5  # share from which a sentence says what to look at though no mistake explains it
 _LEFT = 0.4  # times the missing share, that may be left where a mistake is mended
@@ -209,7 +217,9 @@ class _Comparison:
         self.kinds = [c.kind for c in problem.system.coordinates]
         self.n = len(self.names)
         records = sorted(problem.records, key=len, reverse=True)[:_RECORDS]
-        records = [e[: max(2, int(_SECONDS / len(records) / e.dt))] for e in records]
+        records = [
+            take_busiest_part(e, max(2, int(_SECONDS / len(records) / e.dt))) for e in records
+        ]
         self.parts = tuple(filter_record(e, cutoff) for e in records)
         recorded = LinearForces(problem.system, space, self.parts)
         values = space.to_values(self.prior.centre)
@@ -383,6 +393,15 @@ class _Comparison:
         }
         what = dict.fromkeys(meanings[c.kind] for c in (best, *alike) if c.kind in meanings)
         return make_finding("column sign reversed", **common, what=[*what])
+
+
+def take_busiest_part(record: Experiment, samples: int) -> Experiment:
+    """The part of a record in which its joints move most: at rest any force may hold them."""
+    moved = np.abs(np.diff(record.q, axis=0))
+    moved = np.sum(moved / np.maximum(moved.mean(axis=0), 1e-300), axis=1)
+    until, samples = np.concatenate([[0.0], np.cumsum(moved)]), min(samples, len(record))
+    begin = int(np.argmax(until[samples - 1 :] - until[: len(until) - samples + 1]))
+    return record[begin : begin + samples]
 
 
 def _turned(
