@@ -333,6 +333,15 @@ def test_no_job_begins_that_would_take_longer_than_what_is_left(left):
     assert result[0].name == "hybrid"
 
 
+def test_a_network_is_expected_to_take_longer_where_its_equations_did(left):
+    """Of an arm of six joints XLA compiles them for minutes, which no limit of time ends."""
+    seconds = {"linear": 1.0, "grey": 60.0, "network": 40.0, "hybrid": 300.0}
+    found = tried({**PLAN, "rounds": [{"folds": 1}]}, Deadline(0.0))
+    found.run(executor := Pretended(of=spending(left, seconds)))
+    assert names(executor) == ["linear", "grey", "network"]
+    assert "hybrid: left out, no time was left for it" in found.said
+
+
 def test_a_first_try_leaves_as_much_for_the_others_and_the_last_one_has_all(left):
     seconds = {"linear": 10.0, "grey": 50.0, "network": 30.0, "hybrid": 20.0}
     found = tried({**PLAN, "rounds": [{"folds": 1}]}, Deadline(0.0))

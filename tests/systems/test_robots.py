@@ -128,6 +128,14 @@ def test_recursions_agree_with_derivatives_of_the_energy(name):
         assert_near(e[0], state[n:] @ mass @ state[n:] / 2)
 
 
+def test_rates_have_the_precision_of_the_state():
+    """As where a network in single precision corrects a robot, whose file's numbers are double."""
+    system = tn.load_system(ROBOTS / "scara.urdf")
+    single = system.model({n: jnp.float32(value) for n, value in system.nominal().items()})
+    x, u = (jnp.zeros(n, jnp.float32) for n in (single.state_size, len(single.inputs)))
+    assert single.derivative(x, u).dtype == jnp.float32
+
+
 def test_the_example_in_mujocos_format_is_the_packaged_system():
     """Spring, damping, gear and back-EMF of the file; the link's thickness of 1e-7 m is not 0."""
     robot = tn.load_system(EXAMPLES / "rotary_pendulum.xml")

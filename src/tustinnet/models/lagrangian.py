@@ -757,7 +757,8 @@ class LagrangianModel(ContinuousModel):
 def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
     _, v, _ = model._parts(x)
     a, n = model.acceleration(x, u), model.channels.n_q
-    return jnp.concatenate([v[:n], a[:n], v[n:], a[n:], model.memory_rate(x, u)])
+    rates = jnp.concatenate([v[:n], a[:n], v[n:], a[n:], model.memory_rate(x, u)])
+    return rates.astype(x.dtype)  # constants of equations may be of double precision
 
 
 def solve_positive(

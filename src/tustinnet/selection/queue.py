@@ -33,9 +33,8 @@ class QueueOptions:
 
     Attributes:
         first_try: share of the time left that a first fit may take while others wait for theirs:
-            as much is left for all of those.
-        least: seconds without which nothing is tried: a network is compiled before it learns; and
-            the share of a short time that is enough.
+            as much is left for all of those; and the share of the time that it is expected to take
+            without which it is not begun.
         rarely: factor of the time of what rarely changes the ranking: for every round that a
             candidate has behind it, and every kind that is better; twice for a first try of a
             second one of a kind, and of what the plan calls `last`.
@@ -49,7 +48,6 @@ class QueueOptions:
     """
 
     first_try: float = 0.5
-    least: tuple[float, float] = (8.0, 0.25)
     rarely: float = 2.0
     again: float = 1.5
     fewest: int = 2
@@ -279,12 +277,21 @@ class CandidateQueue:
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
 
-        Nothing where it is done already.
+        More where the equations that it corrects or begins with took longer than usual. Nothing
+        where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
-        usual = job.recipe.usual_seconds
-        here = self._seconds_of_usual.get(usual, usual)
+        usual, candidate = job.recipe.usual_seconds, self.plan.candidate(job.candidate)
+        slower = min(
+            (
+                self._seconds[name] / self.plan.candidate(name).content.usual_seconds
+                for name in (*candidate.corrects, *candidate.begins_with)
+                if name in self._seconds
+            ),
+            default=1.0,
+        )
+        here = max(self._seconds_of_usual.get(usual, usual), slower * usual)
         return self._seconds.get(job.candidate, here) * len(job.seeds)
 
     def _is_on_disk(self, job: Job) -> bool:
@@ -298,10 +305,11 @@ class CandidateQueue:
             return math.inf
         scored = rank([*self.results.values()])
         if job.candidate not in self._seconds:
-            seconds, share = self._options.least
-            least = min(seconds, share * self._time) if scored else 0.0
-            share = self._options.first_try if others_wait else 1.0
-            return max(share * remaining, least) if remaining > least else None
+            share = self._options.first_try
+            least = share * self._expected(job) if scored else 0.0
+            if remaining <= least:
+                return None
+            return max(share * remaining, least) if others_wait else remaining
         if scored:
             remaining -= max(self.seconds_for_final(scored[0].name) - self._ending, 0.0)
         return remaining if remaining > self._expected(job) else None

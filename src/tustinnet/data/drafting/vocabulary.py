@@ -63,7 +63,7 @@ _STRONG: dict[Quantity, str] = {
     "etat estado stato loop",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
     "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
-    "temperatura frottement 温度 reward",
+    "temperatura frottement 温度 reward energy energie",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
