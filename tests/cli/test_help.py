@@ -10,7 +10,6 @@ from tustinnet.cli.main import app
 from tustinnet.cli.reproduce import Keep
 from tustinnet.data.catalog import QUBE_SERVO2
 from tustinnet.data.declaration import list_packaged
-from tustinnet.evaluate.record_design import DesignOptions
 from tustinnet.fitting.recipe import Criterion
 from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import default_recipe_name
@@ -102,12 +101,3 @@ def test_choices_are_those_of_the_package():
 )
 def test_the_published_data_set_is_in_the_help(verb):
     assert QUBE_SERVO2.name in help_of(verb, "DATA")
-
-
-def test_the_defaults_of_a_design_are_in_the_help():
-    defaults = DesignOptions()
-    for option in ("--seconds", "--harmonics", "--margin", "--starts", "--seed"):
-        default = getattr(defaults, option.removeprefix("--"))
-        assert help_of("next-record", option).endswith(f"Default: {default:g}.")
-    assert help_of("next-record", "--budget").endswith(f"Default: {defaults.budget:g}s.")
-    assert help_of("next-record", "--rate").endswith(f"else {1 / defaults.dt:g}.")

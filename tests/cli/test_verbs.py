@@ -44,10 +44,8 @@ def test_help_names_every_verb_and_loads_no_jax():
         "inspect",
         "fit",
         "cross-validate",
-        "next-record",
         "simulate",
         "evaluate",
-        "committee",
         "export",
         "show",
         "report",
@@ -63,11 +61,17 @@ def test_wrong_usage_exits_with_2(capsys):
     assert tustinnet(capsys, "cross-validate", "x", "--out", "y", "--folds", "2")[0] == 2
 
 
-@pytest.mark.parametrize("verb", ["compare", "residuals", "learning-curve"])
-def test_a_verb_of_before_says_what_to_write_instead(verb, capsys):
+@pytest.mark.parametrize(
+    ("verb", "current"),
+    [
+        *((verb, "tustinnet ") for verb in ("compare", "residuals", "learning-curve")),
+        *((verb, "in Python: tn.") for verb in ("calibrate", "committee", "next-record")),
+    ],
+)
+def test_a_verb_of_before_says_what_to_write_instead(verb, current, capsys):
     code, out, err = tustinnet(capsys, verb, "x", "y")
     assert (code, out, err.count("\n")) == (1, "", 1)
-    assert f"error: '{verb}': a verb of an earlier version; expected tustinnet " in err
+    assert f"error: '{verb}': a verb of an earlier version; expected {current}" in err
 
 
 def test_version(capsys):
