@@ -29,7 +29,6 @@ from .families.committee import committee as committee
 from .families.family import Family as Family
 from .families.hybrid import HybridModel as HybridModel
 from .families.tustin_net import TustinNet as TustinNet
-from .fits.fit import fit as fit
 from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
 from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
@@ -50,6 +49,7 @@ from .models.lagrangian import Parameter as Parameter
 from .models.written_equations import EquationsOfMotion as EquationsOfMotion
 from .models.written_equations import equations_of_motion as equations_of_motion
 from .report.page.write import write_report as write_report
+from .report.plain_fit import fit as fit
 from .report.record_design import write_design as write_design
 from .selection.cluster import cluster as cluster
 from .selection.cross_validation import cross_validate as cross_validate

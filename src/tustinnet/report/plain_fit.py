@@ -10,11 +10,12 @@ from rich.console import Console
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.fits import fit as recipe_fits
+from tustinnet.fits.fit import fit_request
+from tustinnet.fits.request import FitRequest
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.task import AnyRecipe
-from tustinnet.models.contract import Model
+from tustinnet.fitting.task import AnyRecipe, Member
+from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.report.progress import FitProgress
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job
@@ -94,10 +95,10 @@ def fit(
     if recipe is not None or physics is not None:
         needless = {"budget": budget, "folder": folder, "quiet": quiet or None}
         _refuse(needless, "to a single recipe", "no recipe and no physics")
-        seed, listener = seed or 0, listener or SILENT
-        return recipe_fits.fit(
-            data, recipe, seed, physics=physics, system=system, listener=listener
-        )
+        warn_of_single_precision("fit")
+        members = (Member(seed or 0),)
+        request = FitRequest(data, recipe, members, physics=physics, system=system)
+        return fit_request(request, listener or SILENT)[0]
     _refuse({"seed": seed, "listener": listener}, "without a recipe", "a recipe")
     limit = USUAL_BUDGET if budget is None else budget
     if not limit > 0:
