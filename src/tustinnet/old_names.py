@@ -20,6 +20,11 @@ VERBS = {
     "next-record": "in Python: tn.rank_proposals, or tn.design_record for the motion of a robot",
     "residuals": "tustinnet evaluate MODEL DATA --residuals",
 }
+# options of verbs
+OPTIONS = {
+    (verb, "--strict"): "tustinnet inspect DATA --strict, before it"
+    for verb in ("fit", "cross-validate")
+}
 # methods of models
 METHODS = {
     "of": "for_record",

@@ -1,5 +1,6 @@
 """Help texts that list names list those that exist."""
 
+import re
 from typing import get_args
 
 import pytest
@@ -101,3 +102,22 @@ def test_choices_are_those_of_the_package():
 )
 def test_the_published_data_set_is_in_the_help(verb):
     assert QUBE_SERVO2.name in help_of(verb, "DATA")
+
+
+@pytest.mark.parametrize(
+    ("verb", "first"),
+    [
+        ("fit", "--out --recipe --system --set --budget --overwrite"),
+        ("cross-validate", "--out --recipe --system --set --folds --records"),
+        ("evaluate", "--split --start --horizon --band --residuals --figures"),
+        ("control", "--out --at --swing-up --to --follow --limits"),
+    ],
+)
+def test_the_help_of_many_options_begins_with_those_that_are_used_most(verb, first):
+    command = VERBS[verb]
+    text = command.get_help(typer.Context(command))
+    head, more = text.split("More options:")
+    assert re.findall(r"^  (--[a-z-]+)", head.split("Options:")[1], flags=re.M) == first.split()
+    assert "--help" in more
+    few = VERBS["inspect"]
+    assert "More options" not in few.get_help(typer.Context(few))
