@@ -31,6 +31,14 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
     files = [place / "model.safetensors" for place in (out, tmp_path / "python")]
     assert {model_digest(tn.load_model(file)) for file in files} == {model_digest(choice.model)}
+    frame = choice.to_frame()
+    assert frame["name"].to_list() == ["network"]
+    assert frame["records"].to_list() == [5]
+    assert frame["rmse"][0] > 0
+    shown = choice._repr_html_()
+    # the candidate and the reference, the findings, and a heading of each table
+    assert shown.count("<tr>") == 3 + 1 + len(choice.findings)
+    assert "chosen: network" in shown
     with pytest.raises(tn.InputError, match="holds an earlier selection"):
         tn.fit(tn.load(folder), folder=tmp_path / "python", quiet=True)
 
