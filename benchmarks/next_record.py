@@ -1,12 +1,12 @@
-"""Are records that `next-record` asks for worth more than others? On the twin of the pendulum.
+"""Are records that `rank_proposals` prefers worth more than others? On the twin of the pendulum.
 
     python benchmarks/next_record.py grey [--seeds 5]
     python benchmarks/next_record.py network [--seeds 5] [--horizon 1]
 
 24 records of 4 s can be made: falls, small swings, white noise of 0.5 to 4 V, sines. Models are
-fitted to a few drawn at random, then `next-record` ranks the others: the first of them are made and
-added, and the models fitted anew, and so on; beside that others at random are. Each is scored on
-the 6 validation records of the twin.
+fitted to a few drawn at random, then `rank_proposals` ranks the others: the first of them are made
+and added, and the models fitted anew, and so on; beside that others at random are. Each is scored
+on the 6 validation records of the twin.
 
 `grey` identifies the twin's own equations of motion and adds a record a round; `network` trains
 three networks, put together as a committee, and adds two.
@@ -29,8 +29,7 @@ import numpy as np
 from rich.console import Console
 
 import tustinnet as tn
-from tustinnet.data.proposals import Proposal
-from tustinnet.evaluate.next_record import rank_proposals
+from tustinnet.evaluate.next_record import Proposal, rank_proposals
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task

@@ -46,12 +46,7 @@ import tustinnet as tn
 from tustinnet.engine.engines import evaluate, simulate
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.engine.runs import Runs
-from tustinnet.evaluate.record_design import (
-    DesignOptions,
-    design_record,
-    gather_limits,
-    prior_knowledge,
-)
+from tustinnet.evaluate.record_design import DesignOptions, design_record, gather_limits
 from tustinnet.fitting.inverse_dynamics.along import filter_record, missing_forces
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.models.chains import INERTIAL, body_inertia
@@ -477,7 +472,6 @@ def design(count: int) -> None:
     the torques of each record.
     """
     system = tn.load_system(ARM)
-    knowledge = prior_knowledge(system, {})
     limits = gather_limits(system, {}, {}, system.channels)
     ends = np.array([own.position for own in limits.motion])
     speed = np.array([own.velocity for own in limits.motion])
@@ -491,14 +485,14 @@ def design(count: int) -> None:
     for seed in range(count):
         truth = true_values(system, seed)
         start_time = time.perf_counter()
-        design = design_record(system, knowledge, limits, replace(options, seed=seed))
+        design = design_record(system, options=replace(options, seed=seed))
         print(
             f"designed in {time.perf_counter() - start_time:.0f} s, errors by random motions "
             f"{design.by_random:.2f} times as large",
             flush=True,
         )
         start = replace(options, seed=seed, iterations=0, starts=1)
-        other = design_record(system, knowledge, limits, start)
+        other = design_record(system, options=start)
         for law, noise in (("one sensor", design.noise), ("by record", 0.02)):
             others = [
                 replace(e, split="validation", name=f"other{k}")

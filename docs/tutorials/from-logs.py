@@ -38,9 +38,12 @@ import csv
 import math
 from pathlib import Path
 
+import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Image
+
+import tustinnet as tn
 
 rng = np.random.default_rng(4)
 PERIOD = 0.02  # s
@@ -328,13 +331,16 @@ write_card("LATER", 'validation = ["*[1-3].csv"]\ntest = ["*4.csv"]\n')
 
 # %% [markdown]
 # A single network gives no measure of its uncertainty. Three networks do: their free runs differ
-# most where the training records determine the motion poorly. `committee` combines them into one
+# most where the training records determine the motion poorly. `save_committee` combines them into one
 # model that averages their accelerations. `calibrate` then simulates the nine records and stores in
 # the model how large the errors were. It refuses records that the model was trained on.
 
-# %% language="bash"
-# tustinnet committee network/seed-*/model.safetensors --out committee.safetensors
-# tustinnet calibrate committee.safetensors LATER --split validation --out trusted.safetensors
+# %%
+jax.config.update("jax_enable_x64", True)  # double precision, as the command has
+tn.save_committee(sorted(Path("network").glob("seed-*/model.safetensors")), "committee.safetensors")
+later = tn.load("LATER").split("validation")
+bands = tn.calibrate("committee.safetensors", later, "trusted.safetensors")
+f"the highest level is {bands.highest_level:.0%}"
 
 # %% [markdown]
 # ## The test

@@ -130,7 +130,7 @@ plt.show()
 
 # %%
 fewer = tn.DataSet("fewer", (*train[::2], *validation))
-spring = tn.fit(fewer, system="qube-servo2")
+spring = tn.fit(fewer, "grey", system="qube-servo2")
 for e in spring.identification.estimates:
     told = f"at the {e.bound} end of its range" if e.bound else f"+- {e.error:.1e}"
     print(f"{e.name:17} {e.value:9.2e} {e.unit:12} {told}")
@@ -148,7 +148,7 @@ for e in spring.identification.estimates:
 # root of the mean of these sums.
 
 # %%
-naive = tn.fit(fewer, system="qube-servo2-naive")
+naive = tn.fit(fewer, "grey", system="qube-servo2-naive")
 models = {"with spring": spring.model, "without spring": naive.model}
 scores = {name: tn.evaluate(model, validation, "file") for name, model in models.items()}
 for name, found in scores.items():

@@ -13,6 +13,10 @@ from .data.experiment import Experiment as Experiment
 from .data.loading import from_frame as from_frame
 from .errors import InputError as InputError
 from .evaluate.ahead import rmse_ahead as rmse_ahead
+from .evaluate.next_record import Proposal as Proposal
+from .evaluate.next_record import rank_proposals as rank_proposals
+from .evaluate.record_design import DesignOptions as DesignOptions
+from .evaluate.record_design import design_record as design_record
 from .evaluate.scores import evaluate as evaluate
 from .evaluate.scores import free_run as free_run
 from .evaluate.scores import mean_rmse as mean_rmse
@@ -25,7 +29,6 @@ from .families.committee import committee as committee
 from .families.family import Family as Family
 from .families.hybrid import HybridModel as HybridModel
 from .families.tustin_net import TustinNet as TustinNet
-from .fits.fit import fit as fit
 from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
 from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
@@ -46,6 +49,8 @@ from .models.lagrangian import Parameter as Parameter
 from .models.written_equations import EquationsOfMotion as EquationsOfMotion
 from .models.written_equations import equations_of_motion as equations_of_motion
 from .report.page.write import write_report as write_report
+from .report.plain_fit import fit as fit
+from .report.record_design import write_design as write_design
 from .selection.cluster import cluster as cluster
 from .selection.cross_validation import cross_validate as cross_validate
 from .selection.cross_validation import (
@@ -64,6 +69,8 @@ from .simulate.rollout import rollout as rollout
 from .simulate.starts import initial_state as initial_state
 from .simulate.starts import start_states as start_states
 from .simulate.substeps import choose_substeps as choose_substeps
+from .store.derived_models import calibrate as calibrate
+from .store.derived_models import save_committee as save_committee
 from .store.exported import export_model as export_model
 from .store.header import read_header as read_header
 from .store.model_file import load_model as load_model

@@ -11,6 +11,20 @@ NAMES = {
     "Drive": "InputSignal",
     "drive_of": "input_signal",
 }
+# verbs of the command
+VERBS = {
+    "calibrate": "in Python: tn.calibrate(MODEL, records, FILE)",
+    "committee": "in Python: tn.save_committee([MODEL, ...], FILE)",
+    "compare": "tustinnet evaluate MODEL MODEL ... DATA",
+    "learning-curve": "tustinnet cross-validate DATA --records all",
+    "next-record": "in Python: tn.rank_proposals, or tn.design_record for the motion of a robot",
+    "residuals": "tustinnet evaluate MODEL DATA --residuals",
+}
+# options of verbs
+OPTIONS = {
+    (verb, "--strict"): "tustinnet inspect DATA --strict, before it"
+    for verb in ("fit", "cross-validate")
+}
 # methods of models
 METHODS = {
     "of": "for_record",

@@ -1,4 +1,4 @@
-"""Bands by the command: calibrated, drawn, judged, refused."""
+"""Bands of models that were calibrated: drawn, judged, refused."""
 
 import json
 from pathlib import Path
@@ -21,24 +21,17 @@ class Place(NamedTuple):
 
 
 @pytest.fixture
-def place(identified, folder, system, tmp_path, capsys) -> Place:
+def place(identified, folder, system, tmp_path) -> Place:
     """An identified model, and its copy with bands."""
-    file = tmp_path / "banded" / "model.safetensors"
-    asked = (
-        "calibrate",
-        identified / "model.safetensors",
-        folder,
-        "--split",
-        "validation",
-        "--system",
-        system,
-        "--out",
-        file,
-    )
-    code, out, err = tustinnet(capsys, *asked)
-    assert (code, out) == (0, "")
-    assert "bands from 2 records, start 'derived-6'; their highest level is 66.7 %" in err
-    return Place(identified / "model.safetensors", file, folder, system)
+    plain, file = identified / "model.safetensors", tmp_path / "banded" / "model.safetensors"
+    calibration = tn.calibrate(plain, validation(folder), file, system=system)
+    assert (calibration.start, calibration.horizon) == ("derived-6", None)
+    assert calibration.highest_level == pytest.approx(2 / 3)
+    return Place(plain, file, folder, system)
+
+
+def validation(folder: Path) -> tn.DataSet:
+    return tn.load(folder).split("validation")
 
 
 def test_a_calibrated_model_simulates_and_is_judged_with_bands(place, tmp_path, capsys):
@@ -84,46 +77,19 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     out = tmp_path / "x.safetensors"
     net = run_folder / "model.safetensors"
     given = ("--system", file)
-    refused("calibrate", plain, folder, *given, "--out", out, "--split", "train", names="fall1")
-    refused("calibrate", plain, folder, *given, "--out", plain, names="what the command reads")
-    refused(
-        "calibrate",
-        plain,
-        folder,
-        *given,
-        "--out",
-        banded,
-        "--split",
-        "validation",
-        names="there already",
-    )
-    refused(
-        "calibrate",
-        net,
-        folder,
-        "--out",
-        out,
-        "--split",
-        "validation",
-        names="nothing says how sure it is",
-    )
-    for option in ("--card", "--split"):
-        refused(
-            "calibrate", plain, folder, *given, "--out", out, option, "nowhere", names="nowhere"
-        )
-    refused(
-        "calibrate",
-        plain,
-        folder,
-        *given,
-        "--out",
-        out,
-        "--split",
-        "validation",
-        "--start",
-        "nowhere",
-        names="nowhere",
-    )
+    records = validation(folder)
+    for model, data, to, start, problem in (
+        (plain, tn.load(folder).split("train"), out, None, "fall1, fall2, noise1, which .* fitted"),
+        (plain, records, plain, None, "what the command reads"),
+        (plain, records, banded, None, "there already"),
+        (plain, records, out, "nowhere", "nowhere"),
+        (plain, [], out, None, "no records; expected at least 2"),
+        (plain, list(records)[:1], out, None, "1 record; expected at least 2"),
+        (net, records, out, None, "nothing says how sure it is"),
+    ):
+        own = None if model is net else file
+        with pytest.raises(tn.InputError, match=problem):
+            tn.calibrate(model, data, to, start=start, system=own)
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
     start = ("--start", "derived-6")
@@ -157,10 +123,7 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     refused("evaluate", banded, folder, *given, "--whole-records", names="add --band")
     refused("evaluate", banded, banded, folder, *given, "--band", 0.6, names="--figures DIR")
     assert not (tmp_path / "sim").exists()
-    asked = ("calibrate", plain, folder, *given, "--out", banded, "--split", "validation")
-    code, told, _ = tustinnet(capsys, *asked, "--overwrite", "--json", "--horizon", 1.0)
-    assert code == 0
-    assert json.loads(told)["highest_level"] == pytest.approx(2 / 3)
+    tn.calibrate(plain, records, banded, horizon=1.0, system=file, overwrite=True)
     asked = ("simulate", banded, folder, *given, *start, *sim, "--band", 0.6)
     refused(*asked, "--horizon", "inf", names="horizon 1 s, as the model was calibrated")
     code, told, err = tustinnet(capsys, *asked)

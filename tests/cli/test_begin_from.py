@@ -176,8 +176,7 @@ def test_what_cannot_go_on_is_one_line(run_folder, grey, folder, tmp_path, capsy
     refused("fit", folder, "--from", folder / "fall1.csv", *out, names="not a safetensors file")
     refused(*fit, "--out", run_folder, "--overwrite", names="which --from names")
     both = tmp_path / "both.safetensors"
-    members = (model, grey.model, "--system", grey.system)
-    assert tustinnet(capsys, "committee", *members, "--out", both)[0] == 0
+    tn.save_committee([model, grey.model], both, system=grey.system)
     refused("fit", folder, "--from", both, *out, names="'committee' that names no recipe")
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace('name = "angle"', 'name = "elbow"'))

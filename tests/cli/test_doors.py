@@ -1,6 +1,5 @@
 """What comes in by arguments and files: each is refused by name, or said, or asked for."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -21,8 +20,8 @@ def model(run_folder) -> Path:
 
 def with_data(verb: str, model: Path, data: Path, out: Path) -> list[object]:
     """A verb that reads records."""
-    reads_model = verb in ("simulate", "evaluate", "report", "calibrate")
-    ending = {"report": ".html", "calibrate": ".safetensors"}.get(verb, "")
+    reads_model = verb in ("simulate", "evaluate", "report")
+    ending = ".html" if verb == "report" else ""
     writes = verb not in ("inspect", "evaluate")
     return [
         verb,
@@ -39,7 +38,6 @@ READING = (
     "simulate",
     "evaluate",
     "report",
-    "calibrate",
 )
 
 
@@ -48,14 +46,10 @@ def test_links_out_of_the_folder_are_followed_where_that_is_asked_for(
     verb, model, folder, tmp_path, refused, capsys
 ):
     """`--follow-links` of inspect, fit, cross-validate, simulate, evaluate,
-    report, calibrate."""
+    report."""
     elsewhere = tmp_path / "elsewhere.csv"
     shutil.move(folder / "fall3.csv", elsewhere)
     (folder / "fall3.csv").symlink_to(elsewhere)
-    if verb == "calibrate":
-        members = [model.parent / f"seed-{seed}" / "model.safetensors" for seed in (0, 1)]
-        model = tmp_path / "committee.safetensors"
-        assert tustinnet(capsys, "committee", *members, "--out", model)[0] == 0
     command = with_data(verb, model, folder, tmp_path / "out")
     refused(*command, names=("fall3.csv", "a link that leaves the folder", "--follow-links"))
     # followed, the link is no reason to refuse: another one, given beside it, is
@@ -75,8 +69,6 @@ def test_a_folder_that_is_called_like_a_record_is_said_to_be_left_out(folder, tm
 
 EMPTY = {
     "simulate": ("--out",),
-    "committee": ("--out",),
-    "calibrate": ("--out", "--card", "--system"),
     "report": ("--out",),
     "fit": ("--out", "--physics", "--from", "--recipe"),
     "inspect": ("--figure",),
@@ -91,9 +83,9 @@ def test_a_path_that_names_nothing_or_is_too_long_is_refused_by_its_option(
     verb, option, value, model, folder, tmp_path, refused, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    given = {"demo": [], "inspect": [folder], "fit": [folder], "committee": [model, model]}
+    given = {"demo": [], "inspect": [folder], "fit": [folder]}
     command = [verb, *given.get(verb, [model, folder])]
-    if option != "--out" and verb in ("calibrate", "fit"):
+    if option != "--out" and verb == "fit":
         command += ["--out", tmp_path / "out"]
     refused(*command, f"{option}={value}", names=(option,))
     refused("show", value, names=("MODEL",))
@@ -148,31 +140,14 @@ def test_files_that_a_card_would_read(file, patterns, is_record, folder):
     assert would_be_record(folder / file, folder, card) is is_record
 
 
-@pytest.mark.parametrize("verb", ["calibrate", "committee", "fit"])
 def test_another_system_file_beside_the_output_is_never_replaced(
-    verb, identified, folder, system, tmp_path, refused, capsys
+    folder, system, tmp_path, refused, capsys
 ):
-    out, grey = tmp_path / "out", identified / "model.safetensors"
+    out = tmp_path / "out"
     out.mkdir()
     (out / "system.py").write_text("mine = True")
-    file = out / "model.safetensors"
-    command = {
-        "fit": (
-            "fit",
-            folder,
-            "--recipe",
-            "grey",
-            "--system",
-            system,
-            "--set",
-            "search.iterations=2",
-            "--no-report",
-            "--out",
-            out,
-        ),
-        "calibrate": ("calibrate", grey, folder, "--split", "validation", "--out", file),
-        "committee": ("committee", grey, "--out", file),
-    }[verb]
+    identification = ("--recipe", "grey", "--system", system, "--set", "search.iterations=2")
+    command = ("fit", folder, *identification, "--no-report", "--out", out)
     for more in ((), ("--overwrite",)):
         refused(*command, *more, names=("system.py", "another file than"))
     assert (out / "system.py").read_text() == "mine = True"
@@ -180,25 +155,5 @@ def test_another_system_file_beside_the_output_is_never_replaced(
     assert tustinnet(capsys, *command)[0] == 0  # its own copy is replaced with the model
     text = (out / "system.py").read_text()
     system.write_text(f"{system.read_text()}\n# another version\n")
-    if verb == "fit":
-        assert tustinnet(capsys, *command, "--overwrite")[0] == 0
-        assert (out / "system.py").read_text() != text
-
-
-@pytest.mark.parametrize("make", ["same", "copy", "hard link", "symbolic link", "calibrated"])
-def test_a_committee_of_one_model_twice_is_refused(make, model, folder, tmp_path, refused):
-    other = tmp_path / "other.safetensors"
-    match make:
-        case "same":
-            other = model
-        case "copy":
-            shutil.copy(model, other)
-        case "hard link":
-            os.link(model, other)
-        case "symbolic link":
-            other.symlink_to(model)
-        case _:  # another header, the same arrays
-            tn.save(tn.load_model(model), other)
-    out = tmp_path / "both.safetensors"
-    refused("committee", model, other, "--out", out, names=("the same model as", "--weights"))
-    assert not out.exists()
+    assert tustinnet(capsys, *command, "--overwrite")[0] == 0
+    assert (out / "system.py").read_text() != text

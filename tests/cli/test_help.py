@@ -1,5 +1,6 @@
 """Help texts that list names list those that exist."""
 
+import re
 from typing import get_args
 
 import pytest
@@ -10,7 +11,6 @@ from tustinnet.cli.main import app
 from tustinnet.cli.reproduce import Keep
 from tustinnet.data.catalog import QUBE_SERVO2
 from tustinnet.data.declaration import list_packaged
-from tustinnet.evaluate.record_design import DesignOptions
 from tustinnet.fitting.recipe import Criterion
 from tustinnet.fitting.recipe_reading import packaged_recipes
 from tustinnet.fitting.task import default_recipe_name
@@ -104,10 +104,20 @@ def test_the_published_data_set_is_in_the_help(verb):
     assert QUBE_SERVO2.name in help_of(verb, "DATA")
 
 
-def test_the_defaults_of_a_design_are_in_the_help():
-    defaults = DesignOptions()
-    for option in ("--seconds", "--harmonics", "--margin", "--starts", "--seed"):
-        default = getattr(defaults, option.removeprefix("--"))
-        assert help_of("next-record", option).endswith(f"Default: {default:g}.")
-    assert help_of("next-record", "--budget").endswith(f"Default: {defaults.budget:g}s.")
-    assert help_of("next-record", "--rate").endswith(f"else {1 / defaults.dt:g}.")
+@pytest.mark.parametrize(
+    ("verb", "first"),
+    [
+        ("fit", "--out --recipe --system --set --budget --overwrite"),
+        ("cross-validate", "--out --recipe --system --set --folds --records"),
+        ("evaluate", "--split --start --horizon --band --residuals --figures"),
+        ("control", "--out --at --swing-up --to --follow --limits"),
+    ],
+)
+def test_the_help_of_many_options_begins_with_those_that_are_used_most(verb, first):
+    command = VERBS[verb]
+    text = command.get_help(typer.Context(command))
+    head, more = text.split("More options:")
+    assert re.findall(r"^  (--[a-z-]+)", head.split("Options:")[1], flags=re.M) == first.split()
+    assert "--help" in more
+    few = VERBS["inspect"]
+    assert "More options" not in few.get_help(typer.Context(few))

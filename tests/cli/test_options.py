@@ -232,13 +232,16 @@ def test_the_demo_is_quiet_and_prints_json(pendulum, tmp_path, monkeypatch, caps
     assert tustinnet(capsys, *command) == (1, "", "error: stopped: here\n")
 
 
-@pytest.mark.parametrize("verb", ["inspect", "fit", "cross-validate"])
-def test_strict_refuses_what_looks_wrong(verb, folder, small_recipe, tmp_path, refused, capsys):
+def test_strict_refuses_what_looks_wrong(folder, capsys):
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace("4096", "3000"))
-    more = [] if verb == "inspect" else ["--recipe", small_recipe, "--out", tmp_path / "out"]
-    if verb == "inspect":  # prints its page first
-        code, out, err = tustinnet(capsys, verb, folder, "--strict")
-        assert (code, "encoder count" in err, "Time: " in out) == (1, True, True)
-    else:
-        refused(verb, folder, *more, "--strict", names=("encoder count",))
+    code, out, err = tustinnet(capsys, "inspect", folder, "--strict")  # prints its page first
+    assert (code, "encoder count" in err, "Time: " in out) == (1, True, True)
+
+
+@pytest.mark.parametrize("given", ["--strict", "--strict=1"])
+@pytest.mark.parametrize("verb", ["fit", "cross-validate"])
+def test_an_option_of_before_says_what_to_write_instead(verb, given, folder, refused):
+    """--strict of fit and cross-validate, which inspect has."""
+    words = "--strict: an option of an earlier version; expected tustinnet inspect DATA --strict"
+    refused(verb, folder, "--out", "x", given, names=words)

@@ -43,8 +43,6 @@ Verb = Callable[[Place, Path], tuple[object, ...]]
 FILES: dict[str, tuple[str, Verb]] = {
     "inspect": (".png", lambda p, out: ("inspect", p.logs, "--figure", out)),
     "report": (".html", lambda p, out: ("report", p.model, p.logs, "--out", out)),
-    "calibrate": (".safetensors", lambda p, out: ("calibrate", p.model, p.logs, "--out", out)),
-    "committee": (".safetensors", lambda p, out: ("committee", p.model, p.other, "--out", out)),
 }
 # verbs that write into a folder, and files there that they would write
 FOLDERS: dict[str, tuple[Verb, list[str]]] = {
@@ -80,23 +78,6 @@ FOLDERS: dict[str, tuple[Verb, list[str]]] = {
     "evaluate": (
         lambda p, out: ("evaluate", p.model, p.logs, "--figures", out, "--ahead", 2),
         ["fall3.png", "ahead.png"],
-    ),
-    "next-record": (
-        lambda p, out: (
-            "next-record",
-            "--design",
-            "--system",
-            "duffing",
-            "--out",
-            out,
-            "--within",
-            "deflection=-1:1",
-            "--within",
-            "deflection_dot=-1:1",
-            "--limits",
-            "voltage=-5:5",
-        ),
-        ["motion.csv", "design.json"],
     ),
     "export": (lambda p, out: ("export", p.model, "--to", "c", "--out", out), ["model.c", "x"]),
     "control": (
@@ -180,8 +161,7 @@ def test_a_file_is_never_written_over_what_is_read(
         monkeypatch.setattr(model_file, loads, lambda *_: pytest.fail("loaded a model"))
     if verb == "inspect":
         monkeypatch.setattr(catalog, "load", lambda *_: pytest.fail("loaded records"))
-    reads = file in (place.model, place.other) or verb != "committee"
-    reads = reads and (file != place.model or verb != "inspect")
+    reads = file != place.model or verb != "inspect"
     told = "what the command reads" if reads else "ending"
     for path in (file, tmp_path / "logs" / ".." / file.relative_to(tmp_path)):
         refused(*asked(place, path), "--overwrite", names=told)

@@ -35,8 +35,7 @@ def grey(identified) -> Path:
 def bands(grey, folder, tmp_path) -> Path:
     """The identified system with bands."""
     out = tmp_path / "bands.safetensors"
-    with pytest.raises(SystemExit):
-        run(["calibrate", str(grey), str(folder), "--split", "validation", "--out", str(out)])
+    tn.calibrate(grey, tn.load(folder).split("validation"), out, system=grey.parent / "system.py")
     return out
 
 

@@ -107,9 +107,6 @@ def others(place: Path) -> list[Job]:
     for name, text in material.SELECTION.items():
         (place / name).write_text(text)
     network, other = str(place / "run" / "model.safetensors"), str(place / "linear.safetensors")
-    committee = str(place / "committee.safetensors")
-    done(("committee", network, other, "--out", committee, "--overwrite"))
-    split = ("--split", "validation", "--start", "derived-6")
     table = ("--recipe", str(place / "tustin-net-short.toml"), "--records", "2,3", "--draws", "2")
     bare = place / "bare"
     bare.mkdir(exist_ok=True)
@@ -132,13 +129,6 @@ def others(place: Path) -> list[Job]:
             option = "--figure" if target.endswith(".png") else "--figures"
         more = (*arguments[1:], option, f"{_OUT}/{target}" if target else _OUT)
         earlier = other if of == network else network
-        if verb == "committee":
-            return Job(
-                name,
-                (verb, network, other, *more, *_REPLACE),
-                (),
-                (verb, network, str(place / "gru.safetensors"), *more),
-            )
         return Job(name, (verb, of, *more, *_REPLACE), (), (verb, earlier, *more))
 
     return [
@@ -161,12 +151,6 @@ def others(place: Path) -> list[Job]:
         ),
         replacing("export", "", "export", "--to", "c"),
         replacing("export-mat", "", "export", "--to", "mat,js"),
-        replacing("committee", "committee.safetensors", "committee"),
-        Job(
-            "calibrate",
-            ("calibrate", committee, logs, *split, "--out", f"{_OUT}/bands.safetensors"),
-            _REPLACE,
-        ),
         replacing("simulate", "", "simulate", logs),
         replacing("evaluate", "figures", "evaluate", logs, "--residuals"),
         Job(

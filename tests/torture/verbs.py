@@ -22,6 +22,7 @@ from unittest import mock
 
 import typer
 
+import tustinnet as tn
 from tustinnet.cli.init import FIGURE
 from tustinnet.cli.main import app
 from tustinnet.data.catalog import CARD_NAME
@@ -43,13 +44,6 @@ _COMPUTING = (
 )
 _COPY = "system.py"  # kept beside a model that is written
 _DRAFTED = (CARD_NAME, FIGURE)  # into the folder of a fit, before it begins
-
-PROPOSALS = """
-[[proposals]]
-name = "free"
-start = { angle = 1.0 }
-seconds = 1.0
-"""
 
 
 class Fitting(BaseException):
@@ -88,7 +82,6 @@ def prepare(material: Path, root: Path) -> Place:
     shutil.copytree(material / "logs", root / "logs")
     for name in ("recipe.toml", "search.toml", "pendulum.py"):
         shutil.copy(material / name, root)
-    (root / "proposals.toml").write_text(PROPOSALS)
     sources = {
         "network": "run/model",
         "hybrid": "hybrid",
@@ -100,7 +93,6 @@ def prepare(material: Path, root: Path) -> Place:
         place.model(name).parent.mkdir()
         shutil.copy(material / f"{source}.safetensors", place.model(name))
     logs, system = str(root / "logs"), str(root / "pendulum.py")
-    split = ["--split", "validation", "--start", "derived-6"]
     made: list[list[object]] = [
         [
             "fit",
@@ -114,19 +106,16 @@ def prepare(material: Path, root: Path) -> Place:
             "--out",
             root / "grey",
         ],
-        [
-            "committee",
-            place.model("network"),
-            place.model("linear"),
-            "--out",
-            place.model("committee"),
-        ],
-        ["calibrate", place.model("committee"), logs, *split, "--out", place.model("bands")],
-        ["calibrate", place.model("grey"), logs, *split, "--out", place.model("grey-bands")],
     ]
     for arguments in made:
         code, _, err = call([str(a) for a in arguments])
         assert code == 0, err
+    tn.save_committee([place.model("network"), place.model("linear")], place.model("committee"))
+    validation = tn.load(logs).split("validation")
+    for source, name, own in (("committee", "bands", None), ("grey", "grey-bands", system)):
+        tn.calibrate(
+            place.model(source), validation, place.model(name), start="derived-6", system=own
+        )
     (root / "cwd").mkdir()
     (root / "bare").mkdir()  # records without a card
     for name in ("fall1.csv", "fall2.csv", "noise1.csv"):
@@ -246,25 +235,6 @@ def model_verbs(place: Place, model: Path, others: Sequence[Path]) -> list[list[
         ["simulate", model, logs, "--out", out, "--band", "0.6", "--whole-records", *own],
         ["evaluate", model, other, logs, *own],
         ["evaluate", model, logs, "--residuals", *own],
-        ["calibrate", model, logs, "--out", out / "m.safetensors", "--start", "derived-6", *own],
-        ["committee", model, other, "--out", out / "m.safetensors", *own],
-        ["next-record", model, place.root / "proposals.toml", *own],
-        [
-            "next-record",
-            model,
-            "--design",
-            "--out",
-            out,
-            "--within",
-            "angle=-1:1",
-            "--within",
-            "angle_dot=-2:2",
-            "--limits",
-            "torque=-3:3",
-            "--budget",
-            "1s",
-            *own,
-        ],
         ["export", model, "--to", "mat", "--out", out, *own],
         ["report", model, logs, "--out", out / "page.html", *own],
         ["fit", logs, "--from", model, "--out", out, *own],
@@ -336,13 +306,10 @@ def commands(place: Place) -> list[list[object]]:
             "--recipe",
             root / "recipe.toml",
         ],
-        ["next-record", place.model("committee"), root / "proposals.toml"],
         ["simulate", network, logs, "--out", out],
         ["evaluate", network, logs],
         ["evaluate", network, linear, logs],
         ["evaluate", network, logs, "--residuals"],
-        ["committee", network, linear, "--out", out / "m.safetensors"],
-        ["calibrate", place.model("committee"), logs, "--out", out / "m.safetensors"],
         ["export", network, "--to", "mat", "--out", out],
         [
             "control",

@@ -60,14 +60,6 @@ def control(
             "the data card's column. With --to, positions where the motion begins.",
         ),
     ] = None,
-    follow: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Follow a motion from rest to rest, then hold its end: a column `time` [s], and "
-            "one for each coordinate that follows, in the unit of the data card's column.",
-        ),
-    ] = None,
     swing_up: Annotated[
         bool,
         typer.Option(
@@ -78,6 +70,21 @@ def control(
         str | None,
         typer.Option(
             metavar="NAME=VALUE,..", help="Plan a motion from --at to these positions; hold these."
+        ),
+    ] = None,
+    follow: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Follow a motion from rest to rest, then hold its end: a column `time` [s], and "
+            "one for each coordinate that follows, in the unit of the data card's column.",
+        ),
+    ] = None,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Limits of an input, instead of the data card's. May be repeated.",
         ),
     ] = None,
     seconds: Annotated[
@@ -127,13 +134,6 @@ def control(
             min=0, max=100, help="Samples from when an input is computed to when it acts."
         ),
     ] = 0,
-    limits: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=LOW:HIGH",
-            help="Limits of an input, instead of the data card's. May be repeated.",
-        ),
-    ] = None,
     within: Annotated[
         list[str] | None,
         typer.Option(

@@ -73,18 +73,17 @@ def cross_validate(
         str | None,
         options.recipe("standard; with --system: grey; with --physics: best-hybrid"),
     ] = None,
-    changes: options.Set = None,
     system: options.System = None,
-    physics: _Physics = None,
+    changes: options.Set = None,
     folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
     records: _Records = None,
+    physics: _Physics = None,
     draws: _Draws = None,
     seeds: options.Seeds = None,
     start: _Starts = None,
     cluster: Annotated[str | None, options.cluster("Fit each fold as a job of its own on")] = None,
     card: options.Card = None,
     follow_links: options.FollowLinks = False,
-    strict: options.Strict = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -115,7 +114,7 @@ def cross_validate(
     inputs = list_input_files(data, card, system)
     names = [_FILE, _TABLE] if sizes is None else _CURVE_FILES
     disk.require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = load_records_to_fit(data, card, out, strict=strict, follow_links=follow_links)
+    data_set = load_records_to_fit(data, card, out, follow_links=follow_links)
     print_still_coordinates(roles.records_without_test(data_set))
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (

@@ -11,12 +11,12 @@ import tustinnet as tn
 from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.automatic_report import AutomaticReport, require_report
 from tustinnet.cli.inspect import time_table
-from tustinnet.cli.select import draw_choice, make_reporter, print_choice, print_files
+from tustinnet.cli.select import draw_choice, print_choice, print_files
 from tustinnet.control import design as controller_design
 from tustinnet.control import trial as trials
 from tustinnet.evaluate import scores as scoring
 from tustinnet.models import physical_values
-from tustinnet.report import control, drawing, tables
+from tustinnet.report import control, drawing, plain_fit, tables
 from tustinnet.report import figures as result_figures
 from tustinnet.report import progress as progress_bars
 from tustinnet.report.page import fit_reports, reported_model
@@ -148,7 +148,7 @@ def _select_and_score(
     """Chooses a model without the test records, and scores it and the others on these."""
     selection = tn.SelectionOptions(_PLAN, _SYSTEM, _SECONDS)
     with progress_bars.FitProgress(terminal.messages(), quiet=quiet) as progress:
-        reporter = make_reporter(progress, quiet=quiet)
+        reporter = plain_fit.make_reporter(progress, terminal.make_printer(quiet=quiet))
         choice = tn.select_model(data, out / _CHOICE, selection, earlier, reporter)
     if not json:
         print_choice(choice, quiet=quiet)

@@ -7,8 +7,6 @@ import typer
 from typer.core import TyperGroup
 
 from tustinnet.cli import about, options, terminal
-from tustinnet.cli.calibrate import calibrate
-from tustinnet.cli.committee import committee
 from tustinnet.cli.control import control
 from tustinnet.cli.cross_validate import cross_validate
 from tustinnet.cli.demo import demo
@@ -17,19 +15,13 @@ from tustinnet.cli.export import export
 from tustinnet.cli.fit import fit
 from tustinnet.cli.init import init
 from tustinnet.cli.inspect import inspect
-from tustinnet.cli.next_record import next_record
 from tustinnet.cli.report import report
 from tustinnet.cli.reproduce import reproduce
 from tustinnet.cli.show import show
 from tustinnet.cli.simulate import simulate
 from tustinnet.cli.verb import Verb
 from tustinnet.errors import InputError
-
-_EARLIER = {
-    "compare": "tustinnet evaluate MODEL MODEL ... DATA",
-    "learning-curve": "tustinnet cross-validate DATA --records all",
-    "residuals": "tustinnet evaluate MODEL DATA --residuals",
-}  # verbs of an earlier version, and what to write instead
+from tustinnet.old_names import VERBS
 
 
 class _Verbs(TyperGroup):
@@ -41,7 +33,7 @@ class _Verbs(TyperGroup):
         Raises:
             InputError: a verb of before.
         """
-        if args and (instead := _EARLIER.get(args[0])):
+        if args and (instead := VERBS.get(args[0])):
             raise InputError(f"'{args[0]}'", "a verb of an earlier version", instead)
         return super().resolve_command(ctx, args)
 
@@ -58,11 +50,8 @@ _VERBS = (
     inspect,
     fit,
     cross_validate,
-    next_record,
     simulate,
     evaluate,
-    committee,
-    calibrate,
     control,
     export,
     show,

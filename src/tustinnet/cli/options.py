@@ -208,7 +208,7 @@ Band = Annotated[
     typer.Option(
         metavar="LEVEL",
         help="Add bands around the free runs that contain the true motion for this share of the "
-        "time, e.g. 0.9. Needs a model made by calibrate.",
+        "time, e.g. 0.9. The model needs bands: of fit without a recipe, or of tn.calibrate.",
     ),
 ]
 WholeRecords = Annotated[

@@ -8,7 +8,7 @@ import tustinnet as tn
 from tustinnet.cli import terminal
 from tustinnet.cli.completion import ALL
 from tustinnet.cli.files import list_input_files, require_apart
-from tustinnet.cli.findings import assumed_lines, require_sound, spoiled_lines, warning_lines
+from tustinnet.cli.findings import assumed_lines, spoiled_lines, warning_lines
 from tustinnet.data import catalog, inspection, loading
 from tustinnet.simulate.start_names import DERIVED, parse_start
 from tustinnet.store import files as disk
@@ -17,9 +17,9 @@ from tustinnet.wording import counted
 
 
 def load_records_to_fit(
-    data: str, card: Path | None, out: Path, *, strict: bool, follow_links: bool
+    data: str, card: Path | None, out: Path, *, follow_links: bool
 ) -> "tn.DataSet":
-    """Loads the records of a fit; prints which are left out, or with `strict` refuses them."""
+    """Loads the records of a fit; prints which are left out, and what is wrong with the others."""
     console = terminal.messages()
     folder, located_card = catalog.locate(data, card)
     require_apart(out, folder)
@@ -37,15 +37,12 @@ def load_records_to_fit(
     records = loading.load_folder(
         folder,
         located_card,
-        on_message=None if strict else console.print,
+        on_message=console.print,
         follow_links=follow_links,
     )
-    if not strict:
-        kept = leave_out_short([*records], DERIVED.usual, ())
-        records = replace(records, experiments=tuple(kept))
+    kept = leave_out_short([*records], DERIVED.usual, ())
+    records = replace(records, experiments=tuple(kept))
     findings = tn.check(records, located_card)
-    if strict:
-        require_sound(findings)
     lines = [*warning_lines(findings, len(records), data, card), *assumed_lines(findings)]
     for line in (*lines, *spoiled_lines(records, map(inspection.held_equilibrium, records))):
         console.print(line)

@@ -3,7 +3,6 @@
 import math
 import re
 import time
-from typing import Any
 
 import tustinnet as tn
 from tustinnet.cli import about, terminal
@@ -11,13 +10,12 @@ from tustinnet.cli.automatic_report import after_model, require_report
 from tustinnet.cli.completion import ALL
 from tustinnet.cli.fit_options import FitOptions, open_cluster
 from tustinnet.errors import InputError
-from tustinnet.report import drawing
+from tustinnet.report import drawing, plain_fit
 from tustinnet.report import figures as result_figures
 from tustinnet.report import progress as progress_bars
 from tustinnet.report import selection as selection_report
 from tustinnet.report.page import fit_reports
 from tustinnet.selection import choice as choices
-from tustinnet.selection import jobs
 from tustinnet.selection import plan as plans
 from tustinnet.selection import select as selecting
 from tustinnet.store import files as disk
@@ -25,7 +23,6 @@ from tustinnet.store import run_folder
 from tustinnet.systems import files as system_files
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
-_USUAL_BUDGET = "4min"  # a report five minutes after a folder of logs; it costs little accuracy
 _NO_BUDGET = "none"
 
 
@@ -53,13 +50,15 @@ def read_options(
 
     Without a word on the budget a plan of the user's own, and one on a cluster, has no limit.
     """
-    if budget is None:
-        budget = _USUAL_BUDGET if plan is None and not on_cluster else _NO_BUDGET
+    if budget is not None:
+        seconds = parse_seconds(budget)
+    else:
+        seconds = selecting.USUAL_BUDGET if plan is None and not on_cluster else None
     start_time = time.monotonic()  # what is loaded from here on takes seconds
     return tn.SelectionOptions(
         plans.read_plan(plan or plans.USUAL),
         system,
-        parse_seconds(budget),
+        seconds,
         start_time,
         leave_out_spoiled,
     )
@@ -80,10 +79,11 @@ def select(
     records = fit_options.load()
     if says_budget and selection.budget is not None:
         terminal.make_printer(quiet=quiet)(
-            f"takes {_USUAL_BUDGET} at most (--budget 10min: more; --budget none: no limit)"
+            f"takes {selection.budget / 60:g}min at most "
+            "(--budget 10min: more; --budget none: no limit)"
         )
     with progress_bars.FitProgress(terminal.messages(), quiet=quiet) as progress:
-        reporter = make_reporter(progress, quiet=quiet)
+        reporter = plain_fit.make_reporter(progress, terminal.make_printer(quiet=quiet))
         with (
             terminal.interruptible("--resume continues with what is done"),
             open_cluster(cluster_address) as executor,
@@ -117,15 +117,6 @@ def select(
         )
         terminal.echo(f"next: {steps}")
     require_report(page)
-
-
-def make_reporter(progress: "progress_bars.FitProgress", *, quiet: bool) -> "selecting.Reporter":
-    """Makes the reporter of a selection: bars or lines for fits, sentences for rounds."""
-
-    def follow_job(job: "jobs.Job") -> Any:
-        return lambda prepared: progress.follow(prepared, label=job.label)
-
-    return selecting.Reporter(terminal.make_printer(quiet=quiet), follow_job)
 
 
 def draw_choice(choice: "choices.Choice") -> None:

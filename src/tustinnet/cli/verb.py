@@ -1,4 +1,7 @@
-"""Verbs as commands: paths that name nothing, or that no file system takes, are refused by name."""
+"""Verbs as commands: their help, and what is refused before anything is loaded.
+
+That are options of an earlier version, and paths that name nothing or that no file system takes.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,9 +9,11 @@ from typing import Any
 from typer.core import TyperCommand
 
 from tustinnet.errors import InputError
+from tustinnet.old_names import OPTIONS
 
 _LONGEST_PART, _LONGEST = 255, 4000  # bytes of a file's name and of a path, as systems have them
 _FILES = ("FILE", "DIR", "MODEL", "RUN")  # words of metavars of values that may be paths
+_FIRST, _FEW = 6, 9  # options that the help lists first, and number of those that need no groups
 
 
 class Verb(TyperCommand):
@@ -18,9 +23,13 @@ class Verb(TyperCommand):
         """Parses the arguments.
 
         Raises:
-            InputError: an empty path, or one with a name that is too long.
+            InputError: an option of an earlier version, an empty path, or one with a name that is
+                too long.
         """
         if not ctx.resilient_parsing:
+            for option in (arg.partition("=")[0] for arg in args):
+                if instead := OPTIONS.get((str(self.name), option)):
+                    raise InputError(option, "an option of an earlier version", instead)
             values, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             for parameter in self.get_params(ctx):
                 is_argument = parameter.param_type_name == "argument"
@@ -31,6 +40,23 @@ class Verb(TyperCommand):
                         if isinstance(path, str):
                             _require_path(str(name), path)
         return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes arguments and options; of many options first those that are used most."""
+        by_kind: dict[str, list[tuple[str, str]]] = {"argument": [], "option": []}
+        for parameter in self.get_params(ctx):
+            if record := parameter.get_help_record(ctx):
+                by_kind[parameter.param_type_name].append(record)
+        options = by_kind["option"]
+        first = _FIRST if len(options) > _FEW else len(options)
+        for title, records in (
+            ("Arguments", by_kind["argument"]),
+            ("Options", options[:first]),
+            ("More options", options[first:]),
+        ):
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
 
 
 def refuse_options(given: Mapping[str, object], case: str, expected: str, remedy: str = "") -> None:

@@ -198,7 +198,7 @@ class Calibration:
         content = header.get(KEY)
         if content is None:
             raise InputError(
-                where, "a model without bands", "one that was calibrated", "tustinnet calibrate"
+                where, "a model without bands", "one that was calibrated", "in Python: tn.calibrate"
             )
         parts = {
             key: tuple(
@@ -260,7 +260,7 @@ def find_alternatives(model: Model, header: Mapping[str, Any], where: object) ->
             where,
             "a model without members or errors of its parameters: nothing says how sure it is",
             "a committee, or an identified system",
-            "put several seeds or folds together (tustinnet committee)",
+            "combine several seeds or folds, in Python: tn.save_committee",
         )
     return alternatives
 

@@ -5,15 +5,15 @@ For a committee: how much its members disagree on what would happen.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import Channels
 from tustinnet.data.experiment import LARGEST, Experiment
-from tustinnet.data.proposals import Proposal
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.evaluate.bands import find_alternatives, predict
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
@@ -27,6 +27,44 @@ from tustinnet.simulate.simulation import simulate_runs
 
 SHRINKAGE = 0.1  # of the correlations: those of few records leave directions without any error
 COVARIANCE, DISAGREEMENT = "covariance of the parameters", "disagreement of the members"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A record that could be made.
+
+    Attributes:
+        name: name of the record.
+        q: positions at its beginning, (n_q,) [rad or m].
+        v: velocities there, (n_q,).
+        u: inputs, a row a sample, (n, n_u); of a machine without inputs (n, 0).
+        groups: conditions of the record, as `{"payload": "1kg"}`.
+    """
+
+    name: str
+    q: Float[np.ndarray, " n_q"]
+    v: Float[np.ndarray, " n_q"]
+    u: Float[np.ndarray, "n n_u"]
+    groups: Mapping[str, str] = field(default_factory=dict)
+
+    def checked(self, channels: Channels) -> "Proposal":
+        """The proposal with arrays of the channels' sizes.
+
+        Raises:
+            InputError: other sizes, values that are not finite, or fewer than 2 samples.
+        """
+        q, v, u = (np.asarray(x, float) for x in (self.q, self.v, self.u))
+        n_q, n_u = channels.n_q, channels.n_u
+        sizes = q.shape, v.shape, u.shape[1:]
+        if sizes != ((n_q,), (n_q,), (n_u,)) or len(u) < 2:
+            raise InputError(
+                f"proposal '{self.name}'",
+                f"q {q.shape}, v {v.shape}, u {u.shape}",
+                f"({n_q},), ({n_q},), (n, {n_u}) of at least 2 samples",
+            )
+        if not all(np.isfinite(x).all() for x in (q, v, u)):
+            raise InputError(f"proposal '{self.name}'", "values that are not finite", "numbers")
+        return replace(self, q=q, v=v, u=u)
 
 
 @dataclass(frozen=True)
@@ -49,7 +87,7 @@ class InformationGain:
 
 @dataclass(frozen=True)
 class ProposalRanking:
-    """Proposals, the most informative one first.
+    """Proposals, the most informative one first: that should be recorded next.
 
     Attributes:
         criterion: what they are ranked by.
@@ -61,14 +99,6 @@ class ProposalRanking:
     unit: str
     gains: tuple[InformationGain, ...]
 
-    def as_plain(self) -> dict[str, Any]:
-        """The ranking as plain values."""
-        return {
-            "criterion": self.criterion,
-            "unit": self.unit,
-            "proposals": [vars(gain) for gain in self.gains],
-        }
-
 
 def rank_proposals(
     model: Model,
@@ -79,6 +109,9 @@ def rank_proposals(
 ) -> ProposalRanking:
     """Ranks proposed records by the information that they would give.
 
+    For an identified system: how much the covariance of its parameters would shrink. For a
+    committee: how much its members disagree on what would happen.
+
     Args:
         model: the model.
         header: the header of its file; of an identified system it has the parameters' errors.
@@ -87,9 +120,14 @@ def rank_proposals(
             is; None for whole records. Not applicable to an identified system.
 
     Raises:
-        InputError: a model that knows nothing of its errors, or can simulate none of them.
+        InputError: a model that knows nothing of its errors, or can simulate none of them; two
+            proposals of one name, or arrays that do not fit the model.
     """
-    require_float64("next-record")
+    require_float64("rank_proposals")
+    names = [p.name for p in proposals]
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError("rank_proposals", f"two proposals '{duplicates[0]}'", "different names")
+    proposals = [p.checked(model.channels) for p in proposals]
     predicted = _predict_records(model, proposals)
     records = [e for e in predicted.values() if e is not None]
     identification = header.get("identification")
@@ -98,7 +136,7 @@ def rank_proposals(
     if identification:
         criterion, unit = COVARIANCE, "nats"
         expected = "those of an identified system"
-        with convert_errors("next-record", "errors of parameters that do not fit", expected):
+        with convert_errors("rank_proposals", "errors of parameters that do not fit", expected):
             gains = _covariance_gains(model, identification, records)
     else:
         criterion, unit = DISAGREEMENT, model.channels.unit
@@ -106,7 +144,7 @@ def rank_proposals(
     finite = sorted((g for g in gains if np.isfinite(g.value)), key=lambda g: -g.value)
     if not finite:
         raise InputError(
-            "next-record",
+            "rank_proposals",
             "no proposal that the model can simulate to finite numbers",
             "one at least",
             "fit it to more records, or propose gentler ones",
@@ -212,7 +250,7 @@ def parameter_covariance(
     ]
     if not rows:
         raise InputError(
-            "next-record",
+            "rank_proposals",
             "a model whose parameters have no errors",
             "one whose parameters have some",
             "fit it to more records",
@@ -236,7 +274,7 @@ def _disagreement_gains(
     model: Model, header: Mapping[str, Any], records: Sequence[Experiment], horizon: float | None
 ) -> list[InformationGain]:
     """The differences between the members' free runs."""
-    alternatives = find_alternatives(model, header, "next-record")
+    alternatives = find_alternatives(model, header, "rank_proposals")
     gains = []
     predictions = predict(model, alternatives, records, "file", horizon=horizon) if records else ()
     for prediction in predictions:

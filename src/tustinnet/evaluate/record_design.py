@@ -1,7 +1,7 @@
 """Design of a record: the motion that tells the most about the parameters of a robot.
 
-`design_record` takes a system with an input for each coordinate, what is known of its parameters
-and limits of its motion. It returns a periodic motion that begins and ends at rest, and the errors
+`design_record` takes a system with an input for each coordinate, or a model of one, and limits of
+its motion. It returns a periodic motion that begins and ends at rest, and the errors
 that the parameters are expected to have once it has been recorded. Forces along the motion count,
 as in the identification by inverse dynamics.
 
@@ -29,7 +29,11 @@ from tustinnet.data.dataset import from_arrays
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError, convert_errors
-from tustinnet.evaluate.next_record import SHRINKAGE, parameter_covariance
+from tustinnet.evaluate.next_record import (
+    SHRINKAGE,
+    equations_of_motion,
+    parameter_covariance,
+)
 from tustinnet.fitting.inverse_dynamics.along import missing_forces
 from tustinnet.fitting.inverse_dynamics.cutoff import compared_samples, cutoff_for
 from tustinnet.fitting.inverse_dynamics.solver import Prior
@@ -41,7 +45,7 @@ from tustinnet.fitting.shooting.groups import (
     group_indices,
 )
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
-from tustinnet.models.contract import require_float64
+from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
@@ -57,8 +61,8 @@ _NULL = 1e-5  # of the largest direction, below which parameters change no force
 _USUAL_NOISE = 0.02  # of the force of a motion
 _LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
 _MOST = 10**6  # samples
-_PLACE = "a design of records"  # of messages
-_RANK = "propose records: tustinnet next-record MODEL PROPOSALS"
+_PLACE = "design_record"  # of messages
+_RANK = "propose records: tn.rank_proposals"
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
 
 
@@ -98,10 +102,10 @@ class DesignOptions:
             ("`seconds=`", self.seconds, 0 < self.seconds <= 1e4, "above 0, and at most 10000"),
             ("`harmonics=`", self.harmonics, 2 <= self.harmonics <= 50, "from 2 to 50"),
             (
-                "`rate=`",
-                1 / self.dt,
-                0 < self.dt <= self.seconds / 10,
-                "samples a second, at least 10 in the record",
+                "`dt=`",
+                self.dt,
+                1e-6 <= self.dt <= self.seconds / 10,
+                "from 1e-6 s to a tenth of `seconds=`",
             ),
             ("`margin=`", self.margin, 0 <= self.margin < 1, "a share from 0 to below 1"),
             ("`starts=`", self.starts, 1 <= self.starts <= 100, "from 1 to 100"),
@@ -131,17 +135,17 @@ class DesignOptions:
             )
         if self.seconds / self.dt > _MOST:
             raise InputError(
-                "`rate=`",
+                "`dt=`",
                 f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
                 f"at most {_MOST:.0e}",
-                "fewer seconds, or a lower rate",
+                "fewer seconds, or a longer period",
             )
         if self.highest > 0.1 / self.dt:
             raise InputError(
                 "`harmonics=`",
                 f"a highest frequency of {self.highest:.4g} Hz",
                 f"at most a tenth of the sampling rate, {0.1 / self.dt:.4g} Hz",
-                "fewer harmonics, a lower `frequency=` or a higher `rate=`",
+                "fewer harmonics, a lower `frequency=` or a shorter `dt=`",
             )
 
     @property
@@ -333,7 +337,7 @@ def fitted_knowledge(
     if identification is None:
         parameters = expand_parameters_by_values(model.system, values)
         return Knowledge(make_search_space(model.system, values, {}, parameters), values)
-    with convert_errors("next-record", "errors that do not fit", "those of an identified system"):
+    with convert_errors(_PLACE, "errors that do not fit", "those of an identified system"):
         errors = {
             e["coordinate"]: max(float(e["missing"]), _LEAST_NOISE * float(e["size"]), _LEAST_NOISE)
             for e in identification.get("force_errors", ())
@@ -355,13 +359,13 @@ def _require_groups(system: LagrangianSystem, groups: Mapping[str, str]) -> None
                 _PLACE,
                 f"no group '{per}', which '{name}' is per",
                 "the group of the record to be made",
-                f"`group=` {per}=NAME",
+                f"`groups=` {{'{per}': NAME}}",
             )
     if unknown := [name for name in groups if name not in needed]:
         raise InputError(
-            "`group=`",
+            "`groups=`",
             f"'{unknown[0]}', which nothing in the system is per",
-            f"one of {', '.join(needed)}" if needed else "no `group=`",
+            f"one of {', '.join(needed)}" if needed else "no `groups=`",
         )
 
 
@@ -416,7 +420,7 @@ def gather_limits(
     for name, (low, high) in within.items():
         if name not in names[: len(coordinates)] and not low < 0 < high:
             raise InputError(
-                f"`within=` {name}={low:g}:{high:g}",
+                f"`within=` {name} = {low:g}..{high:g}",
                 "one direction alone",
                 "limits on both sides of 0",
             )
@@ -430,21 +434,73 @@ def gather_limits(
         )
         own = MotionLimits(within.get(c.name, own.position), velocity, acceleration, own.force)
         for what, value, name, size in (
-            ("position", own.position, c.name, "-1:1"),
-            ("velocity", own.velocity, f"{c.name}_dot", "-1.5:1.5"),
+            ("position", own.position, c.name, "(-1, 1)"),
+            ("velocity", own.velocity, f"{c.name}_dot", "(-1.5, 1.5)"),
         ):
             if value is None:
                 raise InputError(
                     f"system '{system.name}'",
                     f"no limits of the {what} of '{c.name}'",
                     "limits of every position and velocity",
-                    f"for instance `within=` {name}={size}",
+                    f"for instance `within=` {{'{name}': {size}}}",
                 )
         limits.append(own)
     return DesignLimits(tuple(limits), tuple(bounds))
 
 
 def design_record(
+    source: Model | LagrangianSystem,
+    header: Mapping[str, Any] | None = None,
+    *,
+    within: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    groups: Mapping[str, str] | None = None,
+    options: DesignOptions | None = None,
+    on_progress: Callable[[DesignProgress], None] | None = None,
+) -> RecordDesign:
+    """Designs the motion of a robot that tells the most about its parameters, within limits.
+
+    The determinant of the information matrix is maximised by L-BFGS, with penalties beyond the
+    limits, from several random motions. Collisions are not considered.
+
+    Args:
+        source: the system, as `load_robot` gives it, or a model that was identified.
+        header: the header of the model's file, see `read_header`. It knows the errors of the
+            parameters, which the record is to make smaller.
+        within: limits of positions by the names of coordinates, of velocities by `NAME_dot`, of
+            accelerations by `NAME_ddot`, in SI units; by default those of the robot's file.
+        limits: limits of inputs by name, in their units, beside those of the file.
+        groups: the groups of the record, as `{"payload": "1kg"}`.
+        options: length, harmonics, margin and search; by default `DesignOptions()` with the
+            sampling period of the model.
+        on_progress: called after each step of the search.
+
+    Raises:
+        InputError: a model without equations of motion, a system with internal states or without
+            an input for each coordinate, missing limits, or limits that no motion keeps.
+    """
+    groups = groups or {}
+    if isinstance(source, LagrangianSystem):
+        system, channels, usual = source, source.channels, DesignOptions()
+        require_inputs(system)
+        knowledge = prior_knowledge(system, groups)
+    else:
+        mechanics = equations_of_motion(source)
+        if mechanics is None:
+            raise InputError(
+                _PLACE, "a model without equations of motion", "an identified system or a system"
+            )
+        system, channels = mechanics.system, source.channels
+        usual = DesignOptions(dt=source.dt)
+        require_inputs(system)
+        knowledge = fitted_knowledge(mechanics, (header or {}).get("identification"), groups)
+    box = gather_limits(system, within or {}, limits or {}, channels)
+    return find_motion(
+        system, knowledge, box, options or usual, groups=groups, on_progress=on_progress
+    )
+
+
+def find_motion(
     system: LagrangianSystem,
     knowledge: Knowledge,
     limits: DesignLimits,
@@ -453,23 +509,7 @@ def design_record(
     groups: Mapping[str, str] | None = None,
     on_progress: Callable[[DesignProgress], None] | None = None,
 ) -> RecordDesign:
-    """Designs the motion within limits that makes the covariance of the base parameters smallest.
-
-    The determinant of the information matrix is maximised by L-BFGS, with penalties beyond the
-    limits, from several random motions. Collisions are not considered.
-
-    Args:
-        system: the system.
-        knowledge: what is known of its parameters.
-        limits: limits of the motion and of the inputs.
-        options: options.
-        groups: the groups of the record, as `{"payload": "1kg"}`.
-        on_progress: called after each step of the search.
-
-    Raises:
-        InputError: a system with internal states or without an input for each coordinate, an
-            actuator without limits, or limits that no motion keeps.
-    """
+    """Finds the motion of `design_record`, by what is known of the parameters and all limits."""
     require_float64(_PLACE)
     require_inputs(system)
     start_time = time.monotonic()

@@ -277,7 +277,7 @@ class CommitteeFamily(Family):
     kind = "committee"
     hyper = Hyper
     description = CommitteeDescription
-    remedy = "fit models of other kinds, then put them together with `tustinnet committee`"
+    remedy = "fit models of other kinds, then combine them, in Python: tn.save_committee"
     model = Committee
 
     def parts(self, header: Header) -> Mapping[str, Header]:

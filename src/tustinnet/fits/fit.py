@@ -16,41 +16,6 @@ from tustinnet.systems.files import AnySystem
 DEFAULT_IDENTIFICATION = "grey"
 
 
-def fit(
-    data: DataSet,
-    recipe: AnyRecipe | None = None,
-    seed: int = 0,
-    *,
-    physics: Model | None = None,
-    system: AnySystem | None = None,
-    listener: Listener = SILENT,
-) -> FitResult:
-    """Fits a model to a data set, as a recipe says.
-
-    Holds and delays of inputs that the records do not declare are searched for first.
-
-    Args:
-        data: records with the splits `train` and, if free runs are to choose, `validation`.
-        recipe: a packaged recipe's name, a TOML file, its content as a mapping, or a `Recipe`; by
-            default `standard`, with a `system` `grey`, with `physics` `best-hybrid`.
-        seed: initial weights, windows and shuffling follow from it; an identification has none.
-        physics: a model to correct, as an identification gives it; it stays as it is.
-        system: the system whose parameters are identified, its name or its file.
-        listener: functions that are called while the fit goes on, see `Listener`.
-
-    Returns:
-        The model and how it came about. A training that diverged returns the best weights it
-        had and says so in `outcome`.
-
-    Raises:
-        InputError: records too short for a window, no training split, a recipe that does not fit
-            or to which an argument is not applicable; see also `identify`.
-    """
-    warn_of_single_precision("fit")
-    request = FitRequest(data, recipe, (Member(seed),), physics=physics, system=system)
-    return _fit(request, listener)[0]
-
-
 def fit_many(
     data: DataSet,
     recipe: AnyRecipe | None = None,
@@ -82,7 +47,7 @@ def fit_many(
     """
     warn_of_single_precision("fit_many")
     members = tuple(Member(seed, rate) for seed in seeds for rate in rates)
-    return _fit(FitRequest(data, recipe, members, physics=physics), listener)
+    return fit_request(FitRequest(data, recipe, members, physics=physics), listener)
 
 
 def identify(
@@ -129,15 +94,21 @@ def identify(
     }
     recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
     request = FitRequest(data, recipe, system=system)
-    (result,) = _fit(request, Listener(on_iteration=on_iteration), should_stop)
+    (result,) = fit_request(request, Listener(on_iteration=on_iteration), should_stop)
     assert result.identification is not None
     return result.identification
 
 
-def _fit(
+def fit_request(
     request: FitRequest, listener: Listener, should_stop: ShouldStopSearch = never_stop_search
 ) -> list[FitResult]:
-    """Prepares the records of a request and fits its members."""
+    """Prepares the records of a request and fits its members.
+
+    Args:
+        request: all that the fits are of.
+        listener: functions that are called while they go on.
+        should_stop: asked before every step of a search.
+    """
     prepared = prepare(request, should_stop, listener.on_message)
     results = fit_task(prepared.task, lambda _: listener, should_stop_search=should_stop)
     return prepared.with_findings(results)

@@ -17,11 +17,14 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.finding import Finding
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.fits import parameter_table
+from tustinnet.report.selection import candidates_table
 from tustinnet.report.tables import Table, number
+from tustinnet.selection.choice import Choice
 
 _MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
 _PANEL = (6.0, 1.3)  # inches
@@ -60,6 +63,11 @@ def _(shown: FitResult) -> str:
     if shown.identification is not None:
         return table + to_html(shown.identification)
     return table + _sentences(shown.findings)
+
+
+@to_html.register
+def _(shown: Choice) -> str:
+    return candidates_table(shown).html() + _sentences(shown.findings)
 
 
 def _record_table(records: Sequence[Experiment], title: str) -> Table:
@@ -125,6 +133,21 @@ def _(shown: FitResult) -> pl.DataFrame:
         return to_frame(shown.identification)
     epochs = shown.detail("epochs")
     raise InputError("to_frame", f"a training of {epochs} epochs", "an identification")
+
+
+@to_frame.register
+def _(shown: Choice) -> pl.DataFrame:
+    results = [r for r in shown.candidates.all_results if r.fits_by_fold]
+    scores = [mean_and_error(r.rmse().values()) for r in results]
+    return pl.DataFrame(
+        {
+            "name": [r.name for r in results],
+            "rmse": [mean for mean, _ in scores],
+            "standard_error": [error for _, error in scores],
+            "records": [len(r.rmse()) for r in results],
+            "seconds": [r.seconds for r in results],
+        }
+    )
 
 
 # --- pictures ---

@@ -1,17 +1,47 @@
-"""Tables, sentences and figure of a designed record."""
+"""Tables, sentences, figure and files of a designed record."""
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from tustinnet.evaluate.record_design import BaseParameter, RecordDesign
+from tustinnet.report.drawing import INPUT, MEASURED, figure_style, write_figure
 from tustinnet.report.tables import Table
+from tustinnet.store.files import lock_folder, require_outputs, to_json, write_into
+from tustinnet.store.motion_file import write_motion
 from tustinnet.wording import counted
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+_FILES = ("motion.csv", "motion.png", "design.json", "design.md")
 _SHOWN = 5  # of the best and of the worst determined base parameters
+
+
+def write_design(design: RecordDesign, folder: str | Path, *, overwrite: bool = False) -> None:
+    """Writes the files of a designed record into a folder.
+
+    `motion.csv` is the reference for a controller: a row for each sample with time, position,
+    velocity and acceleration of each coordinate, and the inputs that are expected. `motion.png`
+    draws it. `design.md` says which limits it uses and what it tells, `design.json` has all
+    numbers.
+
+    Args:
+        design: the designed record.
+        folder: the folder.
+        overwrite: whether an earlier design in it may be replaced.
+
+    Raises:
+        InputError: an earlier design, or a folder that cannot be written.
+    """
+    folder = Path(folder)
+    require_outputs([folder / name for name in _FILES], overwrite=overwrite)
+    motion, figure, numbers, text = _FILES
+    tables = "\n".join(t.markdown() for t in (motion_table(design), error_table(design)))
+    lines = "".join(f"* {sentence}\n" for sentence in sentences(design))
+    with lock_folder(folder):
+        write_motion(folder, motion, design)
+        write_into(folder, numbers, to_json(design.as_plain()))
+        write_into(folder, text, f"{tables}\n{lines}")
+        write_figure(design_figure(design), folder, figure)
 
 
 def motion_table(design: RecordDesign) -> Table:
@@ -97,16 +127,11 @@ def sentences(design: RecordDesign) -> list[str]:
     return lines
 
 
-def design_figure(design: RecordDesign) -> "Figure":
+def design_figure(design: RecordDesign) -> Figure:
     """Figure of the motion: position, velocity, acceleration and force of each coordinate.
 
     Dashed lines are limits, dotted ones what the margin leaves of them.
     """
-    # the tables of this module are printed before matplotlib is loaded
-    from matplotlib.figure import Figure
-
-    from tustinnet.report.drawing import INPUT, MEASURED, figure_style
-
     n = design.channels.n_q
     with figure_style():
         figure = Figure(figsize=(10.5, 1.25 * n + 0.9), layout="constrained")

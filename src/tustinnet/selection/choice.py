@@ -30,6 +30,7 @@ from tustinnet.selection.ranking import (
     find_decisive_record,
     paired_difference,
 )
+from tustinnet.shown import Shown
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES
@@ -41,7 +42,7 @@ _POOR = 0.2  # of that of the reference, an error with which a model is of littl
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Shown):
     """The model that a selection chose, and what it was compared with.
 
     Attributes:

@@ -55,6 +55,7 @@ from tustinnet.store.specification import (
 )
 from tustinnet.systems.files import AnySystem
 
+USUAL_BUDGET = 240.0  # s, a report five minutes after a folder of logs; costs little accuracy
 _ENDING = 0.07  # share of the budget for committees, the last fit and bands
 _LONGEST_ENDING = 60.0  # s
 _COMMITTEES = 0.5  # share of that for committees

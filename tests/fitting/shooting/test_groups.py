@@ -10,9 +10,8 @@ import pytest
 from swinging import DT, SWING, changed, data_set, declared
 
 import tustinnet as tn
-from tustinnet.data.proposals import Proposal
 from tustinnet.evaluate.bands import find_alternatives
-from tustinnet.evaluate.next_record import rank_proposals
+from tustinnet.evaluate.next_record import Proposal, rank_proposals
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 

@@ -369,7 +369,7 @@ def test_residuals_are_compared_with_the_encoders_counts():
 def test_a_fit_of_a_system_is_its_identification(clean):
     iterations: list[Iteration] = []
     result = tn.fit(
-        data_set(records()), system=SWING, listener=Listener(on_iteration=iterations.append)
+        data_set(records()), "grey", system=SWING, listener=Listener(on_iteration=iterations.append)
     )
     assert result.recipe.name == "grey"
     assert result.identification is not None
@@ -384,7 +384,7 @@ def test_a_fit_of_a_system_is_its_identification(clean):
         "whole records, anchored start",
     }
     with pytest.raises(tn.InputError, match="a fit that is no training has no seeds"):
-        tn.fit(data_set(records()), system=SWING, seed=3)
+        tn.fit(data_set(records()), "grey", system=SWING, seed=3)
 
 
 # --- what is refused ---

@@ -20,7 +20,6 @@ from swinging import (
 
 import tustinnet as tn
 from tustinnet.families.family import family_of
-from tustinnet.fits.fit import fit
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.report import Identification
 from tustinnet.fitting.shooting import refit
@@ -196,7 +195,7 @@ def test_a_start_that_records_do_not_have_is_refused_before_the_search():
 
 def test_bands_are_about_the_model():
     """What is drawn from the errors of the parameters lies about the refined values."""
-    result = fit(data_set(creeping()), recipe(), system=SYSTEM, listener=Listener())
+    result = tn.fit(data_set(creeping()), recipe(), system=SYSTEM, listener=Listener())
     identification = result.identification
     assert identification is not None
     assert identification.refit is not None

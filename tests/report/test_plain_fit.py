@@ -1,0 +1,75 @@
+"""`tn.fit` without a recipe: the choice of the command, by one call."""
+
+import json
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from small_selection import NETWORK_ONLY, plan_in
+
+import tustinnet as tn
+from tustinnet.cli.main import run
+from tustinnet.selection.plan import read_plan
+from tustinnet.store.checkpoint import model_digest
+
+
+def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypatch, capsys):
+    text = NETWORK_ONLY.replace("model-10", "derived-6")
+    plan = read_plan(plan_in(tmp_path, text))
+    monkeypatch.setattr("tustinnet.selection.select.read_plan", lambda _: plan)
+    out = tmp_path / "command"
+    with pytest.raises(SystemExit) as ended:
+        run(["fit", str(folder), "--out", str(out), "--budget", "none", "--no-report", "--json"])
+    assert not ended.value.code
+    by_command = json.loads(capsys.readouterr().out)
+    choice = tn.fit(tn.load(folder), budget=math.inf, folder=tmp_path / "python")
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "network, fold 0" in printed.err
+    starts = [c["starts"] for c in by_command["candidates"]]
+    assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
+    files = [place / "model.safetensors" for place in (out, tmp_path / "python")]
+    assert {model_digest(tn.load_model(file)) for file in files} == {model_digest(choice.model)}
+    frame = choice.to_frame()
+    assert frame["name"].to_list() == ["network"]
+    assert frame["records"].to_list() == [5]
+    assert frame["rmse"][0] > 0
+    shown = choice._repr_html_()
+    # the candidate and the reference, the findings, and a heading of each table
+    assert shown.count("<tr>") == 3 + 1 + len(choice.findings)
+    assert "chosen: network" in shown
+    with pytest.raises(tn.InputError, match="holds an earlier selection"):
+        tn.fit(tn.load(folder), folder=tmp_path / "python", quiet=True)
+
+
+@pytest.mark.parametrize(("budget", "limit"), [(None, 240.0), (60, 60), (math.inf, None)])
+def test_the_budget_is_that_of_the_command(budget, limit, pendulum, monkeypatch, capsys):
+    calls: list[Any] = []
+
+    def select(data, folder, options):
+        assert folder.is_dir()
+        calls.append(SimpleNamespace(folder=folder, options=options))
+
+    monkeypatch.setattr("tustinnet.report.plain_fit.select_model", select)
+    tn.fit(pendulum, system="mechanism", budget=budget, quiet=True)
+    (call,) = calls
+    assert (call.options.budget, call.options.system) == (limit, "mechanism")
+    assert not call.folder.exists(), "nothing is kept"
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"seed": 0}, "`seed=`: not applicable without a recipe"),
+        ({"recipe": "linear", "budget": 10.0}, "`budget=`: not applicable to a single recipe"),
+        ({"recipe": "linear", "folder": "x"}, "`folder=`: not applicable to a single recipe"),
+        ({"recipe": "linear", "quiet": True}, "`quiet=`: not applicable to a single recipe"),
+        ({"budget": 0.0}, "`budget=`: 0; expected seconds above 0"),
+        ({"budget": math.nan}, "`budget=`: nan"),
+    ],
+)
+def test_an_argument_that_does_nothing_is_refused(given, problem, pendulum):
+    with pytest.raises(tn.InputError, match=problem):
+        tn.fit(pendulum, **given)
