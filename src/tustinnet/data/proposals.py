@@ -14,9 +14,8 @@ from tustinnet.data.quantities import ValueReader
 from tustinnet.data.readers import read_columns
 from tustinnet.errors import InputError
 
-_FAR = 1e6  # rad or m, or over s
-_LONGEST = 1e5  # s
-_MOST = 10**6  # samples
+_FARTHEST_START = 1e6  # rad or m, or over s
+MOST_SAMPLES = 10**6  # samples
 _RATE = "_dot"  # ending of the name of a velocity, as in files of simulations
 
 
@@ -53,7 +52,7 @@ class _ProposalTable(Declaration):
 
     name: Name
     start: dict[str, float | Text] = Field(default_factory=dict)
-    seconds: float | None = Field(default=None, gt=0, le=_LONGEST)
+    seconds: float | None = Field(default=None, gt=0, le=1e5)
     inputs: Text | None = None
     groups: dict[Name, Name] = Field(default_factory=dict)
 
@@ -93,8 +92,10 @@ def read_proposals(path: Path, channels: Channels, values: ValueReader) -> list[
                 f"some of {', '.join(keys)}, as in the model",
             )
         start = values.read(f"{where}, start", table.start)
-        if not all(abs(value) <= _FAR for (value,) in start.values()):
-            raise InputError(f"{where}, start", "out of range", f"at most {_FAR:g} rad or m")
+        if not all(abs(value) <= _FARTHEST_START for (value,) in start.values()):
+            raise InputError(
+                f"{where}, start", "out of range", f"at most {_FARTHEST_START:g} rad or m"
+            )
         q, v = (
             np.array([start.get(name + end, (0.0,))[0] for name in coordinates])
             for end in ("", _RATE)
@@ -113,8 +114,10 @@ def _inputs(table: _ProposalTable, where: str, folder: Path, channels: Channels)
     if table.inputs is None:
         assert table.seconds is not None
         samples = max(2, round(table.seconds / channels.dt) + 1)
-        if samples > _MOST:
-            raise InputError(where, f"{samples} samples", f"at most {_MOST}", "fewer seconds")
+        if samples > MOST_SAMPLES:
+            raise InputError(
+                where, f"{samples} samples", f"at most {MOST_SAMPLES}", "fewer seconds"
+            )
         return np.zeros((samples, len(names)))
     if PurePath(table.inputs).is_absolute() or ".." in PurePath(table.inputs).parts:
         raise InputError(f"{where}, inputs", f"'{table.inputs}'", "a file beside this one or below")
