@@ -33,14 +33,15 @@ Vector = Float[np.ndarray, " _"]
 class DesignDefaults(NamedTuple):
     """Values that a design assumes where nothing else is said.
 
-    All are set by hand, not measured.
+    All but `input` are set by hand, not measured.
 
     Attributes:
         swings: duration of a motion in periods of the slowest oscillation about its start.
         shortest: shortest such duration [s].
         longest: longest such duration [s].
         longer: times this duration that are tried in turn.
-        input: acceptable deviation of an input, as a share of its limits' range.
+        input: acceptable deviation of an input, as a share of its limits' range; chosen by the
+            success of two models on their own variants (docs/explanation/control.md).
         planned: share of the inputs' limits that a plan uses: the rest is for its feedback.
         followed: acceptable deviation from a reference, as a share of its range.
         window: deviation within which a length counts as held, as a share of its recorded

@@ -333,7 +333,8 @@ def hold(
     # usual speeds are mostly a tenth of the acceptable ones: up to nearly these
     for _ in range(3):
         faster = solve(2 * holding.speeds)
-        # feedback that costs no more in motions twice as fast serves both
+        # feedback that costs no more in motions twice as fast serves both, see
+        # docs/explanation/control.md
         if cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value):
             break
         holding = faster
