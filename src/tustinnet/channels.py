@@ -16,7 +16,7 @@ Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
 
 SHORTEST_DT, LONGEST_DT = 1e-9, 1e4  # sampling periods [s] that cards and files may have
 _DEFAULT_HOLD = "zero-order"
-_SAME_PERIOD = 1e-6  # relative; two periods this near are one
+SAME_PERIOD = 1e-6  # relative; two periods this near are one
 
 
 def _refuse(value: object) -> None:
@@ -398,7 +398,7 @@ class Channels(Described):
                     f"{_join(expected)} as in {own_name}",
                     "check the data card: names, kinds, units and order must agree",
                 )
-        if self.dt and other.dt and abs(other.dt / self.dt - 1) > _SAME_PERIOD:
+        if self.dt and other.dt and abs(other.dt / self.dt - 1) > SAME_PERIOD:
             raise InputError(
                 other_name,
                 f"sampling period {other.dt:g} s",

@@ -4,7 +4,7 @@ import os
 import time
 from pathlib import Path
 
-_MOST = 0.9  # share of others: a system gives every program something
+_LARGEST_SHARE = 0.9  # share of others: a system gives every program something
 _IDLE = (3, 4)  # columns of /proc/stat in which nothing is computed
 
 
@@ -28,7 +28,7 @@ class OtherPrograms:
         if now is None or self._others is None or available <= 0:
             return 0.0
         share = (now - self._others) / (available * (os.cpu_count() or 1))
-        return min(max(share, 0.0), _MOST)
+        return min(max(share, 0.0), _LARGEST_SHARE)
 
 
 def _seconds_of_others() -> float | None:

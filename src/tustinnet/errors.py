@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
-_LONGEST_PART = 400  # characters of place, problem, expected, remedy; lists of keys need some
+_LONGEST_SENTENCE = 400  # characters of place, problem, expected, remedy; lists of keys need some
 _LONGEST_FOREIGN = 150  # characters of a foreign library's message
 _LONGEST_NAME = 100  # bytes in UTF-8; with an ending it is a file name everywhere
 _UNPRINTED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # categories of Unicode
@@ -26,7 +26,7 @@ class InputError(ValueError):
             parts.append(f"expected {expected}")
         if remedy:
             parts.append(remedy)
-        super().__init__("; ".join(to_printable(part, _LONGEST_PART) for part in parts))
+        super().__init__("; ".join(to_printable(part, _LONGEST_SENTENCE) for part in parts))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as its message, as a worker sends it."""

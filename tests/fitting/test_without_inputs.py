@@ -97,7 +97,7 @@ def test_long_free_runs_have_a_gradient_without_inputs(monkeypatch):
         return jnp.sum(rollouts(free(TRUTH | {"gravity": scale}), begin, nothing) ** 2)
 
     short = jax.grad(size)(1.5)
-    monkeypatch.setattr(simulator, "LONG", 10)
+    monkeypatch.setattr(simulator, "LONG_ROLLOUT", 10)
     assert float(jax.grad(size)(1.5)) == pytest.approx(float(short), rel=1e-9)
 
 

@@ -86,7 +86,7 @@ def test_a_long_rollout_and_its_gradient_equal_the_plain_ones(monkeypatch):
         return jnp.sum(rollout(m, jnp.asarray(x[0]), jnp.asarray(u))[:, :2] ** 2)
 
     plain, gradient = eqx.filter_value_and_grad(energy)(model)
-    monkeypatch.setattr("tustinnet.simulate.rollout.LONG", 10)
+    monkeypatch.setattr("tustinnet.simulate.rollout.LONG_ROLLOUT", 10)
     long, other = eqx.filter_value_and_grad(energy)(model)
     np.testing.assert_allclose(long, plain, rtol=1e-12)
     for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(other), strict=True):

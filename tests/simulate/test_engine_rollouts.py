@@ -27,7 +27,7 @@ STEPS = 12
 @pytest.fixture(autouse=True)
 def _small_ones_too(monkeypatch):
     """Steps of a few operations are not left to XLA, where a test does not say otherwise."""
-    monkeypatch.setattr(engine_rollouts, "FEWEST", 0)
+    monkeypatch.setattr(engine_rollouts, "FEWEST_OPERATIONS", 0)
     engine_rollouts._rollouts.cache_clear()
     yield
     engine_rollouts._rollouts.cache_clear()
@@ -136,7 +136,7 @@ def test_what_machine_code_cannot_do_is_left_to_jax(monkeypatch):
 
 
 def test_networks_without_physics_are_left_to_xla(monkeypatch):
-    monkeypatch.setattr(engine_rollouts, "FEWEST", 200)
+    monkeypatch.setattr(engine_rollouts, "FEWEST_OPERATIONS", 200)
     assert layered_steps(with_dtype(network(0), np.float64), (1,), np.float64) is None
     assert layered_steps(with_dtype(hybrid(0), np.float64), (1,), np.float64) is not None
 

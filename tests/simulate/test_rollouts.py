@@ -125,7 +125,7 @@ def test_frozen_layers_and_models_without_layers_work_too(pendulum):
 
 
 def test_beyond_the_long_horizon_memory_is_saved_instead(monkeypatch):
-    monkeypatch.setattr("tustinnet.simulate.rollout.LONG", 10)
+    monkeypatch.setattr("tustinnet.simulate.rollout.LONG_ROLLOUT", 10)
     model = network((ANGLE,), (5,), None, "tanh", False, 0)
     x0, u = jnp.ones((2, 2), jnp.float32), jnp.ones((2, 33, 1), jnp.float32)
     np.testing.assert_allclose(rollouts(model, x0, u), one_by_one(model, x0, u), rtol=1e-6)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.spoiled import FEWEST, card_entry
+from tustinnet.data.spoiled import FEWEST_SAMPLES, card_entry
 
 WHICH_COLUMN = "correct `column`, or leave the block out"
 
@@ -37,7 +37,7 @@ def file_parts(e: Experiment, left_out: Sequence[tuple[int, int]]) -> str:
     """Entries of a record's parts between stretches of samples, of which a cut is an empty one."""
     edges = [0, *(k for stretch in left_out for k in stretch), len(e)]
     parts = zip(edges[::2], edges[1::2], strict=True)
-    return file_line(e, ", ".join(card_entry(e, a, b) for a, b in parts if b - a >= FEWEST))
+    return file_line(e, ", ".join(card_entry(e, a, b) for a, b in parts if b - a >= FEWEST_SAMPLES))
 
 
 def without_record(e: Experiment) -> str:

@@ -18,9 +18,6 @@ from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram
 from tustinnet.signals.transients import RestThresholds
 
-_REST_SECONDS = 0.25  # slow for this long around a sample: near an equilibrium, not a turning point
-_FAST, _FAST_SHARE = 0.1, 0.02  # of the sampling rate; of the power above it
-
 
 @dataclass(frozen=True)
 class CoordinateReport:
@@ -73,7 +70,7 @@ class InputReport:
     @property
     def hold_matters(self) -> bool:
         """Whether its course between the samples matters in a simulation."""
-        return self.fast_share > _FAST_SHARE
+        return self.fast_share > 0.02
 
 
 @dataclass(frozen=True)
@@ -200,7 +197,7 @@ def _inspect_input(e: Experiment, j: int) -> InputReport:
         frequency, power = periodogram(u, e.dt)
         share = np.cumsum(power) / np.sum(power)
         bandwidth = float(frequency[np.searchsorted(share, 0.9)])
-        fast = float(np.sum(power[frequency > _FAST / e.dt]) / np.sum(power))
+        fast = float(np.sum(power[frequency > 0.1 / e.dt]) / np.sum(power))
     return InputReport(
         name=e.inputs[j].name,
         range=(low, high),
@@ -217,7 +214,8 @@ def _near_equilibrium(
 ) -> Bool[np.ndarray, " n"]:
     """Mask of the samples around which all coordinates are slow for a while."""
     slow = np.all(transients.is_slow(v, thresholds), axis=1)
-    width = max(5, round(_REST_SECONDS / dt)) | 1
+    # slow for this long around a sample: near an equilibrium, not a turning point
+    width = max(5, round(0.25 / dt)) | 1
     if width >= len(slow):
         return np.full(len(slow), bool(slow.all()))
     total = np.cumsum(np.pad(slow, (width // 2 + 1, width // 2), mode="edge"))

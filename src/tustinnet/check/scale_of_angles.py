@@ -21,7 +21,6 @@ from tustinnet.finding import Finding
 
 _RECORDS = 5  # of them, from everywhere in the list
 _UNITS = {unit: ANGLE[unit] for unit in ("deg", "rad")}
-_COUNTS = (2.0, 0.5, 4.0, 0.25)  # of the declared ones: edges that are counted or not
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,8 @@ def _other_scales(views: Sequence[RecordView], j: int) -> Iterator[ScaleOfAngle]
         counts = card.counts_per_revolution or 0.0
         scales = [
             ScaleOfAngle(j, "counts_per_revolution", f"{times * counts:.6g}", 1 / times)
-            for times in (_COUNTS if counts else ())
+            # of the declared ones: edges that are counted or not
+            for times in ((2.0, 0.5, 4.0, 0.25) if counts else ())
         ]
     for scale in scales:
         is_declared = abs(scale.factor - 1) < 1e-6

@@ -17,9 +17,7 @@ from tustinnet.errors import InputError
 Vector = Float[np.ndarray, " _"]
 End = Literal["held", "lost", "never reached", "left its limits", "diverged"]
 
-_WINDOW = 0.2  # rad, to both sides of an angle that is to be held
-_REACHED = 0.5  # s in the window, from which it counts as reached: a swing passes it faster
-_OFTEN = 0.2  # share of the time at its limits, from which an input's saturation is mentioned
+WINDOW = 0.2  # rad, to both sides of an angle that is to be held
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Goal:
 
     def is_near(self, errors: Mapping[str, Vector]) -> Bool[np.ndarray, " n"]:
         """Whether all distances are within their windows, (n,)."""
-        return np.all([e <= self.window.get(name, _WINDOW) for name, e in errors.items()], axis=0)
+        return np.all([e <= self.window.get(name, WINDOW) for name, e in errors.items()], axis=0)
 
     def outside(self, channels: Channels, q: Vector) -> str:
         """The first coordinate that is beyond its limits, "" for none."""
@@ -240,7 +238,8 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
     near = goal.is_near(errors)
     last = _held_samples(goal, dt)
     since = len(near) - int(np.argmin(near[::-1])) if not near.all() else 0
-    reached = _first_stay(near, max(1, round(min(_REACHED, goal.hold) / dt)))
+    # a swing passes the window in less than half a second
+    reached = _first_stay(near, max(1, round(min(0.5, goal.hold) / dt)))
     held: float | None = None
     kind: End
     if not is_finite:
@@ -260,7 +259,7 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
     ended_early = kind in ("diverged", "left its limits")
     worst = {n: float(e[-1] if ended_early else e[-last:].max()) for n, e in errors.items()}
     saturated = _saturated(result.inputs)
-    if kind != "held" and saturated > _OFTEN:
+    if kind != "held" and saturated > 0.2:
         sentence += f", inputs at their limits {100 * saturated:.0f} % of the time"
     with np.errstate(over="ignore"):
         energy = float(np.sum(result.inputs**2) * dt)

@@ -20,10 +20,8 @@ from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
 
-_POLE = 0.125  # rad a sample, of the errors: inputs that act two samples late cost 40 degrees
-_FASTEST = 20.0  # rad/s, where samples are quick: joints of arms give at 60 to 150 rad/s
 _SAME = 1e-6  # relative, of forces by inputs at different states; of the inputs of a motion
-_POINTS = 8  # at which they are compared
+_STATES_COMPARED = 8  # at which they are compared
 
 Required = Callable[[Array, Array], Array]
 
@@ -56,8 +54,10 @@ def inverse_dynamics(model: Model) -> Required:
         return lagrangian.imbalance(point[: 2 * n], point[2 * n :], jnp.zeros(n))
 
     formula = Formula(balance, 3 * n, where="the forces of inputs")
-    points = np.random.default_rng(0).uniform(-1, 1, (_POINTS, 3 * n))
-    slopes = evaluate(formula, points, derivatives=True).reshape(_POINTS, n, -1)[..., 2 * n :]
+    points = np.random.default_rng(0).uniform(-1, 1, (_STATES_COMPARED, 3 * n))
+    slopes = evaluate(formula, points, derivatives=True).reshape(_STATES_COMPARED, n, -1)[
+        ..., 2 * n :
+    ]
     matrix = -slopes[0]
     if not np.abs(slopes + matrix).max() <= _SAME * np.abs(matrix).max():
         raise _refused("inputs whose forces depend on the state", "forces in proportion to inputs")
@@ -129,7 +129,8 @@ def computed_torque(
             "a motion that they allow",
             "a slower one",
         )
-    pole = min(_POLE / dt, _FASTEST)
+    # inputs that act two samples late cost 40 degrees, and joints of arms give at 60 to 150 rad/s
+    pole = min(0.125 / dt, 20.0)
     own = AccelerationGains(3 * pole**2, 3 * pole, pole**3)
     gains = np.concatenate(
         [factor * slopes for factor in (own.proportional, own.derivative, own.integral)], axis=2

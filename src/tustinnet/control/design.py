@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.control.closed_loop import Goal
+from tustinnet.control.closed_loop import WINDOW, Goal
 from tustinnet.control.computed_torque import computed_torque, smooth_motion
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
 from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
@@ -29,15 +29,38 @@ from tustinnet.simulate.range import ExtrapolationPoint, Range, features
 
 Vector = Float[np.ndarray, " _"]
 
-_SWINGS = 6.0  # periods of the slowest oscillation about its start that a motion lasts by default
-_SHORTEST, _LONGEST = 1.0, 10.0  # s, of a motion by default
-_LONGER = (1.0, 1.5, 2.5)  # times the default that are tried in turn
-_INPUT = 0.25  # acceptable deviation of an input, as a share of its limits' range
-_PLANNED = 0.8  # share of the inputs' limits that a plan uses: the rest is for its feedback
-_FOLLOWED = 0.01  # share of the range of a reference, an acceptable deviation from it
-_WINDOW = 0.2  # rad, in which angles count as held
-_WINDOW_SHARE = 0.1  # of the recorded range of a length, in which it does
-_WINDOW_LENGTH = 0.05  # m, where that range is not known
+
+class DesignDefaults(NamedTuple):
+    """Values that a design assumes where nothing else is said.
+
+    All but `input` are set by hand, not measured.
+
+    Attributes:
+        swings: duration of a motion in periods of the slowest oscillation about its start.
+        shortest: shortest such duration [s].
+        longest: longest such duration [s].
+        longer: times this duration that are tried in turn.
+        input: acceptable deviation of an input, as a share of its limits' range; chosen by the
+            success of two models on their own variants (docs/explanation/control.md).
+        planned: share of the inputs' limits that a plan uses: the rest is for its feedback.
+        followed: acceptable deviation from a reference, as a share of its range.
+        window: deviation within which a length counts as held, as a share of its recorded
+            range.
+        unknown_window: this deviation where that range is not known [m].
+    """
+
+    swings: float = 6.0
+    shortest: float = 1.0
+    longest: float = 10.0
+    longer: tuple[float, ...] = (1.0, 1.5, 2.5)
+    input: float = 0.25
+    planned: float = 0.8
+    followed: float = 0.01
+    window: float = 0.1
+    unknown_window: float = 0.05
+
+
+DESIGN = DesignDefaults()
 
 
 @dataclass(frozen=True)
@@ -327,7 +350,7 @@ def _usual_deviations(model: Model, task: ControlTask, bounds: InputLimits) -> d
 
     Feedback that uses all of its limits for what is expected leaves nothing for the unexpected.
     """
-    usual = _INPUT * (bounds.upper - bounds.lower)
+    usual = DESIGN.input * (bounds.upper - bounds.lower)
     inputs = {i.name: float(d) for i, d in zip(model.channels.inputs, usual, strict=True)}
     own = {k: v for k, v in task.deviations.items() if not k.startswith("integral_")}
     return inputs | own
@@ -427,7 +450,7 @@ def _durations(
     way = np.abs(point.x - start.x)[channels.position]
     moved = [c.name for c, d in zip(channels.coordinates, way, strict=True) if d >= way.max() / 2]
     usual = _usual_duration(start, moved)
-    return [usual * factor for factor in _LONGER]
+    return [usual * factor for factor in DESIGN.longer]
 
 
 def _planning_options(
@@ -443,7 +466,8 @@ def _planning_options(
         InputError: an input that never changes in the records.
     """
     channels = model.channels
-    middle, half = (bounds.lower + bounds.upper) / 2, _PLANNED * (bounds.upper - bounds.lower) / 2
+    middle = (bounds.lower + bounds.upper) / 2
+    half = DESIGN.planned * (bounds.upper - bounds.lower) / 2
     lower, upper, within = middle - half, middle + half, dict(task.within or {})
     if range is not None and not task.trust_beyond:
         # nobody knows the model beyond what was recorded; what holds the goal is always allowed
@@ -489,7 +513,7 @@ def _plan_following(
         InputError: a search that did not converge.
     """
     reference = dict(task.reference or {})
-    near = {name: _FOLLOWED * float(np.ptp(q)) or _WINDOW for name, q in reference.items()}
+    near = {name: DESIGN.followed * float(np.ptp(q)) or WINDOW for name, q in reference.items()}
     x = _reference_states(model, reference, start, point)
     plan = follow(model, x, **{**options, "deviations": near | options["deviations"]})
     if not (plan.converged and plan.reached):
@@ -529,7 +553,7 @@ def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
     swinging = [m for m in start.modes if m.frequency > 0]
     own = [m for m in swinging if m.states[0] in moved] or swinging
     slowest = max((2 * np.pi / m.frequency for m in own), default=0.0)
-    return float(np.clip(_SWINGS * slowest, _SHORTEST, _LONGEST))
+    return float(np.clip(DESIGN.swings * slowest, DESIGN.shortest, DESIGN.longest))
 
 
 def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict[str, float]:
@@ -540,9 +564,9 @@ def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict
             continue
         span = 0.0 if range is None else float(np.ptp(range.states[j]))
         if c.kind == "angular":
-            windows[c.name] = _WINDOW
+            windows[c.name] = WINDOW
         else:
-            windows[c.name] = _WINDOW_SHARE * span if span > 0 else _WINDOW_LENGTH
+            windows[c.name] = DESIGN.window * span if span > 0 else DESIGN.unknown_window
     return windows
 
 

@@ -14,8 +14,6 @@ from tustinnet.models.contract import Directions, Internal, Model, State, StepAl
 from tustinnet.models.step_layout import StepInput, StepLayout
 from tustinnet.simulate.range import Range
 
-_EXPECTED = 0.1  # share of the inputs' range that disturbances are expected to take
-
 
 class DisturbedModel(Model):
     """A model with a constant disturbance beside each input, for an estimator to find.
@@ -92,7 +90,7 @@ class DisturbedModel(Model):
 
 def observe_disturbances(model: Model, limits: InputLimits) -> DisturbedModel:
     """A model whose disturbances are expected to take a tenth of the inputs' range."""
-    spread = jnp.asarray(_EXPECTED * (limits.upper - limits.lower))
+    spread = jnp.asarray(0.1 * (limits.upper - limits.lower))
     return DisturbedModel(model, spread, model.channels)
 
 

@@ -19,8 +19,6 @@ from tustinnet.models.contract import Model
 from tustinnet.models.physical_values import physical_parameters, with_values
 from tustinnet.simulate.recent import keep_latest
 
-_TURN_TOLERANCE = 1e-6  # of a state after a whole turn more of an angle
-
 Limits = Mapping[str, tuple[float, float]]
 
 
@@ -238,7 +236,7 @@ class ControlledModel:
         for i in angles:
             turned = 2 * np.pi * (np.arange(self.size) == i)
             change = self.steps(z + turned, u) - turned - plain
-            if np.abs(change).max() < _TURN_TOLERANCE * (1 + np.abs(plain).max()):
+            if np.abs(change).max() < 1e-6 * (1 + np.abs(plain).max()):
                 result.append(int(i))
         return tuple(result)
 

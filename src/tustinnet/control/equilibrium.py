@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -20,16 +21,32 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.linearise import value_and_jacobian
 
-# how dear a deviation of 1 is: of positions that are named, velocities, other positions, inputs (in
-# halves of their range), internal states
-_NAMED, _VELOCITY, _OTHER, _INPUT, _INTERNAL = 1e6, 1e4, 1e2, 1e-2, 1e-4
-_SETTLED = (
-    1e-6  # largest change of a state in a second at an equilibrium, of the sizes of 1 + state
-)
-_ROUNDING = 1e-12  # states and inputs that only rounding keeps from 0
 _TURNS = np.pi / 4 * np.arange(-4, 5)  # rad, where other equilibria are searched for
 _ON_CIRCLE = 1e-4  # 1/s, rates of growth or decay that count as none
-_NEGLIGIBLE = 1e-7  # of the effect of inputs on a mode, or of a mode on the encoders
+_NO_EFFECT = 1e-7  # of the effect of inputs on a mode, or of a mode on the encoders
+
+
+class Prices(NamedTuple):
+    """Prices of a deviation of 1 in the search for an equilibrium.
+
+    All are set by hand, not measured: each is a hundred times the next, at least.
+
+    Attributes:
+        named: of positions that are named.
+        velocity: of velocities.
+        other: of other positions.
+        input: of inputs, in halves of their range.
+        internal: of internal states.
+    """
+
+    named: float = 1e6
+    velocity: float = 1e4
+    other: float = 1e2
+    input: float = 1e-2
+    internal: float = 1e-4
+
+
+PRICES = Prices()
 
 
 @dataclass(frozen=True)
@@ -156,11 +173,11 @@ def find_equilibrium(
     n_x = system.n_x
     target = np.zeros(n_x)
     target[channels.position] = [at.get(name, 0.0) for name in positions]
-    price = np.full(n_x, _INTERNAL)
-    price[channels.position] = [_NAMED if name in at else _OTHER for name in positions]
-    price[channels.velocity] = _VELOCITY
+    price = np.full(n_x, PRICES.internal)
+    price[channels.position] = [PRICES.named if name in at else PRICES.other for name in positions]
+    price[channels.velocity] = PRICES.velocity
     half = (bounds.upper - bounds.lower) / 2
-    unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(_INPUT)])
+    unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(PRICES.input)])
     centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
     ends = [(None, None)] * n_x + [
         ((low - c) / s, (high - c) / s)
@@ -199,9 +216,11 @@ def find_equilibrium(
             point = centre + unit * result.x
             rate = change(result.x)[0]
         is_settled = np.isfinite(rate).all() and np.all(
-            np.abs(rate) <= _SETTLED * (1 + np.abs(point[:n_x]))
+            # largest change in a second, of the sizes of 1 + state
+            np.abs(rate) <= 1e-6 * (1 + np.abs(point[:n_x]))
         )
-        return np.where(np.abs(point) < _ROUNDING, 0.0, point) if is_settled else None
+        # only rounding keeps smaller ones from 0
+        return np.where(np.abs(point) < 1e-12, 0.0, point) if is_settled else None
 
     def distance(point: Float[np.ndarray, " n_xu"]) -> float:
         """The largest distance from a named position."""
@@ -304,8 +323,8 @@ def find_modes(
         if value.imag < 0:
             continue
         shifted = a - value * np.eye(n_x)
-        is_controllable = _smallest(np.hstack([shifted, b])) > _NEGLIGIBLE
-        is_observable = _smallest(np.vstack([shifted, c])) > _NEGLIGIBLE
+        is_controllable = _smallest(np.hstack([shifted, b])) > _NO_EFFECT
+        is_observable = _smallest(np.vstack([shifted, c])) > _NO_EFFECT
         size = np.abs(value)
         rate = np.log(size) / system.dt if size else -np.inf
         modes.append(

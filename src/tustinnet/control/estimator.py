@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -32,21 +32,36 @@ from tustinnet.wording import counted
 
 Vector = Float[np.ndarray, " _"]
 
-CONFIDENCE = 0.95
-_LAGS = 20  # at which innovations are correlated
-_BY_CHANCE = 0.1  # of the lags that may be outside: of 20 more than two are in 8 % of all cases
-_LITTLE = 0.2  # correlation up to which innovations are nearly white
 _SETTLING = 20  # samples at the beginning of a record that say more of the start than of the noise
-_SAMPLES = 1250  # of all records together, at most, by which noise is found, to about 2 %
-_CHECKED = 2500  # by which a filter is checked
-_LONGEST = 500  # of them from one record
-_SHORTEST = 2 * _SETTLING + _LAGS  # records that say something of the noise
-_FEW_STATES = 20  # up to which all these samples are used: a filter's work grows with the states
 _UNKNOWN = 1e-3  # of the travel: noise of a position whose resolution is not known, to begin with
 _GUESS = 1e-2  # of the speed: what a step misses, to begin with
-_LEAST = 3e-4  # of the speed: a filter that trusts its model wholly never learns that it errs
-_DIVERGED = 1e12  # stands for a likelihood that is no number
-_CALLS = 50  # of the likelihood
+_LEAST_MISS = 3e-4  # of the speed: a filter that trusts its model wholly never learns that it errs
+_DIVERGED_MISFIT = 1e12  # stands for a likelihood that is no number
+
+
+class FilterCheck(NamedTuple):
+    """Settings by which the innovations of a filter are checked.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        confidence: probability of the bounds of innovations that are as expected.
+        lags: lags at which innovations are correlated [samples].
+        outside: share of the lags that may be outside: of 20 more than two are in 8 % of
+            all cases.
+        little: correlation up to which innovations are nearly white.
+        samples: samples of all records together, at most.
+    """
+
+    confidence: float = 0.95
+    lags: int = 20
+    outside: float = 0.1
+    little: float = 0.2
+    samples: int = 2500
+
+
+CHECK = FilterCheck()
+_SHORTEST = 2 * _SETTLING + CHECK.lags  # records that say something of the noise
 
 
 @runtime_checkable
@@ -197,7 +212,7 @@ class FilterConsistency:
     @property
     def is_white(self) -> bool:
         """Whether no more lags are outside than independent innovations would have."""
-        return bool((self._outside <= _BY_CHANCE).all())
+        return bool((self._outside <= CHECK.outside).all())
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -216,9 +231,9 @@ class FilterConsistency:
             correlated = f"correlated by up to {largest[j]:.2f}"
             white = (
                 "white"
-                if self._outside[j] <= _BY_CHANCE
+                if self._outside[j] <= CHECK.outside
                 else f"nearly white ({correlated})"
-                if largest[j] < _LITTLE
+                if largest[j] < CHECK.little
                 else f"not white ({correlated}): the model lacks something that lasts longer than "
                 "a sample"
             )
@@ -265,7 +280,8 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
     """
     import scipy.optimize
 
-    parts = _parts(model, records, _SAMPLES)
+    # so many samples tell the noise to about 2 %
+    parts = _parts(model, records, 1250)
     channels, n_z = model.channels, len(model.internal)
     # velocities that differ by counts are no motion: what never moves still has a unit
     speed = _spread([e.velocities() for e in parts])
@@ -280,8 +296,8 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
     def noise(logarithms: Vector) -> FilterNoise:
         factors = np.exp(np.clip(logarithms, -40.0, 40.0))
         velocity, rest = np.split(factors, [channels.n_q])
-        velocity = np.maximum(velocity, _LEAST * speed)
-        internal = np.maximum(_GUESS * (rest[0] if n_z else 1.0), _LEAST) * spread
+        velocity = np.maximum(velocity, _LEAST_MISS * speed)
+        internal = np.maximum(_GUESS * (rest[0] if n_z else 1.0), _LEAST_MISS) * spread
         measured = resolution / math.sqrt(12)  # rounding is uniform within a count
         measured[~has_resolution] = _UNKNOWN * travel[~has_resolution] * rest[min(n_z, 1) :]
         return FilterNoise(
@@ -298,9 +314,9 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
             squares = result.innovations[_SETTLING:] ** 2 / variances
             total.append(np.log(variances) + squares)
         value = float(np.mean(np.concatenate(total)))
-        return value if math.isfinite(value) else _DIVERGED
+        return value if math.isfinite(value) else _DIVERGED_MISFIT
 
-    if misfit(guess) >= _DIVERGED:
+    if misfit(guess) >= _DIVERGED_MISFIT:
         raise InputError(
             "find_noise", "a model that diverges along the records", "one that simulates them"
         )
@@ -309,7 +325,7 @@ def find_noise(model: Model, records: Sequence[Experiment]) -> FilterNoise:
         guess,
         method="Nelder-Mead",
         options={
-            "maxfev": _CALLS,
+            "maxfev": 50,
             "xatol": 0.05,
             "fatol": 1e-3,
             "initial_simplex": np.vstack([guess, guess + 1.5 * np.eye(len(guess))]),
@@ -333,18 +349,18 @@ def check_filter(
     """
     import scipy.stats
 
-    parts = _parts(model, records, _CHECKED)
+    parts = _parts(model, records, CHECK.samples)
     results = _filtered(model, parts, noise)
     series = [(one.innovations / one.innovation_deviations)[_SETTLING:] for one in results]
     pooled = np.concatenate(series)
     n = len(pooled)
-    tails = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
+    tails = ((1 - CHECK.confidence) / 2, (1 + CHECK.confidence) / 2)
     low, high = (float(scipy.stats.chi2.ppf(tail, n)) / n for tail in tails)
     power = np.sum(pooled**2, axis=0)
     correlations = np.stack(
         [
             sum(np.sum(e[:-lag] * e[lag:], axis=0) for e in series) / power
-            for lag in range(1, _LAGS + 1)
+            for lag in range(1, CHECK.lags + 1)
         ]
     )
     return FilterConsistency(
@@ -382,8 +398,9 @@ def _velocity_errors(
 
 def _parts(model: Model, records: Sequence[Experiment], most: int) -> list[Experiment]:
     """The first samples of records, so that all have a share."""
-    samples = int(most * min(1.0, _FEW_STATES / model.state_size))
-    length = min(_LONGEST, max(_SHORTEST, samples // max(len(records), 1)))
+    # a filter's work grows with its states
+    samples = int(most * min(1.0, 20 / model.state_size))
+    length = min(500, max(_SHORTEST, samples // max(len(records), 1)))
     parts = [e[:length] for e in records if len(e) >= _SHORTEST]
     if not parts:
         raise InputError(

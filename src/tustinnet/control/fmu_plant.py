@@ -14,8 +14,6 @@ from tustinnet.errors import InputError, convert_errors, require_package
 
 Vector = Float[np.ndarray, " _"]
 
-_SET = 1e-9  # how near positions are to those that were set
-
 
 class FmuPlant(SampledPlant):
     """An FMU for co-simulation, of FMI 2.0 or 3.0, as a plant; it needs the package fmpy.
@@ -94,7 +92,7 @@ class FmuPlant(SampledPlant):
         self._slave.exitInitializationMode()
         self._is_running, self._time = True, 0.0
         state = self._read()
-        if np.abs(state[: len(q)] - q).max(initial=0.0) > _SET:
+        if np.abs(state[: len(q)] - q).max(initial=0.0) > 1e-9:
             raise InputError(
                 self._where, "outputs that are not their start values", f"{q} at the start"
             )

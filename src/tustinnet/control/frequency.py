@@ -11,10 +11,6 @@ from tustinnet.control.lqr import Feedback, loop_matrices
 from tustinnet.control.margins import open_loop, sensitivity, usual_frequencies
 from tustinnet.models.contract import Model
 
-_SECONDS = 10.0  # times the time constant of the slowest mode that a step is shown, at most 5 s
-_LONGEST = 5.0  # s
-_UNIT = 1e-9  # by which the slowest mode is below 1 at least
-
 
 @dataclass(frozen=True)
 class LoopResponses:
@@ -52,8 +48,9 @@ def loop_responses(
     point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
     loops = [loop_matrices(system, *point, each) for each in (None, *values)]
     closed, dt = [a - b @ feedback.gain for a, b in loops], feedback.dt
-    slowest = min(np.abs(np.linalg.eigvals(closed[0])).max(), 1 - _UNIT)
-    seconds = min(_LONGEST, -_SECONDS * dt / np.log(slowest))
+    slowest = min(np.abs(np.linalg.eigvals(closed[0])).max(), 1 - 1e-9)
+    # ten times the time constant of the slowest mode
+    seconds = min(5.0, -10.0 * dt / np.log(slowest))
     times, frequencies = dt * np.arange(round(seconds / dt) + 1), usual_frequencies(dt)
     broken = [[open_loop(loop, feedback, j) for j in range(system.n_u)] for loop in loops]
     return LoopResponses(

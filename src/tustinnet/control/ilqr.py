@@ -31,22 +31,51 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
-_SHARES = np.array([1.0, 0.5, 0.2, 0.05])  # of the feedforward, tried side by side
-_ACCEPTED = 1e-4  # share of the expected decrease that has to come
-_CONVERGED = 1e-7  # expected decrease, as a share of the cost
-_STRONGER, _WEAKER = 8.0, 4.0  # factors of the damping
-_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e8  # as shares of the weights of the inputs
-_PENALTY = 1e4  # of a deviation beyond a limit, as a multiple of its own weight
-_EARLIER, _EVERY = 8, 4  # shifts in time that are tried side by side, and every so many iterations
-# random inputs of a first guess: for how long they last [s], their share of the limits' range
-_CORRELATED, _AMPLITUDE = 0.3, 0.3
-_FIRST_ITERATIONS = 20  # of every guess
-_FINISHED = 3  # guesses, the best so far, that are gone on with
+SHARES = (1.0, 0.5, 0.2, 0.05)  # of the change of the inputs, that are tried
 _FARTHEST = 1.5 * np.pi  # rad, of a goal from a start
-_SAME_GOAL = 1e-6  # of plans that are first guesses
-_HOLDING_SHARE = (
-    0.5  # share of the limits of inputs that feedback about a goal needs where it was reached
-)
+
+
+class PlanSearch(NamedTuple):
+    """Settings of the search for a plan.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        accepted: share of the expected decrease of the cost that has to come.
+        converged: expected decrease of the cost, as a share of it, below which the search
+            ends.
+        stronger: factor of the damping after a step that is no better.
+        weaker: divisor of the damping after a step that is better.
+        least_damping: smallest damping but 0, as a share of the weights of the inputs.
+        most_damping: largest damping, as a share of these.
+        penalty: weight of a deviation beyond a limit, by its own weight.
+        earlier: shifts in time that are tried side by side.
+        every: iterations from one trial of them to the next.
+        first_iterations: iterations of every guess.
+        finished: guesses, the best so far, that are gone on with.
+        correlated: time for which random inputs of a first guess last [s].
+        amplitude: range of these inputs, as a share of their limits' range.
+        holding: share of the limits of inputs, up to which feedback about a goal that is
+            reached needs them.
+    """
+
+    accepted: float = 1e-4
+    converged: float = 1e-7
+    stronger: float = 8.0
+    weaker: float = 4.0
+    least_damping: float = 1e-6
+    most_damping: float = 1e8
+    penalty: float = 1e4
+    earlier: int = 8
+    every: int = 4
+    first_iterations: int = 20
+    finished: int = 3
+    correlated: float = 0.3
+    amplitude: float = 0.3
+    holding: float = 0.5
+
+
+PLANNING = PlanSearch()
 
 
 class Motion(NamedTuple):
@@ -149,15 +178,16 @@ class Solver:
 
     def improve(self, motion: Motion, policy: Policy) -> Motion | None:
         """The motion after a line search, None where none is better enough."""
-        better = self.roll_out(motion.z[0], motion, policy, _SHARES)
-        return better if better.cost - motion.cost <= _ACCEPTED * policy.expected < 0 else None
+        better = self.roll_out(motion.z[0], motion, policy, np.array(SHARES))
+        most = PLANNING.accepted * policy.expected
+        return better if better.cost - motion.cost <= most < 0 else None
 
     def begin_earlier(self, motion: Motion, policy: Policy) -> Motion | None:
         """The motion that leaves out a part of its beginning, None where that is no better.
 
         Steps along the gradient move a motion that waits at its beginning by a sample each.
         """
-        earlier = 2 ** np.arange(int(np.log2(len(motion.u))) + 1)[:_EARLIER]
+        earlier = 2 ** np.arange(int(np.log2(len(motion.u))) + 1)[: PLANNING.earlier]
         kept = policy._replace(feedforward=np.zeros_like(policy.feedforward))
         better = self.roll_out(motion.z[0], motion, kept, np.zeros(len(earlier)), earlier)
         return better if better.cost < motion.cost + policy.expected else None
@@ -171,14 +201,14 @@ class Solver:
             policy = self.policy(motion, damping)
             if not np.isfinite(policy.expected):
                 return motion, False, iterations
-            small = -policy.expected <= _CONVERGED * abs(motion.cost)
-            if small and damping <= _WEAKER * _LEAST_DAMPING:
+            small = -policy.expected <= PLANNING.converged * abs(motion.cost)
+            if small and damping <= PLANNING.weaker * PLANNING.least_damping:
                 return motion, True, iterations
             better = self.improve(motion, policy)
-            if iterations % _EVERY == 0:
+            if iterations % PLANNING.every == 0:
                 better = self.begin_earlier(better or motion, policy) or better
             motion, iterations = better or motion, iterations + 1
-            if better is None and damping >= _MOST_DAMPING:
+            if better is None and damping >= PLANNING.most_damping:
                 return motion, small, iterations  # rounding is all that is left
             damping = next_damping(damping, is_better=better is not None)
         return motion, False, iterations
@@ -187,8 +217,8 @@ class Solver:
 def next_damping(damping: float, *, is_better: bool) -> float:
     """The damping of the next iteration: less after a better motion, more where there was none."""
     if is_better:
-        return damping / _WEAKER if damping > _LEAST_DAMPING else 0.0
-    return min(max(damping * _STRONGER, _LEAST_DAMPING), _MOST_DAMPING)
+        return damping / PLANNING.weaker if damping > PLANNING.least_damping else 0.0
+    return min(max(damping * PLANNING.stronger, PLANNING.least_damping), PLANNING.most_damping)
 
 
 def closed_loop_equations(system: ControlledModel) -> Equations:
@@ -294,7 +324,7 @@ def ilqr(
     targets = _targets(system, x0, x_end) if turns else [x_end]
     solvers = [Solver(system, bounds, replace(cost, x=target)) for target in targets]
     first_searches = [
-        (solver, *solver.minimise(motion, min(iterations, _FIRST_ITERATIONS)))
+        (solver, *solver.minimise(motion, min(iterations, PLANNING.first_iterations)))
         for solver, motion in _first_motions(solvers, first, guesses, steps, seed)
     ]
     finite = [search for search in first_searches if np.isfinite(search[1].cost)]
@@ -312,7 +342,7 @@ def ilqr(
             motion, is_converged, more = solver.minimise(motion, iterations - count)
             count += more
         plans.append(_make_plan(solver, motion, is_converged, count, holding, before))
-        if len(plans) >= _FINISHED and any(p.reached and p.converged for p in plans):
+        if len(plans) >= PLANNING.finished and any(p.reached and p.converged for p in plans):
             break
     return min(plans, key=lambda plan: (not plan.reached, not plan.converged, plan.cost))
 
@@ -407,7 +437,7 @@ def _is_held(
     """Whether feedback about the goal would need no more than a part of the inputs' limits."""
     needed = np.abs(gain @ cost.end_error(end))
     room = np.minimum(limits.upper - cost.u, cost.u - limits.lower)
-    return bool(np.all(needed <= _HOLDING_SHARE * np.maximum(room, 0.0)))
+    return bool(np.all(needed <= PLANNING.holding * np.maximum(room, 0.0)))
 
 
 def make_cost(
@@ -446,7 +476,7 @@ def make_cost(
         lower[i], upper[i] = low, high
         half = (high - low) / 2
         own = 1 / half**2 if np.isfinite(half) else 0.0
-        penalty[i] = _PENALTY * max(own, weights.states[i], 1.0 if not own else 0.0)
+        penalty[i] = PLANNING.penalty * max(own, weights.states[i], 1.0 if not own else 0.0)
     holding = hold(system, x, u, weights)
     end = end_weight * holding.value
     return Cost(x, u, weights.states, weights.inputs, end, lower, upper, penalty), holding
@@ -496,7 +526,7 @@ def _first_motions(
             continue
         guess.require_for(system.n_x, system.n_u, system.dt, system.delay, "guesses")
         goal = solvers[0].cost.x
-        if not np.allclose(guess.goal + turns_to(system, guess.goal, goal), goal, atol=_SAME_GOAL):
+        if not np.allclose(guess.goal + turns_to(system, guess.goal, goal), goal, atol=1e-6):
             raise InputError("guesses", "a plan to another goal", "plans that end where this does")
         solver = replace(solvers[0], cost=replace(solvers[0].cost, x=guess.goal))
         motions.append((solver, _follow(solver, start, guess)))
@@ -520,10 +550,10 @@ def _smooth_inputs(
     rest, limits = solver.cost.u, solver.limits
     generator = np.random.default_rng(seed)
     made = [np.tile(rest, (steps, 1))]
-    span = max(1, round(_CORRELATED / solver.system.dt))
+    span = max(1, round(PLANNING.correlated / solver.system.dt))
     for _ in itertools.repeat(None, count - 1):
         knots = generator.uniform(-1, 1, (steps // span + 2, len(rest)))
-        knots = limits.clip(rest + _AMPLITUDE / 2 * (limits.upper - limits.lower) * knots)
+        knots = limits.clip(rest + PLANNING.amplitude / 2 * (limits.upper - limits.lower) * knots)
         at = np.arange(steps) / span
         made.append(
             np.stack([np.interp(at, np.arange(len(knots)), column) for column in knots.T], axis=1)

@@ -25,12 +25,9 @@ from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
-_SECONDS = 1.0  # for which a position may stay at its deviation, where its integral has no weight
-_TINY = 1e-9  # weight of states without one: no mode is without any
-_DOUBLINGS = 3  # of usual speeds, mostly a tenth of the acceptable ones: up to nearly these
-_DEARER = 1.25  # costs of feedback in motions twice as fast, by those of their own: it serves both
-_FALLEN = 0.25  # share of a plan's way from which its end is lost: balances come back from less
-_SETTLED = 0.1  # share of a plan's range about its start from which its feedback follows it
+_DEVIATION_SECONDS = (
+    1.0  # for which a position may stay at its deviation, where its integral has no weight
+)
 
 
 class Pid(NamedTuple):
@@ -255,7 +252,11 @@ def lqr(
     weights = bryson_weights(system, bounds, own, range)
     sums = []
     for name, i in zip(integral, indices, strict=True):
-        default = _SECONDS / np.sqrt(weights.states[i]) if weights.states[i] else _SECONDS
+        default = (
+            _DEVIATION_SECONDS / np.sqrt(weights.states[i])
+            if weights.states[i]
+            else _DEVIATION_SECONDS
+        )
         sums.append(1 / (deviations or {}).get(f"integral_{name}", default) ** 2)
     sum_names = {f"integral_{name}" for name in integral}
     require_known(
@@ -329,9 +330,12 @@ def hold(
         return mean_cost(scipy.linalg.solve_discrete_lyapunov(closed.T, price))
 
     holding = solve(weights.usual_speeds(system.model.channels))
-    for _ in range(_DOUBLINGS):
+    # usual speeds are mostly a tenth of the acceptable ones: up to nearly these
+    for _ in range(3):
         faster = solve(2 * holding.speeds)
-        if cost(faster.matrices, holding.gain) <= _DEARER * mean_cost(faster.value):
+        # feedback that costs no more in motions twice as fast serves both, see
+        # docs/explanation/control.md
+        if cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value):
             break
         holding = faster
     return holding
@@ -386,7 +390,8 @@ def _prices(
     system: ControlledModel, size: int, weights: Weights, sums: Sequence[float]
 ) -> Float[np.ndarray, " n_z"]:
     """Weights of states, of integrals, and of what has none, in the order of `Feedback`."""
-    prices = np.full(size, _TINY)
+    # no mode is without any weight
+    prices = np.full(size, 1e-9)
     prices[: system.n_x] += weights.states
     prices[system.n_x : system.n_x + len(sums)] += np.array(sums)
     return prices
@@ -453,8 +458,9 @@ def _make_recovery(model: Model, plan: Plan, settle: Feedback) -> Recovery:
     position, measured = model.channels.position, model.channels.measured
     fallen_beyond, settled_within = np.zeros((2, len(plan.goal)))
     way = np.abs(wrap(plan.goal - plan.x[0], settle.periodic))[position]
-    fallen_beyond[position] = np.where(way >= way.max() / 2, _FALLEN * way, 0.0)
-    settled_within[measured] = _SETTLED * np.ptp(plan.x[:, measured], axis=0)
+    # balances come back from less than a quarter of the way
+    fallen_beyond[position] = np.where(way >= way.max() / 2, 0.25 * way, 0.0)
+    settled_within[measured] = 0.1 * np.ptp(plan.x[:, measured], axis=0)
     return Recovery(settle, fallen_beyond, settled_within)
 
 

@@ -15,9 +15,6 @@ from tustinnet.models.contract import Model
 Numbers = Float[np.ndarray, " n"]
 Matrix = Float[np.ndarray, "n m"]
 
-# frequencies at which loops are computed, and the lowest as a share of half of the sampling rate
-_FREQUENCIES, _LOWEST = 2000, 1e-5
-
 
 @dataclass(frozen=True)
 class InputMargins:
@@ -92,7 +89,7 @@ def margins(model: Model, feedback: Feedback) -> Margins:
 
 def usual_frequencies(dt: float) -> Numbers:
     """Frequencies up to half of the sampling rate at which loops are computed [rad/s]."""
-    return np.geomspace(_LOWEST, 1.0, _FREQUENCIES) * np.pi / dt
+    return np.geomspace(1e-5, 1.0, 2000) * np.pi / dt
 
 
 def open_loop(loop: LoopMatrices, feedback: Feedback, j: int) -> "Response":

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import TrackingFeedback, feedback_controller
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
-from tustinnet.control.ilqr import Motion, Solver, make_cost, shift, turns_to
+from tustinnet.control.ilqr import SHARES, Motion, Solver, make_cost, shift, turns_to
 from tustinnet.control.lqr import Feedback, Tracking, gains_along, wrap
 from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights
@@ -18,7 +18,6 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
 LONGEST = 100  # steps ahead: a microcontroller keeps their states, inputs and gains
-SHARES = (1.0, 0.5, 0.2, 0.05)  # of the change of the inputs, tried one after the other
 # by which the cost may grow, as a share of it: near the minimum all that is left is rounding
 ROUNDING = 1e-12
 

@@ -25,8 +25,6 @@ from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_NAME, TWIN_VALUES
 
 Vector = Float[np.ndarray, " _"]
 
-_SUBSTEPS = 10  # of a system's period, as the twin's records were simulated
-
 
 class ModelPlant(SampledPlant):
     """A model as a plant.
@@ -67,7 +65,7 @@ def system_plant(
     dt: float,
     values: Mapping[str, float] | None = None,
     options: PlantOptions = USUAL,
-    substeps: int = _SUBSTEPS,
+    substeps: int = 10,
 ) -> ModelPlant:
     """A Lagrangian system as a plant, with its own parameters.
 

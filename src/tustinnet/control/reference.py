@@ -12,7 +12,7 @@ from tustinnet.channels import Channels
 from tustinnet.errors import InputError
 
 _TIME = "time"
-_LONGEST = 100_000  # samples
+_MOST_SAMPLES = 100_000  # samples
 
 
 def read_reference(
@@ -43,10 +43,10 @@ def read_reference(
     if not np.isfinite(table.to_numpy()).all():
         raise InputError(path, "values that are missing or not finite", "numbers in every row")
     t = table[_TIME].to_numpy()
-    if len(t) < 2 or not (np.diff(t) > 0).all() or t[-1] - t[0] > _LONGEST * channels.dt:
+    if len(t) < 2 or not (np.diff(t) > 0).all() or t[-1] - t[0] > _MOST_SAMPLES * channels.dt:
         raise InputError(
             path,
-            f"times of {len(t)} rows that do not ascend, or of more than {_LONGEST} samples",
+            f"times of {len(t)} rows that do not ascend, or of more than {_MOST_SAMPLES} samples",
             f"two rows or more, later and later [s], with the model's period of {channels.dt:g} s",
         )
     at = t[0] + channels.dt * np.arange(round((t[-1] - t[0]) / channels.dt) + 1)

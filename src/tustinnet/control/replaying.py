@@ -18,10 +18,6 @@ from tustinnet.errors import InputError, convert_errors
 from tustinnet.models.contract import Model, require_fit
 from tustinnet.simulate.filtering import FilterNoise
 
-_LATEST = 5  # samples by which the inputs of a log may stand late
-_FOREIGN = 0.5  # difference by the size of the inputs, from which another controller made them
-_DRIFT = 0.01  # share of its expected size by which a disturbance changes in a sample
-
 
 @dataclass(frozen=True)
 class Replay:
@@ -52,7 +48,7 @@ class Replay:
     @property
     def is_foreign(self) -> bool:
         """Whether the controller explains so little of the inputs that another one made them."""
-        return bool(np.mean(self.difference**2) > _FOREIGN**2 * np.mean(self.record.u**2))
+        return bool(np.mean(self.difference**2) > 0.25 * np.mean(self.record.u**2))
 
 
 def replay(
@@ -93,14 +89,16 @@ def replay(
         spread = np.asarray(observed.spread)
         its_noise = FilterNoise(
             np.concatenate([noise.start, spread]),
-            np.concatenate([noise.process, _DRIFT * spread]),
+            # a disturbance changes by a hundredth of its expected size in a sample
+            np.concatenate([noise.process, 0.01 * spread]),
             noise.measured,
         )
     n_u = len(final.u0)
     observer = ExtendedKalmanFilter(observed, its_noise, delay=final.delay)
     disturbances = _estimates(observer, record)[:, -n_u:]
     late = min(
-        range(min(_LATEST, len(record) - 1) + 1),
+        # samples by which the inputs of a log may stand late
+        range(min(5, len(record) - 1) + 1),
         key=lambda k: float(np.mean((record.u[k:] - computed[: len(computed) - k]) ** 2)),
     )
     return Replay(

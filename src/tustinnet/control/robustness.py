@@ -16,10 +16,6 @@ from tustinnet.errors import InputError
 
 Vector = Float[np.ndarray, " _"]
 
-# shares of runs that meet the goal, with fewer of which nothing is promised: on the model itself,
-# where the table's own starts are all that differs, and on each kind that the records allow
-_NOMINAL, _ALLOWED = 0.9, 0.5
-
 
 @dataclass(frozen=True)
 class RobustnessRow:
@@ -121,7 +117,8 @@ class Robustness:
         well: it may hold nothing else than its model.
         """
         for row in self.rows:
-            least = _NOMINAL if row.kind == NOMINAL else _ALLOWED if row.allowed else 0.0
+            # shares of runs that meet the goal, of which on the model itself only starts differ
+            least = 0.9 if row.kind == NOMINAL else 0.5 if row.allowed else 0.0
             if row.share < least:
                 return (
                     f"meets the goal in {row.successes} of {len(row.outcomes)} runs on {row.help}: "

@@ -23,8 +23,6 @@ from tustinnet.simulate.filtering import FilterNoise
 FRICTION = "friction factor"  # the parameter that multiplies all dissipation
 _MOST_FRICTION = 2.0  # times that of the model
 _HEAVIER = 0.2  # share by which masses and inertias grow at most
-_MOVED = (0.1, 0.2)  # shares by which parameters are moved at most
-_DELAYS = (1, 2)  # samples
 NOMINAL = "nominal"
 _MASS = "kg"  # how units of masses and inertias begin
 
@@ -114,7 +112,7 @@ def make_variants(
     physical = next((m for m in (model, *members) if equations_in(m) is not None), None)
     if physical is not None:
         kinds += _physical_kinds(physical, header or {}, count, generator, options)
-    for delay in _DELAYS:
+    for delay in (1, 2):
         late = replace(options, delay=options.delay + delay)
         kinds.append(
             VariantKind(
@@ -151,7 +149,8 @@ def _physical_kinds(
     if drawn := allowed_values(model, header, count, int(generator.integers(2**31))):
         about = "parameters drawn from their errors"
         kinds.append(replace(kind("parameters", about, drawn), allowed=True))
-    for share in _MOVED:
+    # shares by which parameters are moved at most
+    for share in (0.1, 0.2):
         moved = [moved_values(stepped.nominal, share, generator) for _ in range(count)]
         percent = f"{100 * share:.0f} %"
         kinds.append(kind(f"moved {percent}", f"all parameters changed by up to {percent}", moved))

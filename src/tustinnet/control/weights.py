@@ -12,11 +12,13 @@ from tustinnet.errors import InputError
 from tustinnet.simulate.range import Range
 
 _POSITION = 1.0  # acceptable deviation of a position whose range is unknown [rad or m]
-_SECONDS = (
+_MOTION_SECONDS = (
     0.1  # in which a position may move by its deviation, where no range of the speed is known
 )
 
-_USUAL = 0.1  # share of an acceptable speed that is usual about an equilibrium
+# share of an acceptable speed that is usual about an equilibrium; measured: with 0.03 a cart-pole
+# falls, with 0.1, 0.3 and 1 it is balanced (docs/explanation/control.md)
+_USUAL = 0.1
 
 Deviations = Mapping[str, float]
 
@@ -40,7 +42,9 @@ class Weights(NamedTuple):
         """
         prices = self.states[channels.velocity]
         acceptable = 1 / np.sqrt(np.where(prices > 0, prices, 1.0))
-        return np.where(prices > 0, _USUAL * np.minimum(acceptable, _POSITION / _SECONDS), 0.0)
+        return np.where(
+            prices > 0, _USUAL * np.minimum(acceptable, _POSITION / _MOTION_SECONDS), 0.0
+        )
 
 
 def bryson_weights(
@@ -78,7 +82,7 @@ def bryson_weights(
     states = np.full(system.n_x, np.inf)
     for i, c in enumerate(channels.coordinates):
         position = given.get(c.name, _POSITION)
-        states[[i, i + channels.n_q]] = position, position / _SECONDS
+        states[[i, i + channels.n_q]] = position, position / _MOTION_SECONDS
     if range is not None:
         half = (range.states[:, 1] - range.states[:, 0]) / 2
         measured = channels.measured

@@ -21,9 +21,6 @@ Times = Float[np.ndarray, " n"]
 Grid = Float[np.ndarray, " m"]
 Resample = Callable[[Times, Column, Grid], Grid]  # times, values, other times
 
-_GAP = 2.5  # intervals longer than this many median ones are gaps, as in a record
-_SAME_INSTANT = 1e-6  # median intervals
-
 
 def align_columns(
     columns: Columns, card: Card, name: Callable[[ColumnKey], str], where: object
@@ -140,7 +137,8 @@ def find_covered(
         spans: first and last time of each clock [s], by its name.
         held: clocks of held inputs only, which keep their last value.
     """
-    slack = _SAME_INSTANT * float(np.median(np.diff(t)))
+    # rounding must not move an end by a sample
+    slack = 1e-6 * float(np.median(np.diff(t)))
     begin = max(first for first, _ in spans.values())
     end = min((last for clock, (_, last) in spans.items() if clock not in held), default=t[-1])
     return (t >= begin - slack) & (t <= end + slack)
@@ -149,7 +147,7 @@ def find_covered(
 def _note(clock: str, t: Times, base: str, names: list[str]) -> str:
     """A remark on columns that were brought from times [s] onto others, and on gaps in them."""
     steps = np.diff(t)
-    gaps = int((steps > _GAP * np.median(steps)).sum())
+    gaps = int((steps > resampling.LONGEST_INTERVAL * np.median(steps)).sum())
     text = f"{', '.join(names[:4])}{', ...' if len(names) > 4 else ''} brought from {clock} "
     text += f"({1 / np.median(steps):.4g} Hz) onto {base}"
     return text + (f", over {gaps} gap{'s' * (gaps > 1)}" if gaps else "")

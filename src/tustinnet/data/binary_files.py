@@ -18,7 +18,7 @@ from tustinnet.registry import load_place
 from tustinnet.wording import counted
 
 LARGEST = 2**30  # bytes: the requested columns of a file, as double precision
-_MOST_COLUMNS = 100_000
+_MOST_LISTED = 100_000
 
 
 def list_columns_by(path: Path, reader: str) -> tuple[dict[str, Any], list[Column]]:
@@ -98,8 +98,8 @@ def _places(path: Path, shapes: list[tuple[str, Shape]]) -> dict[str, _Place]:
     """Places of the columns of a file, in its order, by the names and shapes of its arrays."""
     vectors = [len(shape) == 1 or 1 in shape for _, shape in shapes]
     count = sum(1 if one else shape[1] for (_, shape), one in zip(shapes, vectors, strict=True))
-    if count > _MOST_COLUMNS:
-        raise InputError(path, counted(count, "column"), f"at most {_MOST_COLUMNS}")
+    if count > _MOST_LISTED:
+        raise InputError(path, counted(count, "column"), f"at most {_MOST_LISTED}")
     columns: list[tuple[str, _Place]] = []
     for (name, shape), one in zip(shapes, vectors, strict=True):
         numbers = [None] if one else range(shape[1])

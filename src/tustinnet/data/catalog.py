@@ -21,7 +21,6 @@ from tustinnet.user_folders import cache_folder
 
 CARD_NAME = "dataset.toml"
 DATA_VARIABLE = "TUSTINNET_DATA"
-_PATIENCE = 30  # seconds for an answer of a server
 
 
 @dataclass(frozen=True)
@@ -192,7 +191,7 @@ def _download(entry: PublishedDataSet) -> Path:
         if path.is_file() and file not in changed:
             continue
         try:
-            with urlopen(f"{entry.address}{file}", timeout=_PATIENCE) as reply:
+            with urlopen(f"{entry.address}{file}", timeout=30) as reply:
                 content = reply.read()
             if hashlib.sha256(content).hexdigest() != digest:
                 raise ValueError("its checksum is another one")

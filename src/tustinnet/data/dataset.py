@@ -15,8 +15,6 @@ from tustinnet.errors import InputError, require_text
 from tustinnet.shown import Plotted
 from tustinnet.signals.resampling import wraps_within_turn
 
-_OTHER_PERIOD = 0.2  # relative; a median interval this far from `dt` is another period
-
 
 @dataclass(frozen=True)
 class DataSet(HasChannels, Plotted):
@@ -199,7 +197,8 @@ def from_arrays(
     positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
     median = float(np.median(np.diff(times))) if n > 1 else dt
-    if dt > 0 and np.isfinite(dt) and not abs(median / dt - 1) < _OTHER_PERIOD:
+    # a median interval this far from `dt` is another period
+    if dt > 0 and np.isfinite(dt) and not abs(median / dt - 1) < 0.2:
         raise InputError(name, f"samples {median:g} s apart", f"dt = {dt:g} s", "times in seconds")
     experiment = Experiment(
         name=name,

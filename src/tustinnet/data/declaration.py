@@ -15,15 +15,15 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from tustinnet.errors import InputError, convert_errors, require_name, require_text
 from tustinnet.old_names import KEYS
 
-_LARGEST = 1_000_000  # bytes of a text file that is written by hand
-_DEEPEST = 20  # tables in tables
+_LARGEST_FILE = 1_000_000  # bytes of a text file that is written by hand
+_DEEPEST_TABLE = 20  # tables in tables
 _INTEGERS = 2**63  # TOML has integers of 64 bits
 # tomllib takes an hour for a key of half a million parts; these are refused beforehand
 _LONG_KEY = re.compile(
-    rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}"""
+    rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST_TABLE}}}"""
 )
 _LONG_NUMBER = re.compile(r"\d{1001}")
-_NESTED = f"nested deeper than {_DEEPEST}"
+_NESTED = f"nested deeper than {_DEEPEST_TABLE}"
 _OF_A_KEY = "[key]"  # pydantic's mark of a wrong key, not a wrong value
 _UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}  # keys, of a model, of a dataclass
 
@@ -95,8 +95,8 @@ def read_source(path: Path, expected: str) -> str:
             problem = "a folder or pipe" if path.exists() else "no such file"
             raise InputError(path, problem, expected)
         with path.open("rb") as file:
-            content = file.read(_LARGEST + 1)
-        if len(content) > _LARGEST:
+            content = file.read(_LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
             raise InputError(path, "more than 1 MB", expected)
         return content.decode("utf-8-sig")
 
@@ -227,7 +227,7 @@ def require_plain(content: Mapping[str, Any], where: object) -> None:
         InputError: tables or lists nested deeper than 20, or an integer of more than 64 bits.
     """
     level: list[Any] = [content]
-    for _ in range(_DEEPEST + 1):
+    for _ in range(_DEEPEST_TABLE + 1):
         if any(isinstance(x, int) and not -_INTEGERS <= x < _INTEGERS for x in level):
             raise InputError(where, "an integer of more than 64 bits", "a smaller number")
         inside = [

@@ -23,7 +23,6 @@ LARGEST = 1e100  # of a position, input or velocity; squares of larger ones over
 _STENCIL_SAMPLES = 5
 _COLUMNS = {"u": "inputs", "outputs": "loops"}
 _AT_REST = 0.05  # of the largest speed, as in `rest_thresholds`
-_NOISE = 4.0  # standard deviations of a position, within which it does not move
 
 
 def unwrap_angles(
@@ -481,7 +480,8 @@ class Experiment(HasChannels, Plotted):
         size = np.abs(self.v)
         smallest = np.min(size, axis=0, initial=np.inf, where=size > 0)
         smallest[~np.isfinite(smallest)] = 0.0
-        hidden = np.maximum(_NOISE * white_noise(self.q), smallest * self.dt * lag)
+        # within four standard deviations of the noise a position does not move
+        hidden = np.maximum(4.0 * white_noise(self.q), smallest * self.dt * lag)
         return bool(np.any(usual > np.maximum(hidden, _AT_REST * farthest)))
 
 

@@ -14,26 +14,25 @@ from jaxtyping import Float, UInt32
 from tustinnet.data.experiment import Experiment
 from tustinnet.signals.stretches import stretch_keys
 
-_LENGTH, _FEWEST = 50, 12  # steps of a stretch; of these so many differ from the one before
-_KEYS, _DIGITS = 32, 8  # keys of a fingerprint; hexadecimal digits of each
-_QUANTA = 32  # in a usual step: few, so that rounded copies have the keys
-_SAME = 3  # keys that other records may have in common: runs of one step, without noise
+_STRETCH = 50  # steps of a stretch, of which twelve differ from the one before
+_KEYS, _KEY_DIGITS = 32, 8  # keys of a fingerprint; hexadecimal digits of each
 
-FINGERPRINT = rf"^([0-9a-f]{{{_DIGITS}}}){{0,{_KEYS}}}$"  # a pattern of them
+FINGERPRINT = rf"^([0-9a-f]{{{_KEY_DIGITS}}}){{0,{_KEYS}}}$"  # a pattern of them
 
 
 def step_quanta(records: Sequence[Experiment]) -> list[float]:
     """Units of the steps in fingerprints of some records, a power of two for each channel."""
     squares = np.sum([np.sum(_steps(e) ** 2, axis=0) for e in records], axis=0)
     usual = np.sqrt(squares / max(sum(len(e) - 1 for e in records), 1))
-    exponent = np.round(np.log2(np.clip(usual / _QUANTA, 1e-100, 1e100)))
+    # few steps in a usual one, so that rounded copies have the keys
+    exponent = np.round(np.log2(np.clip(usual / 32, 1e-100, 1e100)))
     return [float(x) for x in 2.0**exponent]
 
 
 def make_fingerprint(experiment: Experiment, quanta: Sequence[float]) -> str:
     """The fingerprint of a record, with units by `step_quanta`; empty where no speed changes."""
     smallest = _keys(experiment, quanta)[:_KEYS]
-    return "".join(f"{key:0{_DIGITS}x}" for key in smallest)
+    return "".join(f"{key:0{_KEY_DIGITS}x}" for key in smallest)
 
 
 def is_among(experiment: Experiment, fingerprints: Sequence[str], quanta: Sequence[float]) -> bool:
@@ -50,9 +49,12 @@ def is_among(experiment: Experiment, fingerprints: Sequence[str], quanta: Sequen
     if not len(own):
         return False
     for text in fingerprints:
-        keys = np.array([int(text[k : k + _DIGITS], 16) for k in range(0, len(text), _DIGITS)])
+        keys = np.array(
+            [int(text[k : k + _KEY_DIGITS], 16) for k in range(0, len(text), _KEY_DIGITS)]
+        )
         nearest = own[np.minimum(np.searchsorted(own, keys), len(own) - 1)]
-        if np.count_nonzero(nearest == keys) > _SAME:
+        # runs of one step, without noise, may have three keys in common
+        if np.count_nonzero(nearest == keys) > 3:
             return True
     return False
 
@@ -69,5 +71,5 @@ def _keys(e: Experiment, quanta: Sequence[float]) -> UInt32[np.ndarray, " m"]:
     # motion at a constant speed is alike in many records
     q = steps[:, e.channels.position]
     differs = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
-    _, keys = stretch_keys(steps, differs, _LENGTH, _FEWEST)
+    _, keys = stretch_keys(steps, differs, _STRETCH, 12)
     return np.unique((keys >> np.uint64(32)).astype(np.uint32))

@@ -11,11 +11,6 @@ from tustinnet.signals.derivatives import differentiate
 from tustinnet.signals.equilibria import HeldEquilibrium, find_held_equilibrium
 from tustinnet.signals.timescales import Timescales, correlation_time, timescales
 
-# an input that needs more levels than this for most of its samples is called saturated when it is
-# at an extreme one for this share of the time, and three times as often as if all levels were
-# equally frequent
-_FEW_LEVELS, _MOST_SHARE = 10, 0.9
-_STUCK_SHARE = 0.02
 _MOST_OF_A_TURN = 1.5 * np.pi  # rad; a link that falls from upright ends short of a full turn
 
 
@@ -103,7 +98,10 @@ def saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | No
     # an input of many levels that stays at an extreme one was probably limited there; a grid makes
     # more of few levels, by means over the steps between them
     values, counts = np.unique(np.round(u / max(np.abs(u).max(), 1e-300), 9), return_counts=True)
-    levels = 1 + int(np.searchsorted(np.cumsum(np.sort(counts)[::-1]), _MOST_SHARE * len(u)))
+    levels = 1 + int(np.searchsorted(np.cumsum(np.sort(counts)[::-1]), 0.9 * len(u)))
     extreme = float(counts[0] + counts[-1]) / len(u)
-    is_stuck = levels > _FEW_LEVELS and extreme > max(_STUCK_SHARE, 3 * 2 / len(values))
+    # an input that needs more than ten levels for most of its samples is called saturated when it
+    # is at an extreme one for this share of the time, and three times as often as if all levels
+    # were equally frequent
+    is_stuck = levels > 10 and extreme > max(0.02, 3 * 2 / len(values))
     return extreme if is_stuck else 0.0

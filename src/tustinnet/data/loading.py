@@ -31,10 +31,6 @@ from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 from tustinnet.wording import counted
 
-_SAME_UNIT = 0.2  # a period this near to dt times a power of 1000 is in another unit
-_LEAST_RATIO = 1e-300  # of a median interval to dt, whose logarithm is taken
-_SAME_INSTANT = 1e-6  # periods; rounding must not move a range by a sample
-_SAME_CLOCK = 1e-3  # relative; median intervals this near come from one clock
 _IRREGULAR_REMEDY = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
 
@@ -171,7 +167,8 @@ def _common_period(records: Sequence[Experiment], card: Card) -> float | None:
     """
     common = float(np.median([e.dt for e in records]))
     deviations = [abs(e.dt / common - 1) for e in records]
-    if max(deviations) < _SAME_CLOCK:
+    # median intervals this near come from one clock
+    if max(deviations) < 1e-3:
         return None
     if card.time is not None and max(deviations) > card.time.tolerance:
         usual = statistics.median_low([e.dt for e in records])
@@ -463,7 +460,8 @@ def _rows_within(
     """The rows of a whole file from one time on and before another one [s], from its first on."""
     n = len(reader.columns[reader.name(card.coordinates[0].column)])
     t, dt = _times(reader, card, n) if n > 1 else (np.zeros(n), 0.0)
-    elapsed, near = t - t[:1], _SAME_INSTANT * dt
+    # rounding must not move a range by a sample
+    elapsed, near = t - t[:1], 1e-6 * dt
     first, stop = np.searchsorted(elapsed, np.subtract(seconds, near))
     end = elapsed[-1] if n else 0.0
     if first == n or seconds[1] > end + dt + near:
@@ -535,10 +533,10 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
         f"interval of {t[times.worst_row] - t[times.worst_row - 1]:.4g} s before sample "
         f"{times.worst_row} (usually {times.median_dt:.4g} s)"
     )
-    ratio = max(times.median_dt / dt, _LEAST_RATIO)
+    ratio = max(times.median_dt / dt, 1e-300)
     if card.irregular != "resample" and abs(ratio - 1) > card.tolerance:
         power = round(np.log10(ratio) / 3)
-        is_other_unit = power != 0 and abs(ratio / 1000.0**power - 1) < _SAME_UNIT
+        is_other_unit = power != 0 and abs(ratio / 1000.0**power - 1) < 0.2
         raise InputError(
             reader.where,
             f"samples {times.median_dt:.4g} s apart",

@@ -22,12 +22,10 @@ from tustinnet.data.columns import Column, Listing
 from tustinnet.data.formats.reader import Part, Reader
 from tustinnet.errors import InputError, convert_errors
 
-_START_S = 60.0  # to start Python and import a library, also on a busy machine
 _NAMES_S = 10.0  # to list the columns of a file
 _NUMBERS_S = 60.0  # to read columns
 _MEMORY = 5 * 2**30  # bytes: the columns of a card, their sources, what its library takes
 _MUCH = 2**26  # bytes read at once, above which the process is stopped
-_SPEED = 10e6  # bytes of the file a second, on top of that, while it is listed
 
 # the child finds the package where this process found it
 _PROGRAM = """
@@ -110,7 +108,8 @@ def list_columns(path: Path, place: str, reader: Reader) -> Listing:
     Raises:
         InputError: a damaged file, one that crashes its reader, or takes it too long.
     """
-    seconds = _NAMES_S + _size(path) / _SPEED
+    # one more second for every 10 MB of the file
+    seconds = _NAMES_S + _size(path) / 10e6
     function, modules = "tustinnet.data.binary_files:list_columns_by", _modules(place, reader)
     listing, _ = call(path, function, [place], seconds=seconds, modules=modules)
     parts = {
@@ -206,7 +205,8 @@ def _running_process(path: Path, modules: tuple[str, str]) -> _Process:
             _process = _Process()
         atexit.register(_process.stop)
     if modules not in _process.modules:
-        reply = _process.send({"path": str(path.absolute()), "modules": modules}, _START_S)
+        # a minute, for Python starts and imports a library on a busy machine, too
+        reply = _process.send({"path": str(path.absolute()), "modules": modules}, 60.0)
         if reply is None:
             suffix = path.suffix.lower()
             raise InputError(path, f"the process that reads {suffix} files does not start")

@@ -8,8 +8,6 @@ from jaxtyping import Float
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.signals.resampling import regularity
 
-_SAME_PERIOD = 0.1  # relative; a nominal period this near to the median one is that of the log
-
 
 @dataclass(frozen=True)
 class Recording:
@@ -43,7 +41,8 @@ def describe_recording(
     record that is to be put on a coarser grid.
     """
     median = float(np.median(np.diff(t)))
-    times = regularity(t, dt if abs(median / dt - 1) < _SAME_PERIOD else median)
+    # a nominal period this near to the median one is that of the log
+    times = regularity(t, dt if abs(median / dt - 1) < 0.1 else median)
     return Recording(
         samples=len(t),
         median_dt=times.median_dt,

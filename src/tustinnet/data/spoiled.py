@@ -22,10 +22,7 @@ from tustinnet.signals.transients import is_slow, rest_thresholds
 Cause = Literal["unlogged force", "other conditions", "friction", "unstable phase"]
 
 KEY = "spoiled"  # in headers and summaries
-FEWEST = 50  # samples of a part of a record that is worth keeping
-_ZERO = 0.02  # of an input's largest value: as good as none
-_REST = 0.5  # s at rest before a motion that no input causes
-_CLEARLY = 3.0  # times the speed below which it is at rest, and a motion
+FEWEST_SAMPLES = 50  # samples of a part of a record that is worth keeping
 
 
 @dataclass(frozen=True)
@@ -130,7 +127,7 @@ def _remaining(e: Experiment, stretches: Sequence[tuple[int, int]]) -> list[tupl
     for first, stop in stretches:
         left_out[first:stop] = True
     edges = np.flatnonzero(np.diff(~left_out, prepend=False, append=False)).reshape(-1, 2)
-    return [(a, b) for a, b in edges.tolist() if b - a >= FEWEST]
+    return [(a, b) for a, b in edges.tolist() if b - a >= FEWEST_SAMPLES]
 
 
 def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tuple[Finding, ...]]:
@@ -168,7 +165,7 @@ def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[Spoi
         held: the unstable equilibrium that is held to its end (`held_equilibrium`), if any.
     """
     parts = _moved_by_hand(e)
-    if held is not None and held.sample >= FEWEST:
+    if held is not None and held.sample >= FEWEST_SAMPLES:
         first = held.sample
         reason = (
             f"a controller holds an unstable position; errors of a simulation grow e-fold in "
@@ -189,12 +186,14 @@ def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
     """
     if not e.forced:
         return []
-    is_zero = np.all(np.abs(e.u) <= _ZERO * np.abs(e.u).max(axis=0), axis=1)
+    # a smaller input is as good as none
+    is_zero = np.all(np.abs(e.u) <= 0.02 * np.abs(e.u).max(axis=0), axis=1)
     v = e.velocities("stencil")
     thresholds = rest_thresholds(e.q, v, e.channels.resolution, e.dt)
     slow = np.all(is_slow(v, thresholds), axis=1)
-    is_moving = np.any(np.abs(v) > _CLEARLY * thresholds.speed, axis=1)
-    needed = max(10, round(_REST / e.dt))
+    # three times the speed below which it rests, after half a second of rest
+    is_moving = np.any(np.abs(v) > 3.0 * thresholds.speed, axis=1)
+    needed = max(10, round(0.5 / e.dt))
     parts: list[SpoiledPart] = []
     edges = np.flatnonzero(np.diff(is_zero, prepend=False, append=False)).reshape(-1, 2)
     for a, b in edges.tolist():

@@ -46,12 +46,12 @@ _PATTERN = (
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?: ?(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}))?"
 )
 _WHOLE = re.compile(_PATTERN)
-_LEAST_OF_DURATION = 2  # characters: 1s
 
 
 def is_date(cell: str) -> bool:
     """Whether a cell is a date, a time of day, both, or a duration."""
-    if len(cell) < _LEAST_OF_DURATION or (":" not in cell and cell.isdigit()):
+    # the shortest is as 1s
+    if len(cell) < 2 or (":" not in cell and cell.isdigit()):
         return False
     match = _WHOLE.fullmatch(cell)
     # a zone alone is none: -1500 is a number

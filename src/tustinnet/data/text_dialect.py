@@ -17,9 +17,10 @@ from tustinnet.errors import InputError, describe_error
 
 BLANKS = " "  # as a delimiter: any number of blanks and tabs
 _DELIMITERS = (",", ";", "\t", "|", BLANKS)
-_SAMPLE = 60  # lines at the beginning, and as many throughout the file, that are looked at
+HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
+LAST_ROWS = 5  # at the end of a table, which are samples
+SAMPLE_LINES = 60  # lines at the beginning, and as many throughout the file, that are looked at
 _COMMENTS = ("#", "//", "% ", "%\t")
-_LONGEST_UNIT = 20  # characters
 
 _DIGITS = r"(\d+\.?\d*|\.\d+)"
 HEXADECIMAL = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
@@ -220,8 +221,8 @@ def find_dialect(
     Raises:
         InputError: numbers that mean different things in different countries.
     """
-    step = max(1, len(lines) // _SAMPLE)
-    sample = [line for _, line in (*lines[:_SAMPLE], *lines[_SAMPLE::step])]
+    step = max(1, len(lines) // SAMPLE_LINES)
+    sample = [line for _, line in (*lines[:SAMPLE_LINES], *lines[SAMPLE_LINES::step])]
     if delimiter is None:
         candidates = ("\t", *_DELIMITERS) if prefers_tabs else _DELIMITERS
         delimiter = max(candidates, key=lambda mark: _score(sample, mark))  # the first of equals
@@ -424,4 +425,4 @@ def _is_unit(text: str) -> bool:
     if re.fullmatch(r"\[.*\]|\(.*\)", text):
         return True
     parts = re.split(r"[/*\u00b7\s^]+|(?<=\w)-?[1-9]$", text.strip().lower())
-    return len(text) <= _LONGEST_UNIT and all(part in _UNITS for part in parts if part)
+    return len(text) <= 20 and all(part in _UNITS for part in parts if part)

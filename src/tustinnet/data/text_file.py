@@ -14,8 +14,11 @@ from tustinnet.data.merged_topics import FEW_VALUES, MISSING, NOTE, find_merged_
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
+    HEADER_ROWS,
     HEXADECIMAL,
+    LAST_ROWS,
     NUMBER,
+    SAMPLE_LINES,
     Dialect,
     Header,
     Lines,
@@ -37,20 +40,15 @@ if TYPE_CHECKING:
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
-_FEWEST_ALIKE = 3  # rows that show which columns are texts
-_LONG_TABLE = 3  # columns: time, signal, value
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
-_HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
-_LAST = 5  # lines at the end, which are samples
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
 _OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _AT_ONCE = 10**5  # lines that are checked at once
-_SAMPLE = 60  # first lines, and lines throughout the file, from which the marks are found
 
 
 def read_text(
@@ -87,7 +85,7 @@ def read_text(
     if file.pairs is not None:
         found = Header([*file.pairs.names], file.pairs.units, 0)
     elif (not is_sample) if header is None else header:
-        rows = [_texts(table, k) for k in range(min(_HEADER_ROWS, len(table)))]
+        rows = [_texts(table, k) for k in range(min(HEADER_ROWS, len(table)))]
         found = read_header(rows, dialect)
     elif header is None and (names := _names_in(file.comment, dialect, table.width)):
         found = Header(names, {}, 0)
@@ -168,7 +166,8 @@ def _spread_if_long(
 ) -> Columns | None:
     """The columns by signal of a long table of times, signals and values; None of another one."""
     names = columns.names
-    if not header_rows or len(names) != _LONG_TABLE:
+    # time, signal, value
+    if not header_rows or len(names) != 3:
         return None
     texts = [
         n
@@ -280,7 +279,7 @@ def _find_rows(
         lines = _without_blanks_in_names(lines, dialect)
     skipped, above, pairs = 0, [], None
     if header is not False:
-        shape = find_table([dialect.split(line) for _, line in lines[-_LAST:]], dialect)
+        shape = find_table([dialect.split(line) for _, line in lines[-LAST_ROWS:]], dialect)
         first = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
         sample = shape.find_first_sample(first)
         pairs = find_pairs(first[:sample], shape) if header is None else None
@@ -289,7 +288,7 @@ def _find_rows(
     lines = lines[skipped:]
     damaged = 0
     if skips_damaged:
-        step = max(1, len(lines) // _SAMPLE)
+        step = max(1, len(lines) // SAMPLE_LINES)
         shape = find_table([dialect.split(line) for _, line in lines[::step]], dialect)
         is_sample = [shape.is_sample(dialect.split(line), is_whole=True) for _, line in lines]
         begin = next((k for k, is_one in enumerate(is_sample) if is_one), 0)
@@ -322,7 +321,7 @@ class _PlainRows:
     @property
     def first_lines(self) -> Lines:
         """The first rows, among which are names and units."""
-        lines = self.text.split(b"\n", _HEADER_ROWS)[:_HEADER_ROWS]
+        lines = self.text.split(b"\n", HEADER_ROWS)[:HEADER_ROWS]
         return [(int(row), line.decode()) for row, line in zip(self.rows, lines, strict=False)]
 
     def numbers(self, columns: list[int], *, skipped: int) -> list[Column] | None:
@@ -370,8 +369,8 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
     def line(index: int) -> str:
         return content[starts[index] : ends[index]].decode()
 
-    sample = rows[np.unique(np.linspace(0, len(rows) - 1, _SAMPLE).astype(int))]
-    lines = [(k + 1, line(k)) for k in (*rows[:_SAMPLE].tolist(), *sample.tolist())]
+    sample = rows[np.unique(np.linspace(0, len(rows) - 1, SAMPLE_LINES).astype(int))]
+    lines = [(k + 1, line(k)) for k in (*rows[:SAMPLE_LINES].tolist(), *sample.tolist())]
     tabs = _prefers_tabs(path)
     try:
         dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
@@ -425,7 +424,7 @@ def _without_labels(lines: Lines) -> Lines:
         return tuple(m[1] for m in _LABELLED.finditer(line)) if not rest else None
 
     usual = labels(lines[-1][1])
-    step = max(1, len(lines) // _SAMPLE)
+    step = max(1, len(lines) // SAMPLE_LINES)
     if not usual or sum(labels(x) == usual for _, x in lines[::step]) < len(lines[::step]) / 2:
         return lines
     first = next(k for k, (_, line) in enumerate(lines) if labels(line) == usual)
@@ -453,8 +452,8 @@ def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
 
 def _is_like_others(first: Sequence[str], table: "pl.DataFrame", dialect: Dialect) -> bool:
     """Whether the first row has numbers or dates wherever most of the next rows have some."""
-    rows = [_texts(table, k) for k in range(1, min(_SAMPLE, len(table)))]
-    numeric = find_table(rows, dialect).numeric if len(rows) >= _FEWEST_ALIKE else range(len(first))
+    rows = [_texts(table, k) for k in range(1, min(SAMPLE_LINES, len(table)))]
+    numeric = find_table(rows, dialect).numeric if len(rows) >= 3 else range(len(first))
     return all(dialect.is_number(first[j]) or is_date(first[j]) for j in numeric if first[j])
 
 

@@ -10,10 +10,6 @@ import numpy as np
 from tustinnet.data.columns import Column, Columns
 from tustinnet.errors import InputError
 
-_MOST_SIGNALS = 60
-_FEWEST_VALUES = 10  # of each signal
-_REPEATED = 0.5  # share of the rows whose time another row has, too
-
 
 def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Columns | None:
     """The columns of a long table by signal, None where a table of three columns is none.
@@ -28,7 +24,8 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
     signals, which = np.unique(np.asarray(names, str), return_inverse=True)
     counts = np.bincount(which)
     time, value = (name for name in columns.names if name != label)
-    is_long = 2 <= len(signals) <= _MOST_SIGNALS and counts.min() >= _FEWEST_VALUES
+    # at most 60 signals, of at least ten values each
+    is_long = 2 <= len(signals) <= 60 and counts.min() >= 10
     if not is_long or time in signals or "" in signals:
         return None
     try:
@@ -36,8 +33,9 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
     except InputError:  # another text
         return None
     repeated = 1 - len(np.unique(t)) / len(t)
+    # mostly other rows have the time of a row, too
     rising = all((np.diff(t[which == k]) > 0).all() for k in range(len(signals)))
-    if not rising or repeated < min(_REPEATED, 0.9 * (1 - 1 / len(signals))):
+    if not rising or repeated < min(0.5, 0.9 * (1 - 1 / len(signals))):
         return None
     rows = [which == k for k in range(len(signals))]
     order = sorted(range(len(signals)), key=lambda k: int(np.argmax(rows[k])))

@@ -13,7 +13,6 @@ from tustinnet.data.units import TIME
 
 _NAMES = ("name", "signal", "symbol", "symbolname", "channel", "variable")
 _UNITS = ("unit", "units", "einheit")
-_FEWEST_ROWS = 2  # that describe the pairs
 _TIME_UNIT = re.compile(r"time\s*[\[(](s|ms|us|ns)[\])]")
 
 
@@ -55,12 +54,7 @@ def find_pairs(above: Sequence[Sequence[str]], table: Table) -> Pairs | None:
         if len(row) == table.width and row[0] and len({*row[::2]}) == 1
     }
     values = next((described[word] for word in _NAMES if word in described), [])
-    if (
-        len(described) < _FEWEST_ROWS
-        or not all(values)
-        or len({*values}) < len(values)
-        or not values
-    ):
+    if len(described) < 2 or not all(values) or len({*values}) < len(values) or not values:
         return None
     texts = next((described[word] for word in _UNITS if word in described), [])
     matches = (_TIME_UNIT.search(word) for word in described)

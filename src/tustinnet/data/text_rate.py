@@ -3,11 +3,10 @@
 import re
 from pathlib import Path
 
-from tustinnet.data.text_dialect import decode
+from tustinnet.data.text_dialect import SAMPLE_LINES, decode
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 
-_LINES = 60  # at the beginning of a file
 _NUMBER = r"(\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
 _BETWEEN = r"[^\d\n]{0,25}?"
 _WORDS = r"sampl\w*|abtast\w*|scan|frame|data|acquisition|logging|messrate|echantillonnage"
@@ -30,7 +29,7 @@ def find_period(path: Path) -> float | None:
         path: the file.
     """
     try:
-        lines = decode(path, None)[0].splitlines()[:_LINES]
+        lines = decode(path, None)[0].splitlines()[:SAMPLE_LINES]
     except InputError:
         return None
     for line in lines:

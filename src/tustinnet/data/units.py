@@ -91,7 +91,7 @@ _WITH_ZERO = {"degC", "degF", "celsius", "fahrenheit", "dB", "dBm"}
 _TERM = r"(1|%|[^\W\d_]\w{0,30}((\^|\*\*)-?[1-9])?)"
 _PRODUCT = re.compile(rf"{_TERM}( ?[*/·] ?{_TERM}| {_TERM})*")
 _FACTOR = re.compile(r"([*/·]?) ?(1|%|[^\W\d_]\w*)(?:(?:\^|\*\*)(-?[1-9]))?")
-_LONGEST = 60  # characters
+_LONGEST_UNIT = 60  # characters
 
 Powers = Mapping[str, int]
 
@@ -107,8 +107,8 @@ def convert_to_si(unit: str) -> tuple[float, str]:
     """
     if unit in _WITH_ZERO:
         raise ValueError(f"unit '{unit}' has a zero or a scale of its own; e.g. delta_degC, K, 1")
-    if len(unit) > _LONGEST or not _PRODUCT.fullmatch(unit):
-        raise ValueError(f"unit '{unit[:_LONGEST]}' is none, e.g. mm, deg, mV, N*m, m/s^2")
+    if len(unit) > _LONGEST_UNIT or not _PRODUCT.fullmatch(unit):
+        raise ValueError(f"unit '{unit[:_LONGEST_UNIT]}' is none, e.g. mm, deg, mV, N*m, m/s^2")
     factor, powers = _multiply(unit, _UNITS)
     # mN*m is N*m and not kg*m^2/s^2
     names = sorted((name for name in powers if powers[name]), key=str.lower)

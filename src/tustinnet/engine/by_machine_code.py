@@ -33,7 +33,7 @@ from tustinnet.program.numbers import run
 
 _TYPES = {"ptr": ctypes.c_void_p, "i64": ctypes.c_int64}
 _ALIGNED = 64  # bytes
-_CACHED = 192  # functions
+_CACHED_FUNCTIONS = 192  # functions
 # of a formula, up to which NumPy does them and nothing is compiled: to compile an operation, which
 # a loop repeats, takes longer than to do it at hundreds of points
 _FEW_OPERATIONS, _FEW_POINTS = 30_000, 20
@@ -238,7 +238,7 @@ def _arrays(runs: Runs) -> list[np.ndarray]:
     return [_contiguous(a) for a in (runs.drive, runs.periods, runs.start, runs.parameters)]
 
 
-@lru_cache(_CACHED)
+@lru_cache(_CACHED_FUNCTIONS)
 def _function(
     make_kernel: Callable[..., Kernel], name: str, signature: str, *args: Any, **options: Any
 ) -> tuple[Any, np.ndarray]:

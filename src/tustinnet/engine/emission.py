@@ -9,7 +9,7 @@ import numpy as np
 from tustinnet.engine import functions
 from tustinnet.engine.text import Function, Module
 from tustinnet.program.program import Factor, Loop, Node, Program
-from tustinnet.program.tape import LONG
+from tustinnet.program.tape import LONG_VECTOR
 
 _ROWS = 4  # of a matrix that are multiplied at once: their sums stay in registers
 _LITERAL = 16  # whole numbers up to this stand in the code, others among the constants
@@ -206,7 +206,7 @@ class Emission:
 
         A long vector has one number and index, in a loop that is written around their use.
         """
-        if isinstance(value, Vector) and value.pointer is not None and value.size >= LONG:
+        if isinstance(value, Vector) and value.pointer is not None and value.size >= LONG_VECTOR:
             with self.function.loop(0, value.size) as i:
                 yield self.function.load(value.pointer, i), i
             return

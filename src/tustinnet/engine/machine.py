@@ -12,7 +12,7 @@ from tustinnet.engine.text import SYMBOL
 
 _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the processor has
 _NARROW = 2
-_CACHED = 256  # compiled modules
+_CACHED_MODULES = 256  # compiled modules
 _LOCK = Lock()  # threads share LLVM's description of the processor: one compiles at a time
 _PASSES, _LEVEL = 1, 2  # how hard LLVM optimises modules, and instructions of the processor
 
@@ -57,7 +57,7 @@ def compile_module(text: str) -> CompiledModule:
         return _compile(text)
 
 
-_compile = lru_cache(maxsize=_CACHED)(CompiledModule)
+_compile = lru_cache(maxsize=_CACHED_MODULES)(CompiledModule)
 
 
 @cache

@@ -24,10 +24,7 @@ from tustinnet.simulate.starts import start_named
 from tustinnet.wording import counted
 
 KEY = "bands"  # in headers of model files
-_FLOOR = 0.2  # of the errors' root mean square
 _GRID = np.arange(1, 1000) / 1000  # levels that factors are kept for
-_FEWEST = 2  # samples of every record for a part of its own
-_LEAST = 1e-12  # floor of records without any error [rad or m]
 _ROUNDING = 1e-9
 BandScope = Literal["time", "record"]
 
@@ -389,7 +386,8 @@ def _calibrate_coordinate(
     parts = []
     for rest in (False, True):
         where = [w & (p.moving != rest) for p, w in zip(predictions, after, strict=True)]
-        usable = [i for i, w in enumerate(where) if w.sum() >= _FEWEST]
+        # a record has a part of its own where it has two samples in it
+        usable = [i for i, w in enumerate(where) if w.sum() >= 2]
         if len(usable) < (2 if rest else len(predictions)):
             where, usable = after, range(len(predictions))  # too little: no part of its own
         parts.append(
@@ -406,8 +404,9 @@ def _calibrate_coordinate(
 
 def _make_part(errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray]) -> Part:
     """The widths, and times of these that hold 0.1, 0.2, ... % of the time."""
-    scale = math.sqrt(np.mean([np.mean(e**2) for e in errors])) or _LEAST
-    bare, n = Part(_FLOOR * scale, (), (), scale), len(errors)
+    # not 0 where records have no error [rad or m]
+    scale = math.sqrt(np.mean([np.mean(e**2) for e in errors])) or 1e-12
+    bare, n = Part(0.2 * scale, (), (), scale), len(errors)
     ratios = [e / bare.width(s) for e, s in zip(errors, spreads, strict=True)]
     pooled = np.concatenate(ratios)
     # each record counts the same, however long; one more is taken to lie outside

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 
-_CONFIDENCE = 0.95
 _TENTHS = np.arange(1, 10) / 10  # levels whose bands' ends are the quantiles of a score
 
 
@@ -102,10 +101,10 @@ def compute_crps(experiment: Experiment, band: Band) -> Float[np.ndarray, "n n_q
 
 
 def _binomial_interval(successes: float, trials: int) -> tuple[float, float]:
-    """The exact binomial interval (Clopper, Pearson 1934), also of a broken number of successes."""
+    """The exact 95 % binomial interval (Clopper, Pearson 1934), also of a broken number."""
     import scipy.special  # only bands need it
 
-    tail, quantile = (1 - _CONFIDENCE) / 2, scipy.special.betaincinv
+    tail, quantile = (1 - 0.95) / 2, scipy.special.betaincinv
     low = quantile(successes, trials - successes + 1, tail) if successes > 0 else 0.0
     high = quantile(successes + 1, trials - successes, 1 - tail) if successes < trials else 1.0
     return float(low), float(high)

@@ -11,8 +11,6 @@ from tustinnet.signals.transients import is_moving
 Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
 
-_FEWEST_OF_RANGE = 3  # errors that say something of how they differ
-
 
 def rmse(simulated: Trajectory, measured: Trajectory) -> float:
     """Root mean square over samples of the 2-norm of the position error, not wrapped [rad or m].
@@ -81,7 +79,8 @@ def expected_range(errors: Iterable[float], level: float = 0.9) -> ErrorRange | 
         None of fewer than three records, and where an error is not finite or 0.
     """
     values = np.array(list(errors))
-    if len(values) < _FEWEST_OF_RANGE or not (np.isfinite(values).all() and (values > 0).all()):
+    # of fewer errors nothing says how they differ
+    if len(values) < 3 or not (np.isfinite(values).all() and (values > 0).all()):
         return None
     from scipy.special import stdtrit  # few calls need it, and SciPy takes time to load
 

@@ -51,16 +51,10 @@ from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
 from tustinnet.wording import counted
 
-_POINTS = 16  # of a period of the highest harmonic at which a motion is judged
-_STEP = 1e-5  # of the limits of a motion, by which derivatives are differences
-_PENALTIES = (1e2, 1e4)  # of squares of what is beyond the limits, one stage each
-_DRAWS = 200  # random motions until one is within the limits
-_BISECTIONS = 30  # until the size of a motion is found
-_RANDOM_POINTS = 300  # by which base parameters are found
+_POINTS_A_PERIOD = 16  # of a period of the highest harmonic at which a motion is judged
 _NULL = 1e-5  # of the largest direction, below which parameters change no force
-_USUAL_NOISE = 0.02  # of the force of a motion
 _LEAST_NOISE = 1e-6  # of a force, and in N m or N: a fit to exact records leaves none
-_MOST = 10**6  # samples
+_MOST_SAMPLES = 10**6
 _PLACE = "design_record"  # of messages
 _RANK = "propose records: tn.rank_proposals"
 _DIRECTIONS = ("position", "velocity", "acceleration", "input", "force")
@@ -133,11 +127,11 @@ class DesignOptions:
                 "a whole number",
                 f"for instance `frequency=` {max(1, round(periods)) / self.seconds:.6g}",
             )
-        if self.seconds / self.dt > _MOST:
+        if self.seconds / self.dt > _MOST_SAMPLES:
             raise InputError(
                 "`dt=`",
                 f"{self.seconds / self.dt:.3g} samples in {self.seconds:g} s",
-                f"at most {_MOST:.0e}",
+                f"at most {_MOST_SAMPLES:.0e}",
                 "fewer seconds, or a longer period",
             )
         if self.highest > 0.1 / self.dt:
@@ -519,7 +513,7 @@ def find_motion(
     _require_actuated(system, dynamics, limits, shapes, rng)
     box = _Box(limits, options.margin)
     t = np.arange(round(options.seconds / options.dt) + 1) * options.dt
-    judged = np.arange(_POINTS * options.harmonics) / (_POINTS * options.highest)
+    judged = np.arange(_POINTS_A_PERIOD * options.harmonics) / (_POINTS_A_PERIOD * options.highest)
     every = np.union1d(judged, t[t < 1 / options.base_frequency])
     starts = [
         _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
@@ -781,7 +775,8 @@ class _Problem:
         self._dynamics, self._shapes, self._box = dynamics, shapes, box
         self._prior_information = prior_information
         self._weights, self._t, self._n = weights, t, len(weights)
-        self._steps = _STEP * shapes.sizes.ravel()
+        # derivatives are differences over a share of the limits of a motion
+        self._steps = 1e-5 * shapes.sizes.ravel()
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
@@ -907,7 +902,7 @@ def _random_motion(
         InputError: no pose is within the limits of the actuators.
     """
     nearest = np.full(len(box.half), np.inf)  # of poses: by how much limits are exceeded
-    for _ in range(_DRAWS):
+    for _ in range(200):  # random motions
         x = rng.normal(size=(shapes.count, len(shapes.middle)))
         x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
         x[1:] *= 4.0  # larger than any limit allows
@@ -964,7 +959,7 @@ def _shrink(
     if not is_within(0.0):
         return None
     low, high = 0.0, 1.0
-    for _ in range(_BISECTIONS):
+    for _ in range(30):
         middle = (low + high) / 2
         low, high = (middle, high) if is_within(middle) else (low, middle)
     return scaled(low)
@@ -997,7 +992,8 @@ def _search(
         if time.monotonic() > deadline:
             raise StopIteration
 
-    for penalty in _PENALTIES if iterations else ():
+    # of squares of what is beyond the limits, one stage each
+    for penalty in (1e2, 1e4) if iterations else ():
         vector = scipy.optimize.minimize(
             lambda y, penalty=penalty: problem.cost(y.reshape(x.shape), penalty),
             vector,
@@ -1024,7 +1020,8 @@ def _choose_noise(
         return knowledge.noise
     force = [dynamics.actuation(shapes.points(x, t))[:, -len(shapes.middle) :] for x in motions]
     size = np.sqrt(np.mean(np.concatenate(force) ** 2, axis=0))
-    return (options.noise or _USUAL_NOISE) * np.maximum(size, 1e-6 * size.max() + 1e-12)
+    # without a fit 2 % of the force of a motion
+    return (options.noise or 0.02) * np.maximum(size, 1e-6 * size.max() + 1e-12)
 
 
 def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray, "n_p n_p"]:
@@ -1043,7 +1040,7 @@ def _find_combinations(
     rng: np.random.Generator,
 ) -> Combinations:
     """The base parameters by the parameters, in standard deviations of their priors."""
-    points = _random_points(shapes, _RANDOM_POINTS, rng)
+    points = _random_points(shapes, 300, rng)
     u = dynamics.actuation(points)[:, : len(noise)]
     slopes = dynamics.slopes(points, u) @ dynamics.selection
     rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))

@@ -14,8 +14,8 @@ from tustinnet.evaluate.scores import free_run
 from tustinnet.models.contract import Model
 from tustinnet.simulate.starts import start_named
 
-CONFIDENCE = 0.99
-_QUANTILE = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+LAG_CONFIDENCE = 0.99  # share of the lags of independent residuals that is inside
+_QUANTILE = NormalDist().inv_cdf((1 + LAG_CONFIDENCE) / 2)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ResidualReport:
     @property
     def is_white(self) -> bool:
         """Whether no more lags are outside than independent residuals would have."""
-        return self.outside <= 1 - CONFIDENCE + 0.01
+        return self.outside <= 1 - LAG_CONFIDENCE + 0.01
 
     @property
     def sentence(self) -> str:
@@ -61,7 +61,7 @@ class ResidualReport:
             else f"not white ({100 * self.outside:.0f} % of the lags outside, {first:.2f} from one "
             "sample to the next): the model lacks something"
         )
-        if len(self.cross_outside) and float(self.cross_outside.max()) > 1 - CONFIDENCE + 0.01:
+        if len(self.cross_outside) and float(self.cross_outside.max()) > 1 - LAG_CONFIDENCE + 0.01:
             sentence += (
                 f"; {100 * self.cross_outside.max():.0f} % of the lags correlate with an input: "
                 "its effect is not all modelled"

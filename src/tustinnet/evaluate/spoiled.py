@@ -18,6 +18,7 @@ another fit.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -34,25 +35,42 @@ from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.start_rules import FittedStart
 from tustinnet.simulate.starts import start_states
 
-_PIECES = 24  # of a record
-_SHORTEST, _LONGEST = 20, 100  # samples of a piece
-_FEWEST_PIECES = 3  # of a record that is judged
 _FEWEST_RECORDS = 4  # of which one can be unlike the others
-_MOST = 1 / 3  # of the records that are unlike the others
-_MOST_PARAMETERS = 60  # numbers of a model that are parameters and no weights
-_MOST_INTERNAL = 4  # internal states that can be told from positions in a piece
+_MOST_UNLIKE = 1 / 3  # of the records that are unlike the others
 _STEP = 1e-4  # relative, for derivatives by parameters; of the spread of states by these
-_REGULARISATION = 1e-3  # of a usual squared error, for a change of a parameter by itself
-_REWEIGHTINGS = 8
-_USUAL = 0.9  # of the pieces have an error that is usual
-# a stretch that is far off: times that, and times the usual error for such motion
-_FAR, _FAR_FOR_MOTION = 2.5, 1.75
-_BY_FRICTION = 0.45  # times the error of a stretch that friction of its own leaves
-_SLOW, _ONSET = 0.02, 0.2  # speeds by the usual one: where friction turns, and where it falls
-_LEAST_MOTION = 0.3  # of the usual one; where there is less, friction holds it
-_EDGE = 1.4  # times the usual error, beside such a stretch: a part of it
-_OWN = 2.7  # times the error with parameters of its own: other conditions
-_UNLIKE = 1.5  # times the median record's error
+
+
+class MisfitLevels(NamedTuple):
+    """Levels from which on a part of a record, or a whole one, is not explained by a model.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        usual: share of the pieces whose error is usual.
+        far: error of a stretch that is far off, by the usual one.
+        far_for_motion: the same by the usual error for such motion.
+        by_friction: share of the error of a stretch that friction of its own leaves.
+        slow: speed by the usual one, at which friction turns.
+        onset: speed by the usual one, at which friction falls.
+        least_motion: motion by the usual one; where there is less, friction holds it.
+        edge: error by the usual one, beside a stretch that is far off: a part of it.
+        own: error by that with parameters of its own, of a record in other conditions.
+        unlike: error by that of the median record, of one that is unlike the others.
+    """
+
+    usual: float = 0.9
+    far: float = 2.5
+    far_for_motion: float = 1.75
+    by_friction: float = 0.45
+    slow: float = 0.02
+    onset: float = 0.2
+    least_motion: float = 0.3
+    edge: float = 1.4
+    own: float = 2.7
+    unlike: float = 1.5
+
+
+MISFIT = MisfitLevels()
 
 
 @dataclass(frozen=True)
@@ -134,8 +152,9 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
         The parts, record by record; none where there are too few records to compare.
     """
     lengths = [len(e) for e in records]
-    samples = int(np.clip(np.median(lengths) // _PIECES, _SHORTEST, _LONGEST))
-    records = [e for e in records if len(e) >= _FEWEST_PIECES * samples]
+    # 24 pieces of a record, of 20 to 100 samples; a shorter record has three
+    samples = int(np.clip(np.median(lengths) // 24, 20, 100))
+    records = [e for e in records if len(e) >= 3 * samples]
     if not records:
         return []
     pieces = _simulate_pieces(model, records, samples)
@@ -183,7 +202,8 @@ def _simulate_pieces(model: Model, records: Sequence[Experiment], samples: int) 
             return np.asarray(simulate_runs(m, x, s))[..., position]
 
         base = positions(shared, start)
-        n_x = start.shape[1] if start.shape[1] - n_m <= _MOST_INTERNAL else n_m
+        # positions in a piece tell no more internal states
+        n_x = start.shape[1] if start.shape[1] - n_m <= 4 else n_m
         spread = start.std(axis=0) + 1e-9
         by_state = []
         for j in range(n_x):
@@ -223,7 +243,8 @@ def _changed_models(model: Model) -> list[Model]:
     """The model with each of its parameters changed a little; none of a model with weights."""
     arrays, static = eqx.partition(model, eqx.is_inexact_array)
     leaves, tree = jax.tree.flatten(arrays)
-    if sum(leaf.size for leaf in leaves) > _MOST_PARAMETERS:
+    # more numbers of a model are weights, no parameters
+    if sum(leaf.size for leaf in leaves) > 60:
         return []
     models = []
     for i, leaf in enumerate(leaves):
@@ -250,8 +271,8 @@ def _with_friction(
     changes = []
     for p, v in zip(pieces, speeds, strict=True):
         n = len(p.residual)
-        direction = np.tanh(v[: n * samples] / (_SLOW * size)).reshape(n, samples, n_q)
-        slow = np.exp(-((v[: n * samples] / (_ONSET * size)) ** 2)).reshape(n, samples, n_q)
+        direction = np.tanh(v[: n * samples] / (MISFIT.slow * size)).reshape(n, samples, n_q)
+        slow = np.exp(-((v[: n * samples] / (MISFIT.onset * size)) ** 2)).reshape(n, samples, n_q)
         columns = []
         for c in range(n_q):
             # by a unit of velocity: after one sample the position has moved by a period of it
@@ -323,11 +344,12 @@ def _best_change(errors: Sequence[_PieceErrors]) -> Float[np.ndarray, " n_p"]:
     )
     together = _PieceErrors(curvature, gradient, constant, motion)
     change = np.zeros(gradient.shape[1])
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(8):
         squared = together.errors(change) ** 2
         weight = 1 / (1 + squared / (4 * np.median(squared)))
         total = np.einsum("k,kst->st", weight, curvature)
-        ridge = _REGULARISATION * len(weight) + 1e-12 * np.trace(total)
+        # of a usual squared error, for a change of a parameter by itself
+        ridge = 1e-3 * len(weight) + 1e-12 * np.trace(total)
         change = np.linalg.solve(
             total + ridge * np.eye(len(change)), np.einsum("k,ks->s", weight, gradient)
         )
@@ -359,7 +381,7 @@ def _find_unlike(errors: Sequence[_PieceErrors]) -> dict[int, float]:
         sorted(float(np.median(e.errors(change))) for j, change in enumerate(changes) if j != i)[1]
         for i, e in enumerate(errors)
     ]
-    while len(unlike) < int(_MOST * len(errors)):
+    while len(unlike) < int(_MOST_UNLIKE * len(errors)):
         alike = [i for i in range(len(errors)) if i not in unlike]
         by_others = {
             i: float(np.median(e.errors(_best_change([errors[j] for j in alike if j != i]))))
@@ -370,10 +392,10 @@ def _find_unlike(errors: Sequence[_PieceErrors]) -> dict[int, float]:
         ratios = {
             i: min(error, by_single[i]) / own[i]
             for i, error in by_others.items()
-            if error > _UNLIKE * typical
+            if error > MISFIT.unlike * typical
         }
         worst = max(ratios, key=lambda i: ratios[i], default=None)
-        if worst is None or ratios[worst] < _OWN:
+        if worst is None or ratios[worst] < MISFIT.own:
             break
         unlike[worst] = ratios[worst]
     return unlike
@@ -405,14 +427,14 @@ def _find_stretches(
         _running_median(x / np.hypot(1, e.motion)) for x, e in zip(single, errors, strict=True)
     ]
     usual, usual_for_motion = (
-        float(np.quantile(np.concatenate(x), _USUAL)) for x in (smooth, for_motion)
+        float(np.quantile(np.concatenate(x), MISFIT.usual)) for x in (smooth, for_motion)
     )
     median = float(np.median(np.concatenate(single)))
     parts = []
     for i, (e, record) in enumerate(zip(errors, records, strict=True)):
-        is_far_off = (smooth[i] > _FAR * usual) & (e.motion > _LEAST_MOTION)
-        is_far_off &= for_motion[i] > _FAR_FOR_MOTION * usual_for_motion
-        is_part = np.maximum(single[i], smooth[i]) > _EDGE * usual
+        is_far_off = (smooth[i] > MISFIT.far * usual) & (e.motion > MISFIT.least_motion)
+        is_far_off &= for_motion[i] > MISFIT.far_for_motion * usual_for_motion
+        is_part = np.maximum(single[i], smooth[i]) > MISFIT.edge * usual
         runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
         for a, b in runs.tolist():
             if is_far_off[a:b].any():
@@ -422,7 +444,7 @@ def _find_stretches(
                     f"short simulations are {single[i][a:b].max() / median:.2g} times as far off "
                     "as usual"
                 )
-                is_far = single[i][a:b] > _EDGE * usual
+                is_far = single[i][a:b] > MISFIT.edge * usual
                 if _is_friction(with_friction(i).part(slice(a, b)), is_far, changes[i]):
                     reason = (
                         f"{size}, by a force that changes its sign with the velocity: friction "
@@ -460,7 +482,7 @@ def _is_friction(
     own = np.linalg.solve(matrix + ridge * np.eye(len(matrix)), rest[:, n:].sum(axis=0))
     before = errors.errors(whole)[is_far]
     after = errors.errors(np.concatenate([change, own]))[is_far]
-    return bool(np.sum(after**2) < _BY_FRICTION**2 * np.sum(before**2))
+    return bool(np.sum(after**2) < MISFIT.by_friction**2 * np.sum(before**2))
 
 
 def _running_median(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

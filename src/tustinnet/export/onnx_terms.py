@@ -9,7 +9,7 @@ from onnx import NodeProto, TensorProto
 from onnx.helper import make_node, np_dtype_to_tensor_dtype
 from onnx.numpy_helper import from_array
 
-_FAR = 1e30  # its arc tangent is that of infinity
+_INFINITE = 1e30  # its arc tangent is that of infinity
 
 
 @dataclass
@@ -163,7 +163,7 @@ def _atanh(x: Term) -> Term:
 
 def _atan(x: Term) -> Term:
     # in single precision, then the tangent of the remainder; its cube is less than a rounding
-    size = (x.to("Abs") < _FAR).where(x, x.to("Sign") * _FAR)
+    size = (x.to("Abs") < _INFINITE).where(x, x.to("Sign") * _INFINITE)
     guess = size.cast(TensorProto.FLOAT).to("Atan").cast(x.graph.model.number)
     sine, cosine = guess.to("Sin"), guess.to("Cos")
     return guess + (size * cosine - sine) / (cosine + size * sine)

@@ -40,7 +40,6 @@ from tustinnet.systems.loading import load_system
 Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
 
 _MEMBERS, _WEIGHT = "members", "weight"  # keys of headers
-_ROUNDING = 1e-5  # of the sum of weights, which may be in single precision
 
 
 class MemberGroup(eqx.Module):
@@ -314,7 +313,8 @@ class CommitteeFamily(Family):
         for i, member in enumerate(members):
             _require_member(member, members[0], f"{where}, members.{i}")
         weights = np.array([part[_WEIGHT] for part in header[_MEMBERS]])
-        if not (weights >= 0).all() or abs(weights.sum() - 1) > _ROUNDING:
+        # weights may be in single precision
+        if not (weights >= 0).all() or abs(weights.sum() - 1) > 1e-5:
             raise ValueError(f"weights {weights.tolist()}")
         return _group_members(members, weights)
 

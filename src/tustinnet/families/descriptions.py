@@ -5,12 +5,18 @@ from typing import Any
 
 from pydantic import ConfigDict, Field, model_validator
 
-from tustinnet.channels import LONGEST_DT, SHORTEST_DT, Channels, Coordinate, Input, PDController
+from tustinnet.channels import (
+    LONGEST_DT,
+    SAME_PERIOD,
+    SHORTEST_DT,
+    Channels,
+    Coordinate,
+    Input,
+    PDController,
+)
 from tustinnet.data.declaration import Declaration, declare
 from tustinnet.errors import InputError
 from tustinnet.registry import FAMILIES
-
-_SAME_PERIOD = 1e-6  # relative; periods of parts this near are one
 
 
 class Entries(Declaration):
@@ -75,4 +81,4 @@ def _channels(header: Mapping[str, Any]) -> list[tuple[str, str | None]]:
 
 
 def _is_same_period(first: float, second: float) -> bool:
-    return abs(first / second - 1) <= _SAME_PERIOD
+    return abs(first / second - 1) <= SAME_PERIOD

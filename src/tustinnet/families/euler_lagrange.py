@@ -39,7 +39,6 @@ _PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
 _TOLERANCE = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
-_ALTERNATIVES = 12  # sets of parameters that are drawn from their errors
 
 
 class EulerLagrangeHyper(IdentifiedHyper):
@@ -205,7 +204,8 @@ class EulerLagrangeFamily(IdentifiedFamily):
 
         They are drawn around the values of the model, which may be those of a second fit.
         """
-        drawn = draw_values(model, header, _ALTERNATIVES)
+        # twelve sets of parameters are drawn from their errors
+        drawn = draw_values(model, header, 12)
         equations = self.equations(model)
         return [
             replace(

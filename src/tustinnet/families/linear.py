@@ -30,8 +30,6 @@ from tustinnet.models.blocks import Affine, root_mean_square
 from tustinnet.models.contract import InputVector, Model, State
 from tustinnet.models.sizes import MOST_STATES
 
-_INITIAL_COUPLING = 0.1  # size of the weights with which internal states begin
-
 
 class LinearModel(Model):
     """`x[k+1] = x[k] + U (W [(x[k] - o) / s; u[k] / s_u] + b)` with one unit `s` a state.
@@ -213,7 +211,8 @@ def _widen_map(solution: np.ndarray, channels: Channels, n_z: int) -> Affine:
     """The least-squares map, widened by internal states that decay and are weakly coupled."""
     n, n_u = 2 * channels.n_q, channels.n_u
     generator = np.random.default_rng(0)
-    weight = _INITIAL_COUPLING * generator.normal(size=(n + n_z, n + n_z + n_u))
+    # small weights, with which internal states begin
+    weight = 0.1 * generator.normal(size=(n + n_z, n + n_z + n_u))
     weight[:n, :n] = solution[:, :n]
     weight[:n, n + n_z :] = solution[:, n:-1]
     weight[n:, n : n + n_z] -= np.eye(n_z)

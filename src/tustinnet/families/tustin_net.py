@@ -50,7 +50,7 @@ from tustinnet.simulate.input_signal import input_signal
 
 _REST = "rest"  # the name of the array of positions at which the memory rests
 _USUAL_SHARE = 0.5  # somebody turned the coordinate not long before, and part of that remains
-_SPREAD = 0.1  # of their size, as a standard deviation; freer ones explain a hand's push
+_STATE_SPREAD = 0.1  # of their size, as a standard deviation; freer ones explain a hand's push
 
 
 class TustinNet(AccelerationModel):
@@ -135,7 +135,7 @@ class TustinNet(AccelerationModel):
     @property
     def internal_spread(self) -> Internal:
         """The standard deviations of internal states: a tenth of their size in training."""
-        return _SPREAD * self.network.scaling.memory
+        return _STATE_SPREAD * self.network.scaling.memory
 
     # a property in the place of a field of the base class: nobody assigns it
     @property

@@ -27,6 +27,7 @@ from tustinnet.fitting.shooting.checks import (
 )
 from tustinnet.fitting.shooting.controller_gains import gain_parameters
 from tustinnet.fitting.shooting.equation_error import (
+    WELL_EXPLAINED,
     estimate_by_equation_error,
     find_reversed_signs,
 )
@@ -47,10 +48,6 @@ from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.start_rules import FIT_SAMPLES
 from tustinnet.systems.files import SystemTemplate
-
-# what right signs leave of the momentum is a few hundredths, what wrong ones leave over a half
-_POORLY_EXPLAINED = 0.1
-_SHORTEST = 10  # samples of a transient worth fitting
 
 
 class UnfinishedSearchError(InputError):
@@ -167,8 +164,8 @@ def _make_problem(
     system = _with_open_holds(system, first.inputs)
     system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
     if recipe.search.part == "transients":
-        # records that hardly move are left out
-        records = [e[:end] for e in records if (end := transient_end(e)) >= _SHORTEST]
+        # records that hardly move, in fewer than 10 samples, are left out
+        records = [e[:end] for e in records if (end := transient_end(e)) >= 10]
         if not records:
             raise InputError(
                 "part 'transients'", "no record that moves", "records with a transient"
@@ -259,7 +256,7 @@ def _find_suspect_signs(
     if unexplained is None and not (state.is_stopped or is_known):
         estimate = estimate_by_equation_error(problem.system, state.space, vector, problem.motion)
         unexplained = float(estimate.unexplained.max())
-    if unexplained is None or unexplained <= _POORLY_EXPLAINED:
+    if unexplained is None or unexplained <= WELL_EXPLAINED:
         return ()
     return find_reversed_signs(problem.system, state.space, vector, problem.motion)
 

@@ -14,8 +14,7 @@ from tustinnet.fitting.recipe import Robust, SearchRecipe, StageRecipe
 from tustinnet.signals.outliers import TO_DEVIATION
 
 _STILL_UNIT = 1.0  # the unit of a signal that never changes
-_HUBER = 1.345  # standard deviations from which on a residual weighs less
-_DEGREES_OF_FREEDOM = 4.0  # of Student's t
+_HUBER = 1.345  # standard deviations; Huber's, for 95 % of the efficiency with normal residuals
 _LEAST_SCALE = 1e-12  # where most residuals are 0
 
 
@@ -153,7 +152,7 @@ def robust_weights(
     z = np.abs(errors) / np.maximum(TO_DEVIATION * deviation, least)
     if kind == "huber":
         return _HUBER / np.maximum(z, _HUBER)
-    return 1 / (1 + z**2 / _DEGREES_OF_FREEDOM)
+    return 1 / (1 + z**2 / 4.0)  # Student's t of 4 degrees of freedom
 
 
 def _to_power_of_two(units: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

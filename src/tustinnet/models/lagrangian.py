@@ -40,7 +40,9 @@ from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 
-_UNROLLED = 4  # coordinates up to which the factorisation is written out instead of called
+_UNROLLED_COORDINATES = (
+    4  # coordinates up to which the factorisation is written out instead of called
+)
 
 
 _SMALLEST_PIVOT = 1e-12  # of balanced internal states, relative to the size of the equations
@@ -770,7 +772,7 @@ def solve_positive(
     those of several columns, whose rows programs take as vectors.
     """
     n = right.shape[0]
-    if n > _UNROLLED and right.ndim == 1:
+    if n > _UNROLLED_COORDINATES and right.ndim == 1:
         return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix, lower=True), right)
     lower: dict[tuple[int, int], Array] = {}
     y: list[Array] = []

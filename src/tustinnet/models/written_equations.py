@@ -14,7 +14,7 @@ from tustinnet.program.reading import Unreadable, read
 from tustinnet.program.sums import Sum, Symbol, TooLong, read_sums, write_latex, write_plain
 
 _MOST_COORDINATES = 4  # more are chains, whose equations fill pages
-_LONGEST = 600  # characters of an equation in plain text
+_LONGEST_EQUATION = 600  # characters of an equation in plain text
 _GREEK = {
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa"),
     *("lambda", "mu", "nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
@@ -94,7 +94,7 @@ def equations_of_motion(model: Model | ContinuousModel) -> EquationsOfMotion:
             left = left + x.grouped() * Sum.factor(a)
         text.append(f"{write_plain(left)} = {write_plain(force)}")
         latex.append(f"{write_latex(left)} = {write_latex(force)}")
-        if len(text[-1]) > _LONGEST:
+        if len(text[-1]) > _LONGEST_EQUATION:
             raise _too_long(f"an equation of {len(text[-1])} characters")
     return EquationsOfMotion(tuple(text), tuple(latex))
 

@@ -18,7 +18,7 @@ from tustinnet.program.tape import NodeTerm, Tape
 
 # derivatives of a node: for each direction the number of a node of its size; no entry for zero
 Tangents = dict[int, int]
-_FEW = 0.25  # share of a vector that is not zero, up to which a product is written by columns
+_SPARSE = 0.25  # share of a vector that is not zero, up to which a product is written by columns
 
 
 def with_derivatives(
@@ -157,7 +157,7 @@ class _Forward:
         if all(v is not None for v in values):
             return tape.table(matrix @ np.array(values, float))
         used = [i for i, v in enumerate(values) if v != 0.0]
-        if len(used) > _FEW * len(numbers):
+        if len(used) > _SPARSE * len(numbers):
             return tape.product(matrix, vector)
         total = tape.table(np.zeros(len(matrix)))
         for i in used:

@@ -26,8 +26,8 @@ from tustinnet.program.primitives import (
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Program
 from tustinnet.program.tape import Tape
 
-_UNROLLED = 300  # operations up to which a loop is written out
-_MOST = 200_000  # operations of a loop that can only be written out
+_UNROLLED_OPERATIONS = 300  # operations up to which a loop is written out
+_MOST_OPERATIONS = 200_000  # operations of a loop that can only be written out
 _TURNS = 10_000  # of a loop that ends by a condition
 _COMPUTED_INDEX = "by an index that depends on the state or the inputs"
 # what to write in the place of primitives that people use without knowing them by name
@@ -294,7 +294,7 @@ class _Reader:
             out = self.run(params["jaxpr"], [*constants, *carried, *now])
             carried = out[:n_carried]
             collected.append(out[n_carried:])
-            if len(collected) * (i + 1) > _MOST:
+            if len(collected) * (i + 1) > _MOST_OPERATIONS:
                 raise UnsupportedPrimitive("of too many turns")
         if params["reverse"]:
             collected.reverse()
@@ -352,7 +352,7 @@ class _Reader:
         except UnsupportedPrimitive:
             return None  # such as a counter that is an index: written out it is a constant
         body = tape.program({k: inner.ids(v).ravel() for k, v in zip(starts, out, strict=True)})
-        if body.operations * length <= _UNROLLED:
+        if body.operations * length <= _UNROLLED_OPERATIONS:
             return None
         loop = Loop(body, length, len(passed), len(starts))
         numbers = self._tape.loop(loop, [*passed.values(), *starts.values(), *collected.values()])

@@ -8,7 +8,7 @@ from tustinnet.program.program import OPERATIONS, Node, Program
 
 _MOST_TERMS = 200  # of a sum; more are no formula that somebody reads
 _NEGLIGIBLE = 1e-12  # of the largest coefficient of a sum: what rounding leaves
-_DIGITS = 4  # of a coefficient
+_COEFFICIENT_DIGITS = 4  # of a coefficient
 _LARGEST_POWER = 8  # that is multiplied out
 
 
@@ -230,7 +230,7 @@ def _write(total: Sum, *, is_latex: bool) -> str:
     for product, coefficient in sorted(total.terms, key=lambda term: bool(term[0])):
         factors = [_write_power(f, p, is_latex=is_latex) for f, p in product]
         size = abs(coefficient)
-        is_one = math.isclose(size, 1.0, rel_tol=0.5 * 10.0**-_DIGITS) and factors
+        is_one = math.isclose(size, 1.0, rel_tol=0.5 * 10.0**-_COEFFICIENT_DIGITS) and factors
         number = [] if is_one else [_write_number(size, is_latex=is_latex)]
         term = (r"\, " if is_latex else " ").join([*number, *factors])
         sign = "-" if coefficient < 0 else "+"
@@ -239,7 +239,7 @@ def _write(total: Sum, *, is_latex: bool) -> str:
 
 
 def _write_number(size: float, *, is_latex: bool) -> str:
-    text = f"{size:.{_DIGITS}g}"
+    text = f"{size:.{_COEFFICIENT_DIGITS}g}"
     mantissa, _, exponent = text.partition("e")
     return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if is_latex and exponent else text
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tustinnet.program.program import OPERATIONS, Factor, Loop, Node, Program
 
-LONG = 8  # numbers from which a vector is treated as one value
+LONG_VECTOR = 8  # numbers from which a vector is treated as one value
 
 Ids = Sequence[int] | np.ndarray
 
@@ -124,7 +124,7 @@ class Tape:
         """Whether numbers stand one after the other in a long vector, which is one node."""
         first = self._nodes[int(ids[0])]
         return (
-            len(ids) >= LONG
+            len(ids) >= LONG_VECTOR
             and first.op == "pick"
             and all(self._follows(int(a), int(b)) for a, b in pairwise(ids))
         )

@@ -20,8 +20,6 @@ from tustinnet.control.trial import Trial
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.tables import Table
 
-_LABEL = 50  # characters of a label of the figure of robustness
-
 
 def point_table(design: ControlDesign) -> Table:
     """The equilibrium: values of all states and inputs, and the gains of the feedback there."""
@@ -230,7 +228,7 @@ def robustness_figure(robustness: Robustness) -> Figure:
                 color="white" if row.share > 0.2 else "black",
                 fontsize=7.5,
             )
-        labels = [textwrap.shorten(f"{row.kind}: {row.help}", _LABEL) for row in rows]
+        labels = [textwrap.shorten(f"{row.kind}: {row.help}", 50) for row in rows]
         axes.set_yticks(places, labels)
         axes.invert_yaxis()
         axes.set_xlim(0, 1)

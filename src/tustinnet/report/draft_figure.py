@@ -16,16 +16,15 @@ _COLOURS = {
     "set point": COLOURS[1],
 }
 _UNUSED = "#8f8f8f"
-_MOST = 30  # columns that are drawn, those of the card first
 _COLUMNS = 2
-_WIDTH = 92  # characters of a line of a title
 _LINES = 3  # of a title
 
 
 def draft_figure(draft: Draft) -> Figure:
     """Figure of every column over time for a typical record, with the reasons for its role."""
     piece = draft.typical
-    drawn = sorted(draft.columns, key=lambda c: not c.use)[:_MOST]
+    # thirty columns are drawn, those of the card first
+    drawn = sorted(draft.columns, key=lambda c: not c.use)[:30]
     drawn = [column for column in draft.columns if column in drawn]
     rows = -(-len(drawn) // _COLUMNS)
     with figure_style():
@@ -61,5 +60,5 @@ def _title(column: DraftColumn) -> str:
     """Name, use, unit and reasons of a column on a few lines."""
     unit = f" [{column.unit}]" if column.unit else ""
     text = f"{column.name}: {column.use or 'not used'}{unit}; {column.because}"
-    lines = textwrap.wrap(text, _WIDTH)
+    lines = textwrap.wrap(text, 92)
     return "\n".join(lines[:_LINES]) + (" ..." if len(lines) > _LINES else "")

@@ -20,7 +20,7 @@ MEASURED = "#111111"
 INPUT = "#5b7fa6"
 COLOURS = ("#c0392b", "#e08e0b", "#2e8b57", "#7d3c98", "#5d6d7e")
 _BINS = 1200  # fewest along a line of a figure, more than it has pixels
-LONG = 4 * _BINS  # samples; of a longer line only the extremes are drawn
+LONG_LINE = 4 * _BINS  # samples; of a longer line only the extremes are drawn
 _DOTS = 150  # an inch
 _STYLE = {
     "font.size": 9,
@@ -68,7 +68,7 @@ def plot_line(
     axes: Axes, t: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], **style: Any
 ) -> None:
     """Draws a line; of a long one only extremes of intervals narrower than a pixel of a PNG."""
-    if len(y) > LONG:
+    if len(y) > LONG_LINE:
         samples = find_extremes(y[:, None], len(y) // _BINS)
         t, y = t[samples], y[samples]
     axes.plot(t, y, **style)

@@ -25,8 +25,6 @@ from tustinnet.report.tables import Table, number
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.simulate.starts import start_named
 
-_MOST_COORDINATES = 3  # whose scores have room beside one another
-_STEPS_SHOWN = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _SCORE_KEYS = ("experiment", "rmse", "rmse_after", "coordinate_rmse", "nrmse", "fit_percent")
 
 
@@ -166,7 +164,8 @@ def _score_tables(
     """
     # any model simulates the samples well that its start was fitted to
     start_samples = start_named(start).seen_samples
-    is_wide = channels.n_q > _MOST_COORDINATES
+    # the scores of three coordinates have room beside one another
+    is_wide = channels.n_q > 3
     columns = ["record", "split", *[f"RMSE [{unit}]" for unit in channels.units]]
     if start_samples:
         has_units = len(channels.units) > 1
@@ -272,7 +271,7 @@ def _band_table(
 
 def _ahead_table(errors: Float[np.ndarray, "horizon n_q"], channels: Channels) -> Table:
     """Table of errors of predictions some steps ahead."""
-    shown = [*(k for k in _STEPS_SHOWN if k < len(errors)), len(errors)]
+    shown = [*(k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k < len(errors)), len(errors)]
     by_unit = rmse_ahead_by_unit(errors, channels)
     rows = [
         [str(k), f"{k * channels.dt:g}", *[number(x, 4) for x in by_unit[k - 1]]] for k in shown

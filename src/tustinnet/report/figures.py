@@ -15,16 +15,13 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.bands import Band
 from tustinnet.evaluate.scores import Score
 from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces
-from tustinnet.report.drawing import COLOURS, INPUT, LONG, MEASURED, figure_style, plot_line
+from tustinnet.report.drawing import COLOURS, INPUT, LONG_LINE, MEASURED, figure_style, plot_line
 from tustinnet.report.page.signals import bounded
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
 
-_LINEAR_BELOW = 3  # values that differ by a smaller factor are drawn on a linear axis
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
-_COVERED = 0.1  # NRMSE below which the lines of measured and simulated positions are one
-_MANY_COORDINATES = 3  # with errors beside positions, as below them the figure would be too high
 _PANEL, _PANEL_WITH_ERROR = 1.9, 3.1  # in: height for a coordinate
 
 
@@ -47,12 +44,14 @@ def free_run_figure(
         recorded: label of the record's own line.
         bands: bands around the free runs by label.
     """
-    e, is_long = experiment, len(experiment) > LONG
+    e, is_long = experiment, len(experiment) > LONG_LINE
     n_q = e.channels.n_q
     horizon = next((score.horizon for score in runs.values()), None)
     nrmse = np.array([score.nrmse for score in runs.values()])
-    has_errors = is_long or horizon is not None or bool(np.nanmax(nrmse, initial=0.0) < _COVERED)
-    is_beside = has_errors and n_q >= _MANY_COORDINATES
+    # below this NRMSE the lines of measured and simulated positions are one
+    has_errors = is_long or horizon is not None or bool(np.nanmax(nrmse, initial=0.0) < 0.1)
+    # below the positions of three coordinates errors would make the figure too high
+    is_beside = has_errors and n_q >= 3
     columns, rows_each = (2, 1) if is_beside else (1, 2 if has_errors else 1)
     height = _PANEL if is_beside else _PANEL_WITH_ERROR if has_errors else _PANEL
     with figure_style():
@@ -136,7 +135,8 @@ def training_figure(histories: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
             axes.set_ylabel(label)
             y = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
             y = y[np.isfinite(y)]
-            if y.size and y.min() > 0 and y.max() > _LINEAR_BELOW * y.min():
+            # values that differ by a smaller factor are drawn on a linear axis
+            if y.size and y.min() > 0 and y.max() > 3 * y.min():
                 axes.set_yscale("log")
                 axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
                 axes.yaxis.set_minor_formatter(NullFormatter())

@@ -18,8 +18,6 @@ from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.run_folder import SUMMARY
 
-_MOST_ROWS = 30  # of parameters that are all shown
-
 
 def members_table(run: Run) -> Table:
     """Table of the members of a training, with median and range where there are several."""
@@ -92,7 +90,7 @@ def parameter_table(result: Identification) -> Table:
 
 def is_many(parameters: Sequence[object]) -> bool:
     """Whether there are too many parameters for a table to have them all."""
-    return len(parameters) > _MOST_ROWS
+    return len(parameters) > 30
 
 
 def split_informed(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[Estimate]]:

@@ -13,7 +13,11 @@ MOST_DRAWN = 30  # parameters that have room for their names
 _FEWEST_DRAWN = 10  # where no correlation is strong
 _STRONG = 0.5  # correlation that is worth a place among many
 _WIDTH = 9.0  # in
-_ROW, _MANY_ROW, _MARGIN = 0.36, 0.24, 1.6  # in: height of a parameter, of one of many
+_ROW_HEIGHT, _MANY_ROW, _TOP_AND_BOTTOM = (
+    0.36,
+    0.24,
+    1.6,
+)  # in: height of a parameter, of one of many
 
 
 def correlation_figure(result: Identification) -> Figure:
@@ -27,7 +31,7 @@ def correlation_figure(result: Identification) -> Figure:
     estimates = [result.estimates[i] for i in drawn]
     n = len(estimates)
     with figure_style():
-        height = (_MANY_ROW if is_part else _ROW) * n + _MARGIN
+        height = (_MANY_ROW if is_part else _ROW_HEIGHT) * n + _TOP_AND_BOTTOM
         size = 7 if is_part else None
         figure = Figure(figsize=(_WIDTH, height), layout="constrained")
         # of many, a row of the matrix is beside the range of its parameter, which has the name

@@ -12,9 +12,6 @@ from tustinnet.selection.learning import LearningCurve
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_TICKS = (1, 1.5, 2, 3, 4, 6)  # of a decade; a curve often spans less than one
-_APART = 1.03  # factor between the lines of two approaches, so that their bars do not cover
-
 
 def learning_table(curve: LearningCurve) -> Table:
     """Table of the median and range over the draws, with a row for each number of records."""
@@ -54,7 +51,8 @@ def learning_figure(curve: LearningCurve) -> "Figure":
             rmse = np.array([curve.by_draw(approach, size) for size in curve.sizes])
             is_finite = np.isfinite(rmse)
             high = np.where(is_finite, rmse, -np.inf).max(axis=1)  # -inf where no draw has a model
-            x = np.array(curve.sizes) * _APART ** (i - (len(curve.approaches) - 1) / 2)
+            # the lines of approaches are apart, so that their bars do not cover
+            x = np.array(curve.sizes) * 1.03 ** (i - (len(curve.approaches) - 1) / 2)
             colour = COLOURS[i % len(COLOURS)]
             middle, has_model = np.median(rmse, axis=1), np.isfinite(high)
             middle = np.where(np.isfinite(middle), middle, np.nan)
@@ -66,7 +64,8 @@ def learning_figure(curve: LearningCurve) -> "Figure":
         axes.set_xscale("log", base=2)
         if any(math.isfinite(p.rmse) for p in curve.points):
             axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=_TICKS))
+            # of a decade; a curve often spans less than one
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 4, 6)))
             axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.set_xticks(curve.sizes, list(map(str, curve.sizes)))
         for axis in (axes.xaxis, axes.yaxis):

@@ -27,7 +27,7 @@ from tustinnet.report.tables import Table, number
 from tustinnet.selection.choice import Choice
 
 _MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
-_PANEL = (6.0, 1.3)  # inches
+_PANEL_SIZE = (6.0, 1.3)  # inches
 
 
 # --- tables ---
@@ -86,7 +86,9 @@ def _picture(e: Experiment) -> str:
     """A record as a picture in HTML."""
     with figure_style():
         count = _count_panels(e.channels)
-        figure = Figure(figsize=(_PANEL[0], _PANEL[1] * count + 0.4), layout="constrained")
+        figure = Figure(
+            figsize=(_PANEL_SIZE[0], _PANEL_SIZE[1] * count + 0.4), layout="constrained"
+        )
         plot(e, figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
         buffer = BytesIO()
         FigureCanvasAgg(figure).print_png(buffer)
@@ -200,7 +202,7 @@ def _make_panels(count: int) -> Sequence[Axes]:
     from matplotlib import pyplot  # chooses how figures are shown: only where one is asked for
 
     with figure_style():
-        size = (_PANEL[0], _PANEL[1] * count + 0.6)
+        size = (_PANEL_SIZE[0], _PANEL_SIZE[1] * count + 0.6)
         _, axes = pyplot.subplots(count, 1, sharex=True, figsize=size, layout="constrained")
     return axes
 

@@ -17,7 +17,6 @@ from tustinnet.fitting.listener import EpochReport, Listener, SearchProgress
 from tustinnet.fitting.task import Task
 from tustinnet.report.tables import number
 
-_WIDE = 110  # columns of a terminal that leave room for a longer bar
 _LINE_EVERY = 15.0  # seconds between two lines where there is no terminal
 _SEARCH_LINE_EVERY = 5.0  # seconds between two lines of a stage of an identification
 _COMPILING = "compiling"
@@ -41,7 +40,8 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         if console.is_terminal and not quiet:
             self._bars = Progress(
                 TextColumn("{task.description}"),
-                BarColumn(bar_width=20 if console.width >= _WIDE else 4),
+                # a terminal of 110 columns leaves room for a longer bar
+                BarColumn(bar_width=20 if console.width >= 110 else 4),
                 _Figures(),
                 console=console,
             )

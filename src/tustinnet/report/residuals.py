@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tustinnet.channels import Channels
-from tustinnet.evaluate.residuals import CONFIDENCE, ResidualReport
+from tustinnet.evaluate.residuals import LAG_CONFIDENCE, ResidualReport
 from tustinnet.fitting.report import Stretch
 from tustinnet.report.tables import Table, number
 
@@ -50,7 +50,7 @@ def residual_figure(reports: Sequence[ResidualReport], channels: Channels, title
             panels[0][1 + k].set_title(f"correlation with {channels.inputs[k].name}", loc="left")
         for axes in panels[-1]:
             axes.set_xlabel("lag [s]")
-        shaded = f"shaded: {100 * CONFIDENCE:.0f} % of the lags of residuals with nothing left"
+        shaded = f"shaded: {100 * LAG_CONFIDENCE:.0f} % of the lags of residuals with nothing left"
         figure.suptitle(f"{title}; {shaded}", fontsize=8)
         return figure
 

@@ -12,9 +12,6 @@ from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.wording import counted
 
-_SHORTEST = 1.0  # s, of a part of a command that is named
-_MOST_NAMED = 3  # coordinates whose errors are all in a sentence
-
 
 def fit_summary(run: Run) -> tuple[str, ...]:
     """Sentences on a run: what was fitted, and how good it is."""
@@ -40,7 +37,8 @@ def time_sentence(total: float, fitting: float, preparation: float) -> str:
         "preparation of the records": preparation,
         "scores, figures and the rest": total - fitting - preparation,
     }
-    listed = ", ".join(f"{what} {duration(x)}" for what, x in parts.items() if x >= _SHORTEST)
+    # parts of a command that took a second
+    listed = ", ".join(f"{what} {duration(x)}" for what, x in parts.items() if x >= 1.0)
     return f"time: {duration(total)}" + (f" ({listed})" if listed else "")
 
 
@@ -56,7 +54,7 @@ def _describe_accuracy(run: Run) -> str:
         f"{share:.2g} % of {c.name}'s"
         for c, share in zip(channels.coordinates, percent, strict=True)
     )
-    if len(percent) > _MOST_NAMED:  # the largest says what is wrong
+    if len(percent) > 3:  # no room for all: the largest says what is wrong
         worst = channels.coordinates[int(np.argmax(percent))].name
         shares = f"{percent.min():.2g} to {percent.max():.2g} %, most of {worst}'s,"
     diverged = f"; {len(scores) - len(finite)} diverge" if len(finite) < len(scores) else ""

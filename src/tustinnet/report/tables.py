@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-_WIDEST = 10_000  # characters: as wide as any table; one takes no more than it needs
 _LATEX = {"&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$"}
 
 
@@ -43,7 +42,8 @@ class Table:
         for row in self.rows:
             rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
         # a table must not be cut to the console's width, beyond which no width of a print goes
-        width, console.width = console.width, _WIDEST
+        # wider than any table, which takes no more than it needs
+        width, console.width = console.width, 10_000
         is_wide = console.is_terminal and console.measure(rich_table).maximum > width
         shown = Text(self._blocks()) if is_wide else rich_table
         console.print(shown, crop=False, soft_wrap=True)

@@ -16,8 +16,6 @@ VelocityMethod = Literal["stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 Positions = Float[np.ndarray, "n n_q"]
 
 _STENCIL = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
-_SAVGOL_LENGTH = 7
-_SAVGOL_DEGREE = 3
 
 
 def differentiate(
@@ -101,8 +99,8 @@ def savitzky_golay(q: Positions, dt: float) -> Positions:
     """
     import scipy.signal  # takes a second, and the method is rarely used
 
-    length = min(_SAVGOL_LENGTH, len(q) if len(q) % 2 else len(q) - 1)
-    slopes = scipy.signal.savgol_filter(q, length, _SAVGOL_DEGREE, deriv=1, delta=dt, axis=0)
+    length = min(7, len(q) if len(q) % 2 else len(q) - 1)
+    slopes = scipy.signal.savgol_filter(q, length, 3, deriv=1, delta=dt, axis=0)
     return np.asarray(slopes)
 
 

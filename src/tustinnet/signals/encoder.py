@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-_ROUNDING = 1e-12  # of the largest position: levels this near are equal, but for the arithmetic
-
 
 def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
     """The step of which all changes of a position are multiples, None where there is none.
@@ -14,7 +12,7 @@ def encoder_count(q: Float[np.ndarray, " n"]) -> float | None:
     """
     levels = np.unique(q)
     # the sum of an angle and turns, or a unit's factor, makes several numbers of one level
-    is_new = np.diff(levels, prepend=-np.inf) > _ROUNDING * np.abs(levels).max(initial=0.0)
+    is_new = np.diff(levels, prepend=-np.inf) > 1e-12 * np.abs(levels).max(initial=0.0)
     levels = levels[is_new]
     if len(levels) < 3:
         return None

@@ -7,12 +7,8 @@ from jaxtyping import Float
 
 from tustinnet.signals.transients import resting_positions
 
-_NEAR = 0.5  # rad, or of a length's whole travel a fifth: about so far motion is near to linear
-_NEAR_SHARE = 0.2
 _AHEAD = 5  # samples, the baseline of a velocity: errors of both ends are then independent
-_FEWEST = 100  # samples that the linear fit needs
 _ALIKE = 2.0  # factor between growth rates of one mode
-_GROWTHS = 10.0  # e-folds within the stretch, fewer might be drift
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,8 @@ def find_held_equilibrium(
         angular: whether each coordinate is an angle.
         dt: sampling period [s].
     """
-    near = np.where(angular, _NEAR, _NEAR_SHARE * np.ptp(q, axis=0))
+    # so far, in rad or of the travel of a length, motion is near to linear
+    near = np.where(angular, 0.5, 0.2 * np.ptp(q, axis=0))
     far = np.abs(q - resting_positions(q)) > near
     first_samples = {int(np.flatnonzero(c)[-1]) + 1 if c.any() else 0 for c in far.T}
     for k in sorted(first_samples):
@@ -61,7 +58,8 @@ def find_held_equilibrium(
             for part in (slice(begin, None), slice(begin, middle), slice(middle, None))
         )
         is_in_both = all(rate / _ALIKE < half < rate * _ALIKE for half in halves)
-        if is_in_both and rate * (len(q) - k) * dt > _GROWTHS:
+        # with fewer e-folds within the stretch it might be drift
+        if is_in_both and rate * (len(q) - k) * dt > 10.0:
             return HeldEquilibrium(k, 1 / rate)
     return None
 
@@ -71,7 +69,7 @@ def _fastest_growth(
 ) -> float:
     """Rate of the fastest mode of a linear fit [1/s]; 0 where there is too little to fit."""
     n = len(x) - _AHEAD
-    if n < _FEWEST or not np.ptp(u, axis=0).any():
+    if n < 100 or not np.ptp(u, axis=0).any():
         return 0.0
     between = [u[j : j + n] for j in range(_AHEAD)]
     regressors = np.concatenate([x[:n], *between, np.ones((n, 1))], axis=1)

@@ -10,9 +10,7 @@ from jaxtyping import Float
 DeclaredHold = Literal["zero-order", "first-order", "band-limited"]
 
 HALF = 16  # samples on either side that a band-limited value is computed from
-_ORDER = 8  # coefficients a period: errs by 2e-6 at 0.42 of the sampling rate
-_PREDICTED_FROM = 16  # samples that the next beyond an end is predicted from
-_RIDGE = 1e-9  # of the mean square: rounding of a converter, no more
+_COEFFICIENTS = 8  # coefficients a period: errs by 2e-6 at 0.42 of the sampling rate
 _KAISER = 8.0  # the window leaves 1e-4 up to 0.42 of the sampling rate
 
 
@@ -103,7 +101,9 @@ def _interpolate_band_limited(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "order steps"]]:
     n, reach = len(u), HALF + math.ceil(abs(delay)) + 1
     extended = np.concatenate([_predict_back(u, reach), u, _predict_back(u[::-1], reach)[::-1]])
-    nodes = (1 - np.cos(np.pi * np.arange(_ORDER) / (_ORDER - 1))) / 2  # both ends among them
+    nodes = (
+        1 - np.cos(np.pi * np.arange(_COEFFICIENTS) / (_COEFFICIENTS - 1))
+    ) / 2  # both ends among them
     values = []
     for node in nodes:
         whole, part = divmod(node - delay, 1.0)
@@ -123,11 +123,12 @@ def _predict_back(u: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, "
     if not peak:
         return np.full(count, mean)
     reverse = (u - mean)[::-1] / peak
-    order = min(_PREDICTED_FROM, len(u) // 3)
+    order = min(16, len(u) // 3)
     # a copy: products of views that overlap take twice as long
     past = np.lib.stride_tricks.sliding_window_view(reverse[:-1], order).copy()
     products = past.T @ past
-    products += _RIDGE * np.trace(products) * np.eye(order)
+    # as much as a converter rounds
+    products += 1e-9 * np.trace(products) * np.eye(order)
     weights = np.linalg.solve(products, past.T @ reverse[order:])
     predicted = np.concatenate([reverse[-order:], np.zeros(count)])
     for k in range(order, order + count):

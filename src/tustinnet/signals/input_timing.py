@@ -86,7 +86,7 @@ class TimingLevels:
     misfit_closed: float = 0.03
 
 
-LEVELS = TimingLevels()
+TIMING = TimingLevels()
 
 
 class Measured(NamedTuple):
@@ -98,7 +98,7 @@ class Measured(NamedTuple):
     @property
     def is_vague(self) -> bool:
         """Whether a delay or lag [periods] tells nothing."""
-        return self.error > LEVELS.vague * max(1.0, self.value)
+        return self.error > TIMING.vague * max(1.0, self.value)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def estimate_input_timing(
     searched = [j for j, k in enumerate(declared) if k.delay is None]
     for j in searched * min(len(declared), 2):  # twice, as each depends on the others
         one, hold = regression.of_input(j, usual), usual[j].hold
-        usual[j] = min((Response(hold, d) for d in _delays(LEVELS.earliest, 0.5)), key=one.loss)
+        usual[j] = min((Response(hold, d) for d in _delays(TIMING.earliest, 0.5)), key=one.loss)
     ones = [regression.of_input(j, usual) for j in range(len(declared))]
     tried = [_try_all(one, k, dt) for one, k in zip(ones, declared, strict=True)]
     is_closed = any(map(_shows_feedback, ones, tried))
@@ -224,7 +224,7 @@ _KINDS: tuple[Kind, ...] = get_args(Kind)  # the simpler first
 
 
 def _delays(earliest: float, step: float) -> Array:
-    return np.arange(earliest, LEVELS.latest + step / 2, step)
+    return np.arange(earliest, TIMING.latest + step / 2, step)
 
 
 class _Regression:
@@ -243,9 +243,9 @@ class _Regression:
     ) -> None:
         every, n_u = np.concatenate(positions), inputs[0].shape[1]
         n_q, is_small = every.shape[1], n_u <= 2
-        if max(n_q, n_u) > LEVELS.most:
+        if max(n_q, n_u) > TIMING.most:
             raise InputError(
-                "records", f"{n_q} coordinates, {n_u} inputs", f"at most {LEVELS.most} of each"
+                "records", f"{n_q} coordinates, {n_u} inputs", f"at most {TIMING.most} of each"
             )
         # one coordinate leaves room for slow lags; many coordinates have many inputs
         self.lags = (
@@ -256,7 +256,7 @@ class _Regression:
         parts, records, end = [], [], 0
         for q, u in zip(positions, inputs, strict=True):
             rows = np.arange(self.lags[-1], len(q) + self.lags[0])
-            rows = rows[: max(int(len(rows) * min(1.0, LEVELS.rows / len(every))), 100)]
+            rows = rows[: max(int(len(rows) * min(1.0, TIMING.rows / len(every))), 100)]
             if len(rows) < len(self.lags):
                 continue
             scaled = (u - middle) / (spread + 1e-12)
@@ -273,9 +273,9 @@ class _Regression:
             parts.append((static[rows], moved.reshape(len(rows), -1), second, is_moving, changes))
             records.append(slice(end, end + len(rows)))
             end += len(rows)
-        if end < LEVELS.fewest_rows:
+        if end < TIMING.fewest_rows:
             raise InputError(
-                "records", f"{end} samples to judge by", f"at least {LEVELS.fewest_rows}"
+                "records", f"{end} samples to judge by", f"at least {TIMING.fewest_rows}"
             )
         static, lagged, second, moving, changes = (
             np.concatenate(x) for x in zip(*parts, strict=True)
@@ -287,7 +287,7 @@ class _Regression:
         information = np.cumsum(changes / (changes.mean() + 1e-300) + 0.05)
         cuts = [
             0,
-            *np.searchsorted(information, np.linspace(0, information[-1], LEVELS.blocks + 1)[1:-1]),
+            *np.searchsorted(information, np.linspace(0, information[-1], TIMING.blocks + 1)[1:-1]),
             end,
         ]
         blocks = [slice(a, b) for a, b in pairwise(cuts)]
@@ -297,10 +297,10 @@ class _Regression:
         grams, counts = [], []
         for i in range(n_q):
             weight = moving[:, i].astype(float)
-            if weight.sum() < LEVELS.fewest_rows or np.ptp(every[:, i]) <= 3 * motion.counts[i]:
+            if weight.sum() < TIMING.fewest_rows or np.ptp(every[:, i]) <= 3 * motion.counts[i]:
                 continue
             noise = _Noise.of_regression(filtered, second[:, i], weight, records)
-            weight *= np.abs(noise.residual) < LEVELS.outlier * noise.deviation
+            weight *= np.abs(noise.residual) < TIMING.outlier * noise.deviation
             columns = noise.whiten(np.column_stack([static, lagged, second[:, i]]), records)
             columns *= (weight / noise.deviation)[:, None]
             rest = _without(columns[:, : static.shape[1]], columns[:, static.shape[1] :])
@@ -392,7 +392,7 @@ class _MotionScale:
         dry = [f for w in v.T for f in (np.tanh(w / 0.03), np.tanh(w / 0.3), w * np.abs(w))]
         squares = [v[:, i] ** 2 for i in range(n_q)]
         pairs = list[Array]()
-        if n_q <= LEVELS.coupled:
+        if n_q <= TIMING.coupled:
             squares += [v[:, i] * v[:, j] for i in range(n_q) for j in range(i + 1, n_q)]
             pairs = [a * b for i, a in enumerate(waves) for b in waves[2 * (i // 2) + 2 :]]
         static = [np.ones(n), *waves, *double, *others, *v.T, *dry, *squares, *pairs]
@@ -440,7 +440,7 @@ class _Noise:
         for ratio, columns in zip(_RATIOS, filtered, strict=True):
             denominator = _measurement_noise(ratio)
             residual = _without(columns, _filter(y, records, [1.0], denominator), weight)
-            bound = LEVELS.outlier * _robust_deviation(residual[weight > 0])
+            bound = TIMING.outlier * _robust_deviation(residual[weight > 0])
             residual = np.clip(residual, -bound, bound) * weight
             parts = [residual[r] for r in records]
             covariance = np.array(
@@ -564,19 +564,18 @@ class _Hypothesis(NamedTuple):
         return Measured(delay, delay_error), Measured(lag, lag_error)
 
 
-_STARTS = (0.3, 0.7, 1.5, 3.0, 6.0, 10.0)  # of lags [periods]
-_STEP = 0.05  # of differences in delay and lag [periods]
+_TIMING_STEP = 0.05  # of differences in delay and lag [periods]
 
 
 def _search(
-    one: _OneInput, hold: DeclaredHold, kind: Kind, earliest: float = LEVELS.earliest
+    one: _OneInput, hold: DeclaredHold, kind: Kind, earliest: float = TIMING.earliest
 ) -> _Hypothesis:
     """The best delay and lag of a hypothesis; no lag has a delay before 0."""
     free = [name in kind for name in ("delay", "lag")]
     if kind == "none":
         return _Hypothesis(np.zeros(2), np.zeros(2), one.held_out(Response(hold)))
     low = np.array([earliest if kind == "delay" else max(earliest, 0.0), 0.0])
-    high = np.array([LEVELS.latest, LEVELS.slowest])
+    high = np.array([TIMING.latest, TIMING.slowest])
     place = np.eye(2)[:, free]
 
     def response(values: Array) -> Response:
@@ -584,7 +583,8 @@ def _search(
         return Response(hold, float(delay), float(lag))
 
     delays = _delays(low[0], 0.5 if kind == "delay" else 1.0) if free[0] else (0.0,)
-    starts = [np.array(p)[free] for p in product(delays, _STARTS if free[1] else (0.0,))]
+    lags = (0.3, 0.7, 1.5, 3.0, 6.0, 10.0) if free[1] else (0.0,)  # [periods]
+    starts = [np.array(p)[free] for p in product(delays, lags)]
     start = min(starts, key=lambda p: one.loss(response(p)))
     unit = np.eye(len(start))
     options = {
@@ -598,9 +598,9 @@ def _search(
     result = minimize(lambda p: one.loss(response(p)), start, method="Nelder-Mead", options=options)
     best = np.array(response(result.x)[1:])[free]
     steps, curvature = _jackknife_steps(one, hold, place @ best, place)
-    spread = (LEVELS.blocks - 1) / LEVELS.blocks * np.sum((steps - steps.mean(0)) ** 2, 0)
+    spread = (TIMING.blocks - 1) / TIMING.blocks * np.sum((steps - steps.mean(0)) ** 2, 0)
     formal = 2 * np.abs(np.diag(np.linalg.inv(curvature)))
-    error = np.sqrt(np.maximum(spread, formal) + LEVELS.floor**2)
+    error = np.sqrt(np.maximum(spread, formal) + TIMING.floor**2)
     losses = [one.held_out(response(best + step), b) for b, step in enumerate(steps)]
     return _Hypothesis(place @ best, place @ error, np.concatenate(losses))
 
@@ -611,18 +611,18 @@ def _jackknife_steps(
     """A Newton step for each block that is left out, (blocks, m), and the mean curvature."""
     m = place.shape[1]
     near = {
-        move: one.losses_without(Response(hold, *(at + _STEP * place @ np.array(move))))
+        move: one.losses_without(Response(hold, *(at + _TIMING_STEP * place @ np.array(move))))
         for move in product((-1, 0, 1), repeat=m)
     }
     unit = np.eye(m, dtype=int)
-    slope, curvature = np.empty((LEVELS.blocks, m)), np.empty((LEVELS.blocks, m, m))
+    slope, curvature = np.empty((TIMING.blocks, m)), np.empty((TIMING.blocks, m, m))
     for i in range(m):
         up, down = near[tuple(unit[i])], near[tuple(-unit[i])]
-        slope[:, i] = (up - down) / (2 * _STEP)
-        curvature[:, i, i] = np.maximum((up - 2 * near[(0,) * m] + down) / _STEP**2, 1e-9)
+        slope[:, i] = (up - down) / (2 * _TIMING_STEP)
+        curvature[:, i, i] = np.maximum((up - 2 * near[(0,) * m] + down) / _TIMING_STEP**2, 1e-9)
     if m == 2:
         mixed = near[1, 1] - near[1, -1] - near[-1, 1] + near[-1, -1]
-        curvature[:, 0, 1] = curvature[:, 1, 0] = mixed / (4 * _STEP**2)
+        curvature[:, 0, 1] = curvature[:, 1, 0] = mixed / (4 * _TIMING_STEP**2)
     curvature += 1e-9 * unit
     steps = -np.linalg.solve(curvature, slope[..., None])[..., 0]
     return np.clip(steps, -2, 2), curvature.mean(0)
@@ -663,15 +663,15 @@ def _shows_feedback(one: _OneInput, tried: _Hypotheses) -> bool:
     later = one.held_out(_PAST).sum() - free
     behind = min(h.losses.sum() for h in tried.values()) - free
     explained = one.held_out(_ABSENT).sum() - free
-    return bool(later > LEVELS.feedback * one.rows.sum() and behind > LEVELS.behind * explained)
+    return bool(later > TIMING.feedback * one.rows.sum() and behind > TIMING.behind * explained)
 
 
-def _is_better(losses: Array, others: Array, rows: Array, least: float = LEVELS.gain) -> bool:
+def _is_better(losses: Array, others: Array, rows: Array, least: float = TIMING.gain) -> bool:
     """Whether held-out losses are clearly smaller than others; no single block decides."""
     gain = (others - losses) / rows / 2
     bound = 3 * np.median(np.abs(gain))
     gain = np.clip(gain, -bound, bound)
-    return bool(gain.mean() > max(LEVELS.clear * gain.std(ddof=1) / np.sqrt(len(gain)), least))
+    return bool(gain.mean() > max(TIMING.clear * gain.std(ddof=1) / np.sqrt(len(gain)), least))
 
 
 def _decide(
@@ -682,14 +682,14 @@ def _decide(
     top = min(best.values(), key=lambda h: h.losses.sum())
     power = (one.held_out(_ABSENT) - top.losses).sum() / rows.sum() / 2
     misfit = (top.losses - one.held_out(_PAST)).sum() / rows.sum() / 2
-    least = max(LEVELS.hold_gain * len(one.grams), LEVELS.hold_share * power)
+    least = max(TIMING.hold_gain * len(one.grams), TIMING.hold_share * power)
     hold = _choose_hold(tried, best, rows, least)
     top = best[hold]
     rivals: tuple[DeclaredHold, ...] = tuple(
         h
         for h, other in best.items()
         if h != hold
-        and tried.get((h, "delay"), other).point[0] > -LEVELS.none
+        and tried.get((h, "delay"), other).point[0] > -TIMING.none
         and not _is_better(top.losses, other.losses, rows, least)
     )
     if declared.delay is not None:
@@ -698,8 +698,8 @@ def _decide(
     kinds = _simplest_kinds(tried, hold, top, rows, power)
     lagging = tried.get((hold, "lag")) or tried["zero-order", "lag"]
     delay, lag = tried[hold, "delay"].measured[0], lagging.measured[1]
-    is_hidden = is_closed and bool(misfit > LEVELS.misfit_closed * (power + misfit))
-    is_missed = misfit > LEVELS.misfit * (power + misfit)
+    is_hidden = is_closed and bool(misfit > TIMING.misfit_closed * (power + misfit))
+    is_missed = misfit > TIMING.misfit * (power + misfit)
     if is_hidden or is_missed or (lag if top is lagging else delay).is_vague:
         verdict = "unclear"
     else:
@@ -723,14 +723,14 @@ def _simplest_kinds(
     singles: list[Kind] = [k for k in ("delay", "lag") if k in of_hold]
     single = min(singles, key=lambda k: of_hold[k].losses.sum())
     gain = (of_hold[single].losses - top.losses).sum() / rows.sum() / 2
-    is_detail = of_hold["delay and lag"].point.min() < LEVELS.both
-    return [single] if is_detail or gain < LEVELS.both_share * power else good
+    is_detail = of_hold["delay and lag"].point.min() < TIMING.both
+    return [single] if is_detail or gain < TIMING.both_share * power else good
 
 
 def _judge(kinds: Sequence[Kind], delay: Measured) -> Verdict:
     """The verdict by the kinds that explain the records, and by the delay without a lag."""
-    is_clear = abs(delay.value) > LEVELS.clear * delay.error
-    if abs(delay.value) <= LEVELS.none or ("none" in kinds and not is_clear):
+    is_clear = abs(delay.value) > TIMING.clear * delay.error
+    if abs(delay.value) <= TIMING.none or ("none" in kinds and not is_clear):
         return "none"
     if "none" in kinds or not is_clear:
         return "unclear"
@@ -755,7 +755,7 @@ def _choose_hold(
     if len(best) == 1:
         return next(iter(best))
     point, error, _ = tried.get(("zero-order", "delay"), best["zero-order"])
-    if point[0] >= -max(LEVELS.clear * error[0], LEVELS.none):
+    if point[0] >= -max(TIMING.clear * error[0], TIMING.none):
         top = min(best, key=lambda hold: best[hold].losses.sum())
         is_clear = _is_better(best[top].losses, best["zero-order"].losses, rows, least)
         return top if is_clear else "zero-order"

@@ -3,13 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.signals.spectra import welch
+from tustinnet.signals.spectra import ABOVE_NOISE, SEGMENT, welch
 
-_PERIODS = 3  # of the cut-off frequency by which a signal is continued at its ends
+HIGHEST_CUTOFF = 0.4  # of the sampling rate, at most; set by hand, not measured
 _ORDER = 4  # of the Butterworth filter that acts forwards and back
-_SEGMENT = 1024  # samples of a spectrum, at most
-_POWER = 0.999  # share of a velocity's power within its band
-_ABOVE = 4.0  # times the noise that counts
 
 
 def low_pass(
@@ -28,7 +25,8 @@ def low_pass(
     """
     # written out, for scipy.signal takes longer to load than records take to be filtered
     n = len(signal)
-    reach = min(n - 1, int(np.ceil(_PERIODS / (cutoff * dt))))
+    # three periods of the cut-off frequency
+    reach = min(n - 1, int(np.ceil(3 / (cutoff * dt))))
     # behind the end as far as a multiple of a power of two, whose transform is fast
     block = 2 ** max(0, (n + 2 * reach).bit_length() - 5)
     behind = min(n - 1, reach - (n + 2 * reach) % -block)
@@ -62,10 +60,10 @@ def occupied_band(q: Float[np.ndarray, "n n_q"], dt: float) -> float:
     """
     highest = 1 / (len(q) * dt)
     for column in q.T:
-        frequency, density = welch(column, dt, min(len(column), _SEGMENT))
+        frequency, density = welch(column, dt, min(len(column), SEGMENT))
         noise = np.median(density[len(density) // 2 :])
-        power = np.maximum(density - _ABOVE * noise, 0.0) * frequency**2
+        power = np.maximum(density - ABOVE_NOISE * noise, 0.0) * frequency**2
         total = np.cumsum(power)
         if total[-1] > 0:
-            highest = max(highest, float(frequency[np.searchsorted(total, _POWER * total[-1])]))
+            highest = max(highest, float(frequency[np.searchsorted(total, 0.999 * total[-1])]))
     return highest

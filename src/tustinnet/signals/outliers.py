@@ -1,29 +1,48 @@
 """Noise of signals, and samples that do not belong to them: jumps of positions, spikes."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.signals.encoder import encoder_count
 
-# a jump is a change from one sample to the next that sticks out of its neighbours, see `jumps`
-_NEAR, _AROUND = 11, 31  # samples
-_USUAL_RANK = 24  # of them deviate less than is usual nearby: six may be jumps themselves
-_LARGE = 8.0  # times that
-_FAST = 2.0  # times the largest change nearby that does not stick out
-_COUNTS = 5.0
-_REACH = 3  # samples around a jump, which are bent by it
-_ROUNDING = 1e-9  # of the largest position
-_MANY, _MANY_SHARE = 10, 0.05  # more jumps than this, and than this share of all changes
-
-# a spike is a sample or two, this many times as far from the median as all that are none
-_HUGE = 30.0
-_FEW_SHARE = 0.05  # share of the samples that may be spikes
-_SHORT = 2  # samples
-
-_AT_ONCE = 10_000  # windows that are copied at a time, so that long records need little memory
-
 _THIRD_DIFFERENCE = np.sqrt(20.0)  # standard deviation of that of white noise of 1
 TO_DEVIATION = 1.4826  # of the median size of normal numbers
+
+
+class JumpLevels(NamedTuple):
+    """Levels from which on a change of a position is a jump, see `find_jumps`.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        near: samples nearby among which motion is as fast.
+        around: samples nearby among which changes deviate as much.
+        usual_rank: samples of these that deviate less than is usual: six may be jumps
+            themselves.
+        large: deviation of a jump, by the usual one nearby.
+        fast: this deviation by the largest change nearby that does not stick out.
+        counts: this deviation in encoder counts.
+        rounding: this deviation as a share of the largest position.
+        reach: samples around a jump, which are bent by it.
+        many: jumps, of which more are usual in a log that is faster than its sensor.
+        many_share: the same as a share of all changes.
+    """
+
+    near: int = 11
+    around: int = 31
+    usual_rank: int = 24
+    large: float = 8.0
+    fast: float = 2.0
+    counts: float = 5.0
+    rounding: float = 1e-9
+    reach: int = 3
+    many: int = 10
+    many_share: float = 0.05
+
+
+JUMP = JumpLevels()
 
 
 def white_noise(q: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " c"]:
@@ -68,14 +87,14 @@ def find_jumps(
         return np.zeros(0, int)
     usual = _rank_filter(change, 5, 2)
     deviation = np.abs(change - usual)
-    fast = _rank_filter(np.abs(usual), _NEAR, _NEAR - 1)
-    others = _rank_filter(deviation, _AROUND, _USUAL_RANK)
-    least = max(_COUNTS * count, _ROUNDING * float(np.abs(q).max()))
-    threshold = np.maximum(np.maximum(_LARGE * others, _FAST * fast), least)
+    fast = _rank_filter(np.abs(usual), JUMP.near, JUMP.near - 1)
+    others = _rank_filter(deviation, JUMP.around, JUMP.usual_rank)
+    least = max(JUMP.counts * count, JUMP.rounding * float(np.abs(q).max()))
+    threshold = np.maximum(np.maximum(JUMP.large * others, JUMP.fast * fast), least)
     jumps = np.flatnonzero(deviation > threshold) + 1
     jumps = jumps[deviation[jumps - 1] > _largest_bend(change, jumps)]
     # a log that is faster than its sensor moves by jumps alone
-    is_usual = len(jumps) > _MANY and len(jumps) > _MANY_SHARE * np.count_nonzero(change)
+    is_usual = len(jumps) > JUMP.many and len(jumps) > JUMP.many_share * np.count_nonzero(change)
     return jumps[:0] if is_usual else jumps
 
 
@@ -91,7 +110,7 @@ def _largest_bend(change: Float[np.ndarray, " m"], jumps: Int[np.ndarray, " jump
     A mechanism that is driven to and fro, or runs through a dead band, bends its motion as much.
     """
     bend = np.abs(np.diff(change))
-    near = (jumps[:, None] + np.arange(-_REACH - 2, _REACH)).ravel()
+    near = (jumps[:, None] + np.arange(-JUMP.reach - 2, JUMP.reach)).ravel()
     bend[near[(near >= 0) & (near < len(bend))]] = 0.0
     return float(bend.max(initial=0.0))
 
@@ -104,7 +123,8 @@ def _rank_filter(x: Float[np.ndarray, " n"], width: int, rank: int) -> Float[np.
     # written out, for scipy.ndimage takes longer to load than records take to be inspected
     padded = np.pad(x, width // 2, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    parts = np.array_split(windows, 1 + len(x) // _AT_ONCE)
+    # few windows are copied at a time, so that long records need little memory
+    parts = np.array_split(windows, 1 + len(x) // 10_000)
     return np.concatenate([np.partition(part, rank, axis=1)[:, rank] for part in parts])
 
 
@@ -115,11 +135,13 @@ def find_spikes(u: Float[np.ndarray, " n"]) -> Int[np.ndarray, " spikes"]:
     """
     size = np.abs(u - np.median(u))
     ordered = np.sort(size)
-    first = len(u) - int(_FEW_SHARE * len(u))
+    # a twentieth of the samples may be spikes
+    first = len(u) - int(0.05 * len(u))
     below = ordered[first - 1 : -1]
-    wide = np.flatnonzero((ordered[first:] > _HUGE * below) & (below > 0))
+    # a spike is a sample or two, this many times as far from the median as all that are none
+    wide = np.flatnonzero((ordered[first:] > 30.0 * below) & (below > 0))
     if not len(wide):
         return np.zeros(0, int)
     spikes = np.flatnonzero(size >= ordered[first + wide[0]])
     runs = np.split(spikes, np.flatnonzero(np.diff(spikes) > 1) + 1)
-    return spikes if max(map(len, runs)) <= _SHORT else np.zeros(0, int)
+    return spikes if max(map(len, runs)) <= 2 else np.zeros(0, int)

@@ -10,7 +10,7 @@ from tustinnet.errors import InputError
 
 Times = Float[np.ndarray, " n"]
 
-_GAP = 2.5  # an interval longer than this many periods is a gap: two or more samples are missing
+LONGEST_INTERVAL = 2.5  # periods; a longer one is a gap: two or more samples are missing
 _TURN = 2 * np.pi * (1 + 1e-3)  # rad, with the rounding of a file
 _LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need any number
 
@@ -38,7 +38,7 @@ def regularity(t: Times, dt: float) -> Regularity:
     """Compares timestamps [s] with the nominal period `dt` [s]."""
     intervals = np.diff(t)
     deviation = np.abs(intervals - dt)
-    inside = intervals <= _GAP * dt
+    inside = intervals <= LONGEST_INTERVAL * dt
     return Regularity(
         median_dt=float(np.median(intervals)),
         jitter=float(np.sqrt(np.mean(deviation[inside] ** 2))) if inside.any() else float("nan"),

@@ -7,7 +7,6 @@ Matrices = Float[np.ndarray, "... 3 3"]
 Vectors = Float[np.ndarray, "... 3"]
 
 _CANDIDATES = np.logspace(-2, 10, 25)  # jerk intensities tried, (rad or m)^2 / s^5
-_LIKELIHOOD_SAMPLES = 4000
 
 
 def kalman_smoother(
@@ -34,7 +33,8 @@ def kalman_smoother(
     # one run of the filter with a leading axis of candidates
     grid = np.broadcast_to(_CANDIDATES[:, None], (len(_CANDIDATES), q.shape[1]))
     transition, process = _triple_integrator(dt, grid)
-    likelihood = _filter(q[:_LIKELIHOOD_SAMPLES], transition, process, noise)[2]
+    # the first samples of a long record tell the jerk
+    likelihood = _filter(q[:4000], transition, process, noise)[2]
     transition, process = _triple_integrator(dt, _CANDIDATES[np.argmax(likelihood, axis=0)])
     means, covariances, _ = _filter(q, transition, process, noise)
     predicted = transition @ covariances[:-1] @ transition.T + process

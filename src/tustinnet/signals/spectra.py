@@ -3,6 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+SEGMENT = 1024  # samples of a spectrum, at most; set by hand, not measured
+ABOVE_NOISE = 4.0  # times the noise, from which on power is motion; set by hand, not measured
+
 Density = tuple[Float[np.ndarray, " f"], Float[np.ndarray, " f"]]
 
 

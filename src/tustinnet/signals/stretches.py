@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Bool, Int, UInt64
 
-_PRIME = 1_000_003
-
 
 def stretch_keys(
     steps: Int[np.ndarray, "n c"], counts: Bool[np.ndarray, " n"], length: int, fewest: int
@@ -30,5 +28,5 @@ def stretch_keys(
         mixed = (steps @ (2 * np.arange(1, steps.shape[1] + 1) + 1)).astype(np.uint64)
         keys = np.zeros(len(steps) - length + 1, np.uint64)
         for k in range(length):
-            keys = keys * np.uint64(_PRIME) + mixed[k : k + len(keys)]
+            keys = keys * np.uint64(1_000_003) + mixed[k : k + len(keys)]
     return starts, keys[starts]

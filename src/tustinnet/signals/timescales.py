@@ -9,7 +9,6 @@ from jaxtyping import Float
 from tustinnet.signals.spectra import welch
 
 _FEW_SAMPLES = 20  # in a period: below, definitions of velocity differ by a percent
-_SEGMENT = 2048  # samples of a spectrum, at most
 
 
 class Timescales(NamedTuple):
@@ -40,7 +39,7 @@ def timescales(positions: Sequence[Float[np.ndarray, " _"]]) -> Timescales:
     Args:
         positions: positions of the coordinate in each record.
     """
-    segment = min(_SEGMENT, min(map(len, positions)))
+    segment = min(2048, min(map(len, positions)))
     spectra = [welch(q - q.mean(), 1.0, segment)[1] for q in positions]
     power = np.mean(spectra, axis=0)
     dominant = 1 + int(np.argmax(power[1:]))

@@ -5,9 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-_ROUNDING = 1e-9  # rad/s or m/s
-_SAME = 1e-12  # of the largest position; a resampled constant deviates by less
-
 
 @dataclass(frozen=True)
 class RestThresholds:
@@ -70,13 +67,14 @@ def is_at_rest(
 
 def is_moving(q: Float[np.ndarray, "n n_q"]) -> Bool[np.ndarray, " n_q"]:
     """Mask of the coordinates that move at all, by more than rounding."""
-    return np.ptp(q, axis=0) > _SAME * np.abs(q).max(axis=0)
+    # a resampled constant deviates by less
+    return np.ptp(q, axis=0) > 1e-12 * np.abs(q).max(axis=0)
 
 
 def is_slow(v: Float[np.ndarray, "n n_q"], thresholds: RestThresholds) -> Bool[np.ndarray, "n n_q"]:
     """Mask of slow samples: each speed below its threshold, or a coordinate that never moves."""
     # the derivative of a constant is rounding, not motion
-    return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < _ROUNDING)
+    return (np.abs(v) < thresholds.speed) | (np.abs(v).max(axis=0) < 1e-9)
 
 
 def settling_index(

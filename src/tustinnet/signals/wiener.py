@@ -5,14 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.signals.spectra import welch
-
-_REACH = 12  # samples to both sides that an estimate uses
-_SEGMENT = 1024  # samples of a spectrum, at most
-_SEGMENTS = 8  # that are averaged where the noise is read from a spectrum
-_FEWEST = 64  # samples of one
-_ABOVE = 4.0  # a frequency counts where its power is above this many times the noise
-_FLOOR = 1e-10  # of the variance, the least noise: solves stay well-posed for exact positions
+from tustinnet.signals.spectra import ABOVE_NOISE, SEGMENT, welch
 
 Response = Callable[[Float[np.ndarray, " f"], float], Float[np.ndarray, " f"]]
 
@@ -66,11 +59,12 @@ def wiener_velocities(
 def _filter(
     q: Float[np.ndarray, " n"], count: float, dt: float, response: Response
 ) -> Float[np.ndarray, " n"]:
-    n, reach = len(q), min(_REACH, (len(q) - 1) // 2)
+    # twelve samples to both sides
+    n, reach = len(q), min(12, (len(q) - 1) // 2)
     centred = q - q.mean()
     if not centred.any():
         return centred
-    frequency, density = welch(centred, dt, min(n, _SEGMENT))
+    frequency, density = welch(centred, dt, min(n, SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate
     if count:
@@ -78,13 +72,14 @@ def _filter(
     else:
         # of short segments: a single long one scatters as much as it is large, so that its weakest
         # tenth is ten times too weak, and much of the noise is above a multiple of it
-        segment = min(max(n // _SEGMENTS, _FEWEST), n, _SEGMENT)
+        segment = min(max(n // 8, 64), n, SEGMENT)
         coarse_frequency, coarse = welch(centred, dt, segment)
         floor = float(np.quantile(coarse[:-1], 0.1))
         motion = np.interp(frequency[:-1], coarse_frequency, coarse)
-    is_motion = motion > _ABOVE * floor
+    is_motion = motion > ABOVE_NOISE * floor
     power = np.where(is_motion, np.maximum(density - floor, 0.0), 0.0) * frequency[1]
-    noise = max(floor / (2 * dt), _FLOOR * float(np.var(centred)))  # its variance
+    # solves stay well-posed for exact positions
+    noise = max(floor / (2 * dt), 1e-10 * float(np.var(centred)))  # its variance
     lags = np.arange(2 * reach + 1)
     autocovariance = np.cos(np.outer(lags, omega * dt)) @ power
     covariance = autocovariance[np.abs(lags[:, None] - lags)] + noise * np.eye(len(lags))

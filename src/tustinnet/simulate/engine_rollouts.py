@@ -27,7 +27,7 @@ from tustinnet.program.reading import Unreadable
 
 # operations of a step in reverse: with fewer, which are those of a network alone, XLA is as fast;
 # more would take LLVM longer than XLA
-FEWEST, MOST = 200, 20_000
+FEWEST_OPERATIONS, MOST_OPERATIONS = 200, 20_000
 _WIDEST = 2000  # units of all layers together; beyond, products of matrices decide, which XLA does
 
 
@@ -151,7 +151,7 @@ def _rollouts(
         size = equations.adjoints.program.operations
     except Unreadable:
         return None
-    return Rollouts(equations) if FEWEST <= size <= MOST else None
+    return Rollouts(equations) if FEWEST_OPERATIONS <= size <= MOST_OPERATIONS else None
 
 
 def _cut(numbers: Array, sizes: Sequence[int]) -> list[Array]:

@@ -14,12 +14,9 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.along import states_along
 
 KEY = "range"  # in headers of model files
-_POINTS = 300  # of a training support
-_CANDIDATES = 4000  # samples that they are taken from, at most
-_DIGITS = 3  # of their numbers
 _STATES = 200  # recorded states that are kept, at most
 _MARGIN = 0.1  # of the span, beyond which a value counts as outside
-_LEAST = 1e-9  # span of what never moved
+_LEAST_SPAN = 1e-9  # span of what never moved
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class Range:
         header: dict[str, Any] = {"states": self.states.tolist(), "inputs": self.inputs.tolist()}
         if self.support is not None:
             header["cloud"] = {
-                "points": np.round(self.support.points, _DIGITS).tolist(),
+                "points": np.round(self.support.points, 3).tolist(),
                 "spread": self.support.spread.tolist(),
                 "reach": self.support.reach,
             }
@@ -120,7 +117,7 @@ class Range:
         ends = np.concatenate(
             [self.states[channels.velocity], self.inputs, self.states[channels.position][linear]]
         )
-        span = np.maximum(np.ptp(ends, axis=1), _LEAST)
+        span = np.maximum(np.ptp(ends, axis=1), _LEAST_SPAN)
         with np.errstate(invalid="ignore"):
             beyond = np.maximum(ends[:, 0] - values, values - ends[:, 1]) / span
         beyond = np.where(np.isfinite(values), beyond, np.inf)
@@ -248,15 +245,16 @@ def training_support(
     if len(experiments) < 2:  # nothing says how far another record would be
         return None
     by_record = [features(channels, e.measured_states(), e.u) for e in experiments]
-    step = max(1, sum(map(len, by_record)) // _CANDIDATES)
+    # from 4000 samples, at most, the points of a support are taken
+    step = max(1, sum(map(len, by_record)) // 4000)
     by_record = [rows[::step] for rows in by_record]
-    spread = np.maximum(np.concatenate(by_record).std(axis=0), _LEAST)
+    spread = np.maximum(np.concatenate(by_record).std(axis=0), _LEAST_SPAN)
     by_record = [rows / spread for rows in by_record]
     distances = []
     for i, rows in enumerate(by_record):
         others = np.concatenate([other for j, other in enumerate(by_record) if j != i])
         distances.append(_nearest(rows, _spread_points(others)).max())
-    reach = max(float(max(distances)), _LEAST)
+    reach = max(float(max(distances)), _LEAST_SPAN)
     return TrainingSupport(_spread_points(np.concatenate(by_record)), spread, reach)
 
 
@@ -281,7 +279,8 @@ def _spread_points(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]
         return np.sum((columns - columns[:, index, None]) ** 2, axis=0)
 
     indices, distance = [0], squared_distance(0)
-    while len(indices) < min(_POINTS, len(points)):
+    # a support has 300 points
+    while len(indices) < min(300, len(points)):
         indices.append(int(np.argmax(distance)))
         distance = np.minimum(distance, squared_distance(indices[-1]))
     return points[indices]

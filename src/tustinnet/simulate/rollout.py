@@ -17,7 +17,7 @@ from tustinnet.models.contract import Model, State
 from tustinnet.simulate.engine_rollouts import layered_steps
 from tustinnet.simulate.input_signal import InputSignal
 
-LONG = 5000  # steps from which a gradient saves memory instead of time
+LONG_ROLLOUT = 5000  # steps from which a gradient saves memory instead of time
 
 Inputs = InputSignal | Float[Array | np.ndarray, "..."]
 
@@ -114,7 +114,8 @@ def _advance(model: Model, x: State, now: _Trajectory) -> State:
 def _scan(advance: Callable[..., Any], start: Any, trajectory: Any) -> Any:
     """The loop over time; of a long one a gradient keeps the states between stretches only."""
     steps = jax.tree.leaves(trajectory)[0].shape[0]
-    if not isinstance(steps, int) or steps <= LONG:  # a symbol where a length is exported open
+    # a symbol where a length is exported open
+    if not isinstance(steps, int) or steps <= LONG_ROLLOUT:
         return jax.lax.scan(advance, start, trajectory)[1]
 
     def stretch(x: Any, part: Any) -> tuple[Any, Any]:
@@ -158,7 +159,7 @@ def rollouts(
     """
     start, parts = jnp.asarray(x0), _Parts.from_model(model)
     steps = np.shape(u.u if isinstance(u, InputSignal) else u)[1]
-    if not parts.layers or steps > LONG:
+    if not parts.layers or steps > LONG_ROLLOUT:
         return jax.vmap(partial(rollout, model))(start, u, measured)
     if only_layers and measured is None and not isinstance(u, InputSignal):
         inputs = jnp.asarray(u)

@@ -21,12 +21,11 @@ from tustinnet.simulate.along import predictions_along
 from tustinnet.simulate.input_signal import initial_inputs, input_signals
 from tustinnet.simulate.simulation import initial_states, simulate_runs
 from tustinnet.simulate.start_names import DERIVED, FITTED, STORED, WARM_UP, StartName, parse_start
-from tustinnet.simulate.state_fits import FEWEST, fit_states, fit_states_traced
+from tustinnet.simulate.state_fits import FEWEST_FOR_A_VELOCITY, fit_states, fit_states_traced
 from tustinnet.wording import counted
 
 PARABOLA_SAMPLES = DERIVED.usual_samples
 FIT_SAMPLES = FITTED.usual_samples  # that a state is usually fitted to
-_FEWEST_PARABOLA_SAMPLES = 3
 
 
 @dataclass(frozen=True)
@@ -146,7 +145,7 @@ class DerivedStart(MeasuredStart):
 
     def measured_state(self, e: Experiment) -> np.ndarray:
         """Value and slope of the parabola at the first sample of a record [q, v], (2 n_q,)."""
-        self._require_samples(e, _FEWEST_PARABOLA_SAMPLES, "the parabola")
+        self._require_samples(e, 3, "the parabola")
         return parabola(e, 0, self.samples)
 
 
@@ -173,7 +172,7 @@ class FittedStart(Start):
     def start_data(self, model: Model, experiments: Sequence[Experiment]) -> FirstSamples:
         """The first samples of records."""
         for e in experiments:
-            self._require_samples(e, FEWEST, "the fit")
+            self._require_samples(e, FEWEST_FOR_A_VELOCITY, "the fit")
         samples = min(self.samples, PARABOLA_SAMPLES)
         return FirstSamples(
             parabola=_with_inputs(

@@ -20,13 +20,13 @@ from tustinnet.simulate.input_signal import InputSignal
 from tustinnet.simulate.rollout import precision, rollout
 from tustinnet.simulate.simulation import model_equations
 
-FEWEST = 3  # samples that say something of a velocity
+FEWEST_FOR_A_VELOCITY = 3  # samples that say something of a velocity
 ITERATIONS = 12  # of Levenberg-Marquardt; from a parabola 3 or 4 are enough
 CONSTRAINED_ITERATIONS = 8  # before them, with internal states kept near the guess
 CONSTRAINT = 30.0  # times as near to it as in the end
 FIRST_DAMPING = 1e-3
 _RISING = 4  # power of its place among the samples with which one weighs
-_FEW = 5  # samples for each of these powers: those that weigh must say a velocity, too
+_SAMPLES_A_POWER = 5  # samples for each of these powers: those that weigh must say a velocity, too
 EXPLAINED = 2.5  # standard deviations (root mean square) of errors that a model explains
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 _LEAST_DAMPING = 1e-12  # with which states that samples cannot tell apart stay finite
@@ -46,7 +46,7 @@ def sample_shares(
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
     """Weights of errors by their place among the samples: the more the later, and all the same."""
     places = np.arange(1, samples + 1) / samples
-    return places ** min(_RISING, samples / _FEW), np.ones(samples)
+    return places ** min(_RISING, samples / _SAMPLES_A_POWER), np.ones(samples)
 
 
 @lru_cache  # so that it is read and compiled once

@@ -22,11 +22,11 @@ from tustinnet.registry import FAMILIES
 from tustinnet.store.sealed import read_sealed
 
 ORIGIN = "from"  # in headers: the model that a fit began with
-_LARGEST = 1e150  # of a number: its square is finite
+_LARGEST_NUMBER = 1e150  # of a number: its square is finite
 
-Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
-Size = Annotated[float, Field(ge=0, le=_LARGEST)]
-Positive = Annotated[float, Field(gt=0, le=_LARGEST)]
+Number = Annotated[float, Field(ge=-_LARGEST_NUMBER, le=_LARGEST_NUMBER)]
+Size = Annotated[float, Field(ge=0, le=_LARGEST_NUMBER)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST_NUMBER)]
 Duration = Annotated[float, Field(gt=0, le=1e12)]
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=-1 - 1e-6, le=1 + 1e-6)]

@@ -15,7 +15,7 @@ from tustinnet.store.model_file import read_header
 from tustinnet.systems.files import SystemFile
 
 SPECIFICATION = "question.json"
-_MOST = 3  # differences that are named of each part
+_MOST_DIFFERENCES = 3  # differences that are named of each part
 _KINDS = {"recipe": "a run of a recipe", "plan": "a selection by a plan"}
 
 Specification = Mapping[str, Any]  # plain values: `recipe` or `plan`, `data`, `system`, ...
@@ -78,9 +78,11 @@ def require_same_specification(folder: Path, specification: Specification, model
         for key in (key for key in now if key in kept):
             paths = list(_differing_paths(kept[key], now[key]))
             names = [path for path in paths if path]
-            more = ", ..." if len(names) > _MOST else ""
+            more = ", ..." if len(names) > _MOST_DIFFERENCES else ""
             if paths:
-                parts.append(f"{key} ({', '.join(names[:_MOST])}{more})" if names else key)
+                parts.append(
+                    f"{key} ({', '.join(names[:_MOST_DIFFERENCES])}{more})" if names else key
+                )
         if not parts:
             return
         difference = f"holds {_KINDS[before]} with another {', '.join(parts)}"

@@ -32,7 +32,6 @@ _PARTS = {
     "memory": ("rate", "force", "initial", "spread"),
     "unmeasured": ("follow", "initial", "spread"),
 }
-_LONGEST_CHAIN = 20  # of errors; they may be causes of one another
 _REMEDY = "docs/reference/systems.md shows a whole file"
 
 # what a command checks first and fits later is run once; forgotten with the file that was read
@@ -169,7 +168,7 @@ def _errors_with_place(path: Path, function: str = "") -> Iterator[None]:
 def _line_of(error: BaseException | None, path: Path) -> str:
     """The line of a system file at which an error, or a cause of it, began, as " at line 3"."""
     line = 0
-    for _ in range(_LONGEST_CHAIN):
+    for _ in range(20):
         if error is None:
             break
         trace = error.__traceback__

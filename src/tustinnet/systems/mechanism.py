@@ -27,14 +27,13 @@ from tustinnet.models.lagrangian import LagrangianSystem, Parameter, Scalar, Val
 from tustinnet.systems.files import SystemTemplate
 
 NAME = "mechanism"
-_MOST = 6  # coordinates; with more, terms are many and identification slow
-_FEW = 3  # coordinates up to which any two may be coupled; more angles are those of a chain
-_SHARE = 0.5  # expected size of a term of the inertia, as a share of the inertia
-_SHARES, _RATIOS = 5.0, (1e-6, 1e6)  # ranges of such a term, and of inertias to the first one
-_LARGEST = 10.0  # times the root mean square of the accelerations: no single term does more
-_SHAFT = 0.3  # of the travel: two coordinates that turn or slide together differ by less
+_LARGEST_MECHANISM = 6  # coordinates; with more, terms are many and identification slow
+_FEW_COORDINATES = (
+    3  # coordinates up to which any two may be coupled; more angles are those of a chain
+)
+_INERTIA_SHARE = 0.5  # expected size of a term of the inertia, as a share of the inertia
+_SHARES = 5.0  # ranges of such a term, and of inertias to the first one
 _BALANCED = 5.0  # times that acceleration: gravity on links of a chain, whose motors balance it
-_STEADY = 0.01  # share of the largest damping, where it begins
 _POWERS = ("pull", "spring", "quadratic")  # forces by the power of the coordinate, from 0
 
 
@@ -75,11 +74,11 @@ class Mechanism(SystemTemplate):
             InputError: more coordinates than 6, or one that never moves.
         """
         coordinates, inputs = records[0].coordinates, records[0].inputs
-        if len(coordinates) > _MOST:
+        if len(coordinates) > _LARGEST_MECHANISM:
             raise InputError(
                 f"system '{NAME}'",
                 f"{len(coordinates)} coordinates",
-                f"{_MOST} at most",
+                f"{_LARGEST_MECHANISM} at most",
                 "write the system down: docs/how-to/add-a-system.md",
             )
         if at_rest := still_coordinates(records):
@@ -92,8 +91,9 @@ class Mechanism(SystemTemplate):
         v = [smooth_velocities(e) for e in records]
         a = [np.gradient(x, e.dt, axis=0) for x, e in zip(v, records, strict=True)]
         size, input_size = (_sizes([getattr(e, name) for e in records]) for name in ("q", "u"))
-        speed, largest = _sizes(v), [_LARGEST * x for x in _sizes(a)]
-        around, is_special = rotating_coordinates(records), len(coordinates) <= _FEW
+        # no single term does ten times as much as the root mean square of the accelerations
+        speed, largest = _sizes(v), [10.0 * x for x in _sizes(a)]
+        around, is_special = rotating_coordinates(records), len(coordinates) <= _FEW_COORDINATES
         # gravity acts on angles, and on the sums of neighbours: links on links, which motors hold
         gravity_factor = 1.0 if is_special else _BALANCED
         terms = [
@@ -111,7 +111,8 @@ class Mechanism(SystemTemplate):
         terms += _pair_terms(coordinates, records, v, largest)
         for k, c in enumerate(coordinates):
             damping = largest[k] / speed[k]
-            viscous = Parameter(f"{c.name}.viscous", "1/s", _STEADY * damping, 0.0, damping)
+            # the search begins at a hundredth of the largest damping
+            viscous = Parameter(f"{c.name}.viscous", "1/s", 0.01 * damping, 0.0, damping)
             terms.append((0, viscous))
             for i, x in zip(inputs, input_size, strict=True):
                 by, unit = f"{c.name}.by_{i.name}", f"{c.unit}/s^2/{i.unit}"
@@ -198,12 +199,14 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
     terms: list[Term] = []
     for i, c in enumerate(coordinates):
         unit = "1" if c.unit == coordinates[0].unit else f"{coordinates[0].unit}^2/{c.unit}^2"
-        terms.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, *_RATIOS, fixed=i == 0)))
-        if len(coordinates) > _FEW:
+        terms.append((0, Parameter(f"{c.name}.inertia", unit, 1.0, 1e-6, 1e6, fixed=i == 0)))
+        if len(coordinates) > _FEW_COORDINATES:
             terms += _chain_inertias(coordinates, i)
             continue
         terms += [
-            _optional(wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_SHARE)
+            _optional(
+                wave.rank, f"{c.name}.inertia_{wave.name}", "1", _SHARES, prior=_INERTIA_SHARE
+            )
             for wave in _inertia_waves(coordinates, i)
         ]
         terms += [
@@ -217,9 +220,9 @@ def _inertias(coordinates: Sequence[Coordinate]) -> list[Term]:
                 along = f"{c.name}.inertia_along_{coordinates[j].name}"
                 terms += [_rigid(0, pair), _rigid(0, along)]
             else:
-                terms.append(_optional(0, pair, "1", _SHARES, prior=_SHARE))
+                terms.append(_optional(0, pair, "1", _SHARES, prior=_INERTIA_SHARE))
             terms += [
-                _optional(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_SHARE)
+                _optional(wave.rank, f"{pair}_{wave.name}", "1", _SHARES, prior=_INERTIA_SHARE)
                 for wave in _coupling_waves(coordinates, i, j)
             ]
     return terms
@@ -239,9 +242,11 @@ def _chain_inertias(coordinates: Sequence[Coordinate], i: int) -> list[Term]:
     for j in range(i + 1, len(coordinates)):
         other = coordinates[j].name
         if _chain_begin(coordinates, j) == begin:
-            terms.append(_optional(j - i - 1, f"{name}.link_{other}", "1", 1.0, prior=_SHARE))
+            terms.append(
+                _optional(j - i - 1, f"{name}.link_{other}", "1", 1.0, prior=_INERTIA_SHARE)
+            )
         else:
-            terms.append(_optional(3, f"{name}.coupling_{other}", "1", 1.0, prior=_SHARE))
+            terms.append(_optional(3, f"{name}.coupling_{other}", "1", 1.0, prior=_INERTIA_SHARE))
     return terms
 
 
@@ -294,12 +299,13 @@ def _pair_terms(
             if i < k and a.kind == b.kind:
                 twist, slip = (_sizes([x[:, [i]] - x[:, [k]]])[0] for x in (q, v))
                 most = max(largest[i], largest[k])
-                if np.ptp(q[:, i] - q[:, k]) < _SHAFT * np.ptp(q[:, [i, k]], axis=0).max():
+                # two coordinates that turn or slide together differ by less
+                if np.ptp(q[:, i] - q[:, k]) < 0.3 * np.ptp(q[:, [i, k]], axis=0).max():
                     terms += [
                         _optional(1, f"{a.name}.shaft_{b.name}", "1/s^2", most / twist),
                         _resistance(2, f"{a.name}.shaft_viscous_{b.name}", "1/s", most / slip),
                     ]
-            if a.kind == "linear" and b.kind == "angular" and len(coordinates) <= _FEW:
+            if a.kind == "linear" and b.kind == "angular" and len(coordinates) <= _FEW_COORDINATES:
                 sizes = {"sin": np.sin(q[:, k]), "cos": np.cos(q[:, k])}
                 terms += [
                     _optional(
@@ -373,7 +379,7 @@ def _gravity_waves(coordinates: Sequence[Coordinate]) -> list[tuple[int, Wave]]:
     In a chain of many links it is the sum of all angles up to the link.
     """
     angular = [k for k, c in enumerate(coordinates) if c.kind == "angular"]
-    if len(coordinates) > _FEW:
+    if len(coordinates) > _FEW_COORDINATES:
         begins = {k: _chain_begin(coordinates, k) for k in angular}
         return [
             (k, wave)
@@ -420,7 +426,7 @@ def _kinetic(coordinates: tuple[Coordinate, ...]) -> Callable[..., Any]:
     """The kinetic energy: inertias that depend on the angles."""
     names = [c.name for c in coordinates]
     n = len(names)
-    if n > _FEW:
+    if n > _FEW_COORDINATES:
         return _chain_kinetic(coordinates)
 
     def share(prefix: str, waves: Sequence[Wave], q: Coordinates, p: Values) -> Any:

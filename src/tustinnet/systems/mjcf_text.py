@@ -23,9 +23,8 @@ JOINT_NAMES = {
     "armature": "armature",
     "stiffness": "stiffness",
 }
-_DIGITS = 14  # of written numbers: 0.55, where sums and products make 0.55000000000000004 of it
 _WORLD = "world"  # MuJoCo's name of what everything stands on
-_LEAST = 1e-12  # kg and kg m^2, of a link that moves and has no mass; MuJoCo refuses none
+_LEAST_MASS = 1e-12  # kg and kg m^2, of a link that moves and has no mass; MuJoCo refuses none
 
 
 def mjcf_text(
@@ -65,7 +64,9 @@ def mjcf_text(
             continue
         if joint.child in links and links[joint.child] is None:
             raise no_rest_error(where, f"link '{joint.child}'")
-        inertia = inertias[joint.child] or LinkInertia(_LEAST, np.zeros(3), _LEAST * np.eye(3))
+        inertia = inertias[joint.child] or LinkInertia(
+            _LEAST_MASS, np.zeros(3), _LEAST_MASS * np.eye(3)
+        )
         ET.SubElement(body, "inertial", inertial_attributes(inertia))
         ET.SubElement(body, "joint", _joint_attributes(joint, joints.get(joint.name)))
         if joint.mimic is not None:
@@ -138,7 +139,7 @@ def numbers_text(values: Sequence[float] | np.ndarray | float) -> str:
     """Numbers of a quantity, in digits that the rounding of sums and products leaves true."""
     numbers = np.ravel(values).astype(float)
     largest = np.abs(numbers).max()
-    places = _DIGITS - 1 - int(np.floor(np.log10(largest))) if largest else 0
+    places = 14 - 1 - int(np.floor(np.log10(largest))) if largest else 0
     rounded = [round(float(x), places) + 0.0 for x in numbers]
     return " ".join(repr(int(x)) if x.is_integer() and abs(x) < 1e6 else repr(x) for x in rounded)
 

@@ -39,7 +39,7 @@ _KINDS: dict[str, JointKind] = {
 }
 _FREE = ("floating", "planar")  # joints of a base that moves
 _EXPECTED = "a URDF file"
-_LARGEST = 1e6  # numbers in a file, in SI units; larger limits are none
+_LARGEST_LIMIT = 1e6  # numbers in a file, in SI units; larger limits are none
 _POINT_MASS = 1e-12  # kg, of a link with a rotational inertia and no mass
 _ARMATURE = 1e-3  # kg m^2 or kg, of a joint that moves nothing with a mass
 _UNITY = {"1", "1.0"}  # reductions that are none
@@ -272,7 +272,7 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
     effort, speed, lower, upper = (
         _number(limit, key, "0", place, np.inf) for key in ("effort", "velocity", "lower", "upper")
     )
-    has_range = lower != upper and max(abs(lower), abs(upper)) <= _LARGEST
+    has_range = lower != upper and max(abs(lower), abs(upper)) <= _LARGEST_LIMIT
     parent, child = ends
     return RobotJoint(
         name,
@@ -292,8 +292,8 @@ def _read_joint(element: ET.Element, where: object) -> RobotJoint:
         ),
         viscous=viscous,
         coulomb=coulomb,
-        effort=effort if 0 < effort <= _LARGEST else None,
-        speed=speed if 0 < speed <= _LARGEST else None,
+        effort=effort if 0 < effort <= _LARGEST_LIMIT else None,
+        speed=speed if 0 < speed <= _LARGEST_LIMIT else None,
         range=(lower, upper) if has_range and kind != "continuous" else None,
     )
 
@@ -353,7 +353,7 @@ def _name(element: ET.Element, where: object) -> str:
 
 
 def _number(
-    element: ET.Element | None, key: str, default: str, place: str, largest: float = _LARGEST
+    element: ET.Element | None, key: str, default: str, place: str, largest: float = _LARGEST_LIMIT
 ) -> float:
     """The number of an attribute; its default where the element or it is missing."""
     return float(read_numbers(element, key, default, 1, place, largest)[0])
@@ -365,7 +365,7 @@ def read_numbers(
     default: str,
     count: int,
     place: str,
-    largest: float = _LARGEST,
+    largest: float = _LARGEST_LIMIT,
 ) -> np.ndarray:
     """The numbers of an attribute, (count,); its default where the element or it is missing.
 
@@ -379,5 +379,5 @@ def read_numbers(
         numbers = np.zeros(0)
     if len(numbers) != count or not (np.abs(numbers) <= largest).all():
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise InputError(place, f"{tag} '{text[:50]}'", f"{expected} of at most {_LARGEST:g}")
+        raise InputError(place, f"{tag} '{text[:50]}'", f"{expected} of at most {_LARGEST_LIMIT:g}")
     return numbers

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.computed_torque import inverse_dynamics
+from tustinnet.control.ilqr import SHARES
 from tustinnet.control.lqr import Feedback, Tracking
-from tustinnet.control.mpc import ROUNDING, SHARES, Mpc
+from tustinnet.control.mpc import ROUNDING, Mpc
 from tustinnet.control.riccati import SWEEPS
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
 from tustinnet.export.c_text import Code, constant_array

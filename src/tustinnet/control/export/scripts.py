@@ -17,8 +17,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 SCRIPTS = ("problem.py", "acados_problem.py", "do_mpc_controller.py")
 
 _STEPS = 100  # that a problem without a plan looks ahead
-_AHEAD = 40  # that the controller by do-mpc looks ahead
-_AFTER = 100  # that it is played after the plan
 
 Vector = Float[np.ndarray, " _"]
 
@@ -42,7 +40,7 @@ def make_scripts(
     if isinstance(controller, Tracking):
         plan = controller.plan
         start, goal, before, steps = plan.x[0], plan.goal, plan.before, len(plan.u)
-        played = steps + _AFTER
+        played = steps + 100
     inputs = [i.name for i in system.model.channels.inputs]
     earlier = [f"{name}_before_{k}" for k in range(1, previous + 1) for name in inputs]
 
@@ -67,7 +65,7 @@ def make_scripts(
         "least": with_earlier(cost.lower, -free),
         "most": with_earlier(cost.upper, free),
         "penalty": with_earlier(cost.penalty, np.zeros(n_u)),
-        "ahead": min(_AHEAD, steps),
+        "ahead": min(40, steps),
         "played": played,
     }
     step = read(lambda x, u: {"x": system.function(x, u)}, {"x": system.size, "u": n_u})

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from tustinnet.channels import SAME_PERIOD
 from tustinnet.control.disturbances import DisturbedModel
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.export.check import BOUND, LoopCheck, check_loop
@@ -27,11 +28,6 @@ from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
 from tustinnet.simulate.range import Range
 from tustinnet.store.exported import CARD, make_card, require_export_folder, write_export
 from tustinnet.store.header import read_header
-
-_AFTER = 300  # periods of the loop in software, after the plan where there is one
-_COUNTS = 10  # of an encoder: how far from the goal the loop begins without a plan
-_DISPLACEMENT = 0.01  # rad or m, where the resolution is not known
-_SAME_PERIOD = 1e-6  # relative
 
 Vector = Float[np.ndarray, " _"]
 
@@ -114,7 +110,8 @@ def export_controller(
         start = _default_start(gains, source)
     elif np.shape(start) != (source.n_x,) or not np.isfinite(start).all():
         raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
-    steps = _AFTER + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
+    # periods of the loop in software
+    steps = 300 + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
     check = check_loop(
         code, make_controller(controller), source, noise, start, steps, _fall(gains), lost_after
@@ -167,7 +164,8 @@ def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
         return controller.plan.x[0]
     resolution = source.channels.resolution
     start = np.array(controller.x0, np.float64)
-    start[source.channels.position] += np.where(resolution > 0, _COUNTS * resolution, _DISPLACEMENT)
+    # ten counts of an encoder, or 0.01 rad or m where its resolution is not known
+    start[source.channels.position] += np.where(resolution > 0, 10 * resolution, 0.01)
     return start
 
 
@@ -200,7 +198,7 @@ def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
             f"finite numbers, ({n_u}, {n_z}): {n_x} states, {len(final.integral)} integrals, "
             f"{previous} samples of previous commands",
         )
-    if abs(final.dt / source.channels.dt - 1) > _SAME_PERIOD:
+    if abs(final.dt / source.channels.dt - 1) > SAME_PERIOD:
         raise InputError(
             "the controller",
             f"period {final.dt:g} s",

@@ -11,8 +11,7 @@ from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
 from tustinnet.data.drafting.relations import Pairs
 
 NO_REASON = "nothing else fits"
-_MANY = 14  # families; of more of them no two are swapped
-_ROUNDS = 4  # in which a rival that turns out to be better takes the place of the best
+_MANY_FAMILIES = 14  # families; of more of them no two are swapped
 
 Roles = Int[np.ndarray, " c"]
 """The role of each column, by its place in `ROLES`."""
@@ -208,12 +207,13 @@ class Assignment:
             start[members] = np.argmax(self.table.points[members].sum(axis=0))
         start = self._with(start, self.held)
         free = [f for f in self.families if f not in self.held]
-        likely = sorted(free, key=lambda f: -self.table.points[f, _POSITION])[:_MANY]
+        likely = sorted(free, key=lambda f: -self.table.points[f, _POSITION])[:_MANY_FAMILIES]
         starts = [start, *(self._with(start, {f: _POSITION}) for f in likely)]
         best = max((self._climb(s) for s in starts), key=self.score)
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
-        for _ in range(_ROUNDS):
+        # a rival that turns out to be better takes the place of the best
+        for _ in range(4):
             better, uses = best, self.uses(best)
             for family in free:
                 members = self.families[family]
@@ -246,7 +246,7 @@ class Assignment:
                 change then.
         """
         free = [f for f in self.families if f not in self.held and f != kept]
-        if kept is not None and len(free) > _MANY:
+        if kept is not None and len(free) > _MANY_FAMILIES:
             free = [f for f in free if self._are_related(kept, f)]
         while True:
             before = self.score(roles)
@@ -255,7 +255,7 @@ class Assignment:
                 roles = max((roles, *changed), key=self.score)
             if self.score(roles) > before + 1e-9:
                 continue
-            if len(free) > _MANY:
+            if len(free) > _MANY_FAMILIES:
                 return roles
             first = {f: int(roles[self.families[f][0]]) for f in free}
             swaps = (

@@ -8,7 +8,7 @@ from tustinnet.data.drafting.findings import Choice, CoordinateChoice, InputChoi
 from tustinnet.data.drafting.logs import Clock, JoinedFile
 from tustinnet.data.drafting.splits import DraftRecord, Splits
 
-_TOLERANCE = 0.05  # of the period, as cards accept without a key
+_PERIOD_TOLERANCE = 0.05  # of the period, as cards accept without a key
 
 
 def write_card(
@@ -63,7 +63,7 @@ def write_card(
             f"unit = {quote(clock.unit)}",
             *_assumed(() if clock.sure else ("unit",)),
         ]
-        if clock.worst > _TOLERANCE * dt:
+        if clock.worst > _PERIOD_TOLERANCE * dt:
             share = f"{100 * clock.worst / dt:.0f} %"
             lines.append(f'irregular = "resample"  # intervals deviate by up to {share} of dt')
     lines += [line for label, file in joined.items() for line in _joined(label, file)]

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from tustinnet.data.drafting.names import NameReading
 from tustinnet.errors import InputError, require_name
 
-_MOST_PARTS = 99  # of a column's name
-
 
 def name_channels(
     positions: Sequence[str], inputs: Sequence[str], readings: Mapping[str, NameReading]
@@ -16,7 +14,7 @@ def name_channels(
     """Names of channels by column, as short as they stay different: the last parts of paths."""
     columns = [*positions, *inputs]
     names: dict[str, str] = {}
-    for length in (1, 2, 3, _MOST_PARTS):
+    for length in (1, 2, 3, 99):
         for is_short in (True, False):
             remaining = [c for c in columns if c not in names]
             named = {c: _part_of_name(c, length, readings[c], is_short) for c in remaining}

@@ -40,11 +40,8 @@ from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
-_MOST_SAMPLES = 200_000  # on which the evidence rests
-_MOST_RECORDS, _MOST_ROWS, _FEWEST_ROWS = 5, 30_000, 500  # that are compared: records, and rows
-# of each: by the number of columns, at least
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
-_FEWEST = 6  # samples of a record
+_FEWEST_SAMPLES = 6  # samples of a record
 _PERIOD = "period"
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
@@ -362,7 +359,7 @@ def _trim_logs(logs: Sequence[Log], choice: Choice, on_message: Callable[[str], 
     trimmed: list[Log] = []
     for log in logs:
         common = log.trim(choice.motion, [i.column for i in choice.inputs])
-        if len(common) < _FEWEST <= len(log):
+        if len(common) < _FEWEST_SAMPLES <= len(log):
             on_message(f"left out: {log.place}: the columns have no time in common")
             continue
         if len(common) < len(log):
@@ -393,7 +390,7 @@ def _usable_pieces(
         if (np.diff(piece.t) <= 0)[rows[0] : rows[-1]].any() if len(rows) else False:
             on_message(f"left out: {place}: times that do not rise")
             continue
-        if len(rows) < _FEWEST or not finite[rows[0] : rows[-1] + 1].all():
+        if len(rows) < _FEWEST_SAMPLES or not finite[rows[0] : rows[-1] + 1].all():
             on_message(f"left out: {place}: numbers that are not finite, or too few samples")
             continue
         if len(rows) < len(finite):
@@ -432,8 +429,9 @@ def _judge(
     if not moving:
         return dict.fromkeys(readings, constant)
     lengths = [len(values) for values in samples[next(iter(moving))]]
-    chosen = np.linspace(0, len(lengths) - 1, min(len(lengths), _MOST_RECORDS)).astype(int)
-    most = max(_FEWEST_ROWS, _MOST_ROWS // max(10, len(moving)))
+    # five records are compared, in fewer rows the more columns there are
+    chosen = np.linspace(0, len(lengths) - 1, min(len(lengths), 5)).astype(int)
+    most = max(500, 30_000 // max(10, len(moving)))
     first = {k: max(0, (lengths[k] - most) // 2) for k in chosen.tolist()}
     records = [
         np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
@@ -465,7 +463,7 @@ def _role(answer: str) -> Role:
 
 def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:
     """Records, or the middle parts of long ones, on which the evidence rests."""
-    share = max(1, _MOST_SAMPLES // len(pieces))
+    share = max(1, 200_000 // len(pieces))
     chosen: list[Piece] = []
     for piece in pieces:
         n = len(piece.t)

@@ -9,8 +9,6 @@ from tustinnet.data.formats.parquet import LEROBOT_INFO
 from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError, convert_errors, escape_unprinted
 
-_DEEPEST = 4  # folders below that of the card
-
 
 def list_logs(paths: Sequence[Path], *, follow_links: bool = False) -> tuple[Path, list[str]]:
     """The folder of a card for some logs, and the logs below it.
@@ -83,7 +81,7 @@ def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
 def _list_logs_below(folder: Path) -> list[str]:
     """The logs of a folder, or of all folders of the first depth at which there are some."""
     level = [folder]
-    for _ in range(_DEEPEST + 1):
+    for _ in range(5):  # down to four folders below it
         logs = [f"{p.relative_to(folder).as_posix()}/{n}" for p in level for n in list_logs_in(p)]
         if logs:
             return [log.removeprefix("./") for log in logs]

@@ -20,10 +20,7 @@ from tustinnet.data.units import TIME
 from tustinnet.wording import counted
 
 _SAYS = 2.0  # weights of words and units that say a quantity
-_OVERLAP = 0.5  # of the shorter record: less, and two clocks have nothing in common
-_SAME_LENGTH = 0.2  # relative; records of two clocks that may have begun together
 
-_EPOCH = 1e8  # s; later times count from 1970
 _HELP = "docs/reference/data.md#records-of-several-files"
 
 Key = tuple[str, ...]
@@ -152,7 +149,8 @@ def _start_together(
         s, t = _seconds(a, first), _seconds(b, other)
         spans = s[-1] - s[0], t[-1] - t[0]
         overlap.append(_overlap(s, t))
-        alike.append(abs(spans[0] - spans[1]) < _SAME_LENGTH * max(spans))
+        # records of two clocks that may have begun together
+        alike.append(abs(spans[0] - spans[1]) < 0.2 * max(spans))
     return False if all(overlap) else True if all(alike) else None
 
 
@@ -164,7 +162,8 @@ def _pair_by_dates(first: _Kind, other: _Kind) -> dict[Key, tuple[Log, Log]]:
     for key, log in first.logs.items():
         t = _seconds(log, first.clock)
         for part in other.logs.values():
-            if t[0] > _EPOCH and _overlap(_seconds(part, other.clock), t):
+            # times from 1970 are later than 1e8 s
+            if t[0] > 1e8 and _overlap(_seconds(part, other.clock), t):
                 pairs[key] = log, part
     return pairs if len({part.file for _, part in pairs.values()}) == len(pairs) else {}
 
@@ -172,7 +171,7 @@ def _pair_by_dates(first: _Kind, other: _Kind) -> dict[Key, tuple[Log, Log]]:
 def _overlap(s: Values, t: Values) -> bool:
     """Whether two clocks have most of the shorter record in common."""
     common = min(s[-1], t[-1]) - max(s[0], t[0])
-    return bool(common > _OVERLAP * min(s[-1] - s[0], t[-1] - t[0]))
+    return bool(common > 0.5 * min(s[-1] - s[0], t[-1] - t[0]))
 
 
 def _seconds(log: Log, clock: Clock) -> Values:

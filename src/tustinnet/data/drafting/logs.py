@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,18 +22,37 @@ from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 _MOST_COLUMNS = 60  # that are examined
-_REGULAR = 0.5  # relative deviation of the intervals of a clock that has another name
-_JITTER = 1e-3  # relative deviation of intervals, from which on it says something of their kind
-_SLOWLY = 0.7  # steps of intervals over their deviation; of jitter it is the root of 2
-_ROUND = 5e-4  # relative; a period this near to one of two digits is that
-_GAP = 10.0  # periods; a longer interval ends a record
-_SHORTEST = 20  # samples of a record
-_MOST_DAMAGED = 0.1  # of the rows; a file with more is no table
+_SHORTEST_RECORD = 20  # samples of a record
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
-_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
+_LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
 _VECTOR = re.compile("d{0,2}[xyz](dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
+
+
+class ClockLevels(NamedTuple):
+    """Levels that decide on clocks and on the ends of records.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        regular: relative deviation of the intervals of a clock that has another name.
+        jitter: relative deviation of intervals, from which on it says something of their
+            kind.
+        slow: root mean square of steps of intervals over their deviation; of jitter it is
+            the root of 2.
+        round: relative; a period this near to one of two digits is that.
+        gap: longest interval within a record [periods].
+    """
+
+    regular: float = 0.5
+    jitter: float = 1e-3
+    slow: float = 0.7
+    round: float = 5e-4
+    gap: float = 10.0
+
+
+CLOCK = ClockLevels()
 
 
 @dataclass(frozen=True)
@@ -262,7 +282,8 @@ def _read_undamaged(folder: Path, file: str) -> Log | None:
     except InputError:
         return None
     damaged = next((int(n.split()[0]) for n in columns.notes if n.endswith(DAMAGED_ROWS)), 0)
-    if not 0 < damaged <= _MOST_DAMAGED * len(log) or len(log) < _SHORTEST:
+    # a file with more damaged rows is no table
+    if not 0 < damaged <= 0.1 * len(log) or len(log) < _SHORTEST_RECORD:
         return None
     notes = [f"{file}: {note}" if note.endswith(DAMAGED_ROWS) else note for note in log.notes]
     return replace(log, has_damaged_rows=True, notes=tuple(notes))
@@ -407,7 +428,8 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         ):
             others[name] = "counts the samples"
             continue
-        is_irregular = spread > (_REGULAR if is_first else _JITTER) or _change_slowly(intervals)
+        most = CLOCK.regular if is_first else CLOCK.jitter
+        is_irregular = spread > most or _change_slowly(intervals)
         if weight == 0 and (is_irregular or _speaks_of_motion(reading)):
             is_first = False
             continue
@@ -468,7 +490,7 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
     # a log of several records restarts its clock; a few repeated stamps do no clock harm
     if (steps < 0).sum() > max(2, 0.02 * len(steps)) or rising.mean() < 0.97:
         return None
-    if (~rising).any() and max(map(len, columns)) < _SHORTEST:
+    if (~rising).any() and max(map(len, columns)) < _SHORTEST_RECORD:
         return None
     return steps[rising]
 
@@ -476,8 +498,8 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
 def _change_slowly(intervals: Values) -> bool:
     """Whether intervals change as slowly as a motion does; those of a clock jitter."""
     steps, spread = np.diff(intervals), float(np.std(intervals))
-    varies = spread > _JITTER * float(np.mean(intervals))
-    return bool(varies and np.sqrt(np.mean(steps**2)) < _SLOWLY * spread)
+    varies = spread > CLOCK.jitter * float(np.mean(intervals))
+    return bool(varies and np.sqrt(np.mean(steps**2)) < CLOCK.slow * spread)
 
 
 def _period(intervals: Values) -> tuple[float, float]:
@@ -485,9 +507,13 @@ def _period(intervals: Values) -> tuple[float, float]:
     median = float(np.median(intervals))
     near = intervals[intervals < 1.5 * median]
     dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
-    kept = intervals[intervals <= _GAP * dt]
+    kept = intervals[intervals <= CLOCK.gap * dt]
     dt = next(
-        (nice for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}")) if abs(dt / nice - 1) < _ROUND),
+        (
+            nice
+            for nice in (float(f"{dt:.1g}"), float(f"{dt:.2g}"))
+            if abs(dt / nice - 1) < CLOCK.round
+        ),
         float(f"{dt:.6g}"),
     )
     return dt, float(np.abs(kept - dt).max(initial=0.0))
@@ -512,12 +538,12 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
         if word in reading.words:
             return unit, f"in {unit} by its name", True
     for unit, low, high in _EPOCHS:
-        if low < first < high and _PERIODS[0] <= step * TIME[unit] <= _PERIODS[1]:
+        if low < first < high and _LOGGED_PERIODS[0] <= step * TIME[unit] <= _LOGGED_PERIODS[1]:
             return unit, f"in {unit}: it begins at {first:.4g}, a time since 1970", True
     if any((column != np.round(column)).any() for column in columns):
-        return "s", f"in s: intervals of {step:.4g}", step < _PERIODS[1]
-    fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _PERIODS[1]]
-    unit = fits[0] if fits else "s" if step < _PERIODS[1] else "ns"
+        return "s", f"in s: intervals of {step:.4g}", step < _LOGGED_PERIODS[1]
+    fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _LOGGED_PERIODS[1]]
+    unit = fits[0] if fits else "s" if step < _LOGGED_PERIODS[1] else "ns"
     if step == 1:
         return "ms", "in ms? whole numbers 1 apart", False
     return unit, f"in {unit}: whole numbers {step:.4g} apart", True
@@ -559,20 +585,22 @@ def find_pieces(
         for name in episodes:
             changed = np.flatnonzero(np.diff(log.values[name]) != 0) + 1
             cuts |= {int(k): f"'{name}' changes" for k in changed}
-        for k in np.flatnonzero(steps > _GAP * dt):
+        for k in np.flatnonzero(steps > CLOCK.gap * dt):
             cuts.setdefault(int(k) + 1, f"a gap of {steps[k]:.3g} s")
         edges = [0, *sorted(cuts), n]
         for first, stop in pairwise(edges):
             because = cuts.get(first) or (cuts.get(stop, "") if len(edges) > 2 else "")
             pieces.append(Piece(log, (first, stop), t[first:stop] - t[first], because))
-    long = [piece for piece in pieces if len(piece.t) >= _SHORTEST]
+    long = [piece for piece in pieces if len(piece.t) >= _SHORTEST_RECORD]
     short: dict[str, list[str]] = {}
     for piece in pieces if long else ():
-        if len(piece.t) < _SHORTEST:
+        if len(piece.t) < _SHORTEST_RECORD:
             short.setdefault(piece.log.place, []).append(str(len(piece.t)))
     for place, lengths in short.items():
         texts = ", ".join(lengths[:4]) + (", ..." if len(lengths) > 4 else "")
-        on_message(f"left out: {place}: fewer than {_SHORTEST} samples in a record ({texts})")
+        on_message(
+            f"left out: {place}: fewer than {_SHORTEST_RECORD} samples in a record ({texts})"
+        )
     return long or pieces
 
 
@@ -580,7 +608,7 @@ def _is_episode(columns: Sequence[Values]) -> bool:
     """Whether a column numbers records: whole numbers, few of them, which change rarely."""
     changes = sum(int((np.diff(column) != 0).sum()) for column in columns)
     samples = sum(map(len, columns))
-    return all((c == np.round(c)).all() for c in columns) and changes * _SHORTEST < samples
+    return all((c == np.round(c)).all() for c in columns) and changes * _SHORTEST_RECORD < samples
 
 
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:

@@ -93,7 +93,6 @@ _LAST_PARTS = sorted(
     reverse=True,
 )
 """Words that are the last part of compounds, the longest first."""
-_SHORTEST_PART = 3  # letters; a shorter first part must be a word
 _CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
 
 
@@ -309,7 +308,8 @@ def _split_compound(word: str) -> list[str]:
     if end is None:
         return [word]
     rest = word.removesuffix(end)
-    return [rest, end] if len(rest) > _SHORTEST_PART or rest in _VOCABULARY else [word]
+    # a part of three letters must be a word
+    return [rest, end] if len(rest) > 3 or rest in _VOCABULARY else [word]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:

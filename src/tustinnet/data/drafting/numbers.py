@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,56 +11,88 @@ from tustinnet.signals.encoder import encoder_count
 
 Values = Float[np.ndarray, " _"]  # one column, of any length
 
-_FEW_CHANGES = 0.2  # of samples: a column that changes less often is held at levels
 _LEAST_LEVEL = 1 / 50  # of the range; usual change between levels
-_SMOOTH = 0.3  # a smooth column changes by less than this share of its spread a sample
-_WHITE = 0.9  # steps over spread; of white noise it is the root of 2
-_OFTEN = 0.2  # of samples; a column that jumps more often does not wrap
-_SUPPLY = 0.1  # range over largest value, of a supply under load
-_FEWEST = 20  # values of a column that wraps
-_CALM = 0.15  # of the range; a column with a turn of any size moves by less between its wraps
-_SAME_TURN = 0.02  # relative; the wraps of a column are of one size
-_WITHIN = 0.2  # of the samples, in the middle half of the range: less, and it switches
 
 # counts of encoders in a turn that are sold, and four times as many where edges are counted
-_LINES = (
-    100,
-    120,
-    125,
-    128,
-    144,
-    180,
-    200,
-    250,
-    256,
-    300,
-    360,
-    400,
-    500,
-    512,
-    600,
-    720,
-    800,
-    900,
-    1000,
-    1024,
-    1200,
-    1250,
-    1440,
-    1500,
-    1600,
-    1800,
-    2000,
-    2048,
-    2500,
-    3000,
-    3600,
-    4000,
-    4096,
-    5000,
+_TURNS = sorted(
+    {
+        *(
+            edges * n
+            for n in (
+                100,
+                120,
+                125,
+                128,
+                144,
+                180,
+                200,
+                250,
+                256,
+                300,
+                360,
+                400,
+                500,
+                512,
+                600,
+                720,
+                800,
+                900,
+                1000,
+                1024,
+                1200,
+                1250,
+                1440,
+                1500,
+                1600,
+                1800,
+                2000,
+                2048,
+                2500,
+                3000,
+                3600,
+                4000,
+                4096,
+                5000,
+            )
+            for edges in (1, 4)
+        ),
+        *(2**k for k in range(8, 25)),
+    }
 )
-_TURNS = sorted({*_LINES, *(4 * n for n in _LINES), *(2**k for k in range(8, 25))})
-_SAME_COUNT = 2e-4  # relative
+
+
+class ColumnLevels(NamedTuple):
+    """Levels that decide on the kind of a column's numbers.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        changes: share of the samples; a column that changes less often is held at levels.
+        smooth: change in a sample by the spread, up to which a column is smooth.
+        white: change in a sample by the spread, from which on it is noise; that of white
+            noise is the root of 2.
+        often: share of the samples; a column that jumps more often does not wrap.
+        supply: range over largest value, of a supply under load.
+        fewest: values of a column that wraps.
+        calm: share of the range; a column with a turn of any size moves by less between its
+            wraps.
+        same_turn: relative deviation of the wraps of a column.
+        within: share of the samples in the middle half of the range; with less a column
+            switches.
+    """
+
+    changes: float = 0.2
+    smooth: float = 0.3
+    white: float = 0.9
+    often: float = 0.2
+    supply: float = 0.1
+    fewest: int = 20
+    calm: float = 0.15
+    same_turn: float = 0.02
+    within: float = 0.2
+
+
+COLUMN = ColumnLevels()
 
 
 @dataclass(frozen=True)
@@ -103,17 +136,19 @@ class Numbers:
     @property
     def is_nearly_constant(self) -> bool:
         """Whether it stays within a tenth of its value, far from zero."""
-        return self.range is not None and self.range[1] - self.range[0] < _SUPPLY * self.largest
+        return (
+            self.range is not None and self.range[1] - self.range[0] < COLUMN.supply * self.largest
+        )
 
     @property
     def smooth(self) -> bool:
         """Whether it changes little from sample to sample, apart from wraps."""
-        return not self.levels and (self.roughness <= _SMOOTH or self.wrap is not None)
+        return not self.levels and (self.roughness <= COLUMN.smooth or self.wrap is not None)
 
     @property
     def is_white(self) -> bool:
         """Whether its steps are as large as those of white noise, nearly."""
-        return not self.levels and self.wrap is None and self.roughness > _WHITE
+        return not self.levels and self.wrap is None and self.roughness > COLUMN.white
 
     @property
     def largest(self) -> float:
@@ -141,7 +176,9 @@ def examine(pieces: Sequence[Values]) -> Numbers:
     if not len(moving):  # constant in every record
         return Numbers(extent, len(levels), lost, bool((levels == np.round(levels)).all()))
     changes = float(np.mean(steps != 0))
-    has_levels = changes < _FEW_CHANGES and bool(np.median(moving) > _LEAST_LEVEL * np.ptp(levels))
+    has_levels = changes < COLUMN.changes and bool(
+        np.median(moving) > _LEAST_LEVEL * np.ptp(levels)
+    )
     usual = None if has_levels else _find_turn(steps, levels)
     other = None if has_levels or usual else _find_unusual_turn(pieces, extent)
     return Numbers(
@@ -162,7 +199,7 @@ def _find_turn(steps: Values, levels: Values) -> float | None:
     """The length of a turn, where a column jumps by nearly its range and else moves little."""
     extent = float(levels[-1] - levels[0])
     jumps = np.abs(steps) > extent / 2
-    if not jumps.any() or jumps.mean() > _OFTEN or len(levels) < _FEWEST:
+    if not jumps.any() or jumps.mean() > COLUMN.often or len(levels) < COLUMN.fewest:
         return None
     others = np.abs(steps[~jumps]).max(initial=0.0)
     sizes = np.abs(steps[jumps])
@@ -191,7 +228,7 @@ def _find_unusual_turn(
     for piece in pieces:
         steps = np.diff(piece)
         is_jump = np.abs(steps) > span / 2
-        if np.abs(steps[~is_jump]).max(initial=0.0) > _CALM * span:
+        if np.abs(steps[~is_jump]).max(initial=0.0) > COLUMN.calm * span:
             return None
         count += int(is_jump.sum())
         for k in np.flatnonzero(is_jump):
@@ -201,11 +238,14 @@ def _find_unusual_turn(
                 directions.add(float(np.sign(steps[k])))
     everything = np.concatenate(pieces)
     inside = np.mean(np.abs(everything - (low + high) / 2) < span / 4)
-    if len(directions) < 2 or count > _OFTEN * len(everything) or inside < _WITHIN:
+    if len(directions) < 2 or count > COLUMN.often * len(everything) or inside < COLUMN.within:
         return None
     turn = float(np.median(turns))
     worst = float(np.max(np.abs(np.array(turns) - turn)))
-    if worst > _SAME_TURN * turn + _CALM * span / 2 or not 0.8 * turn < span < 1.05 * turn:
+    if (
+        worst > COLUMN.same_turn * turn + COLUMN.calm * span / 2
+        or not 0.8 * turn < span < 1.05 * turn
+    ):
         return None
     whole = bool((everything == np.round(everything)).all())
     return float(round(turn)) if whole else float(f"{turn:.2g}")
@@ -219,7 +259,7 @@ def unwrap(piece: Values, turn: float | None) -> Values:
     return piece - turn * np.cumsum(turns)
 
 
-def counts_in_turn(count: float, turn: float, tolerance: float = _SAME_COUNT) -> int | None:
+def counts_in_turn(count: float, turn: float, tolerance: float = 2e-4) -> int | None:
     """Counts of an encoder in a turn, from the step of a column; None if no encoder has such.
 
     Args:

@@ -28,13 +28,8 @@ _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
-_COARSE = 1e-4  # of the range; a smaller step of 1, 0.1, ... is a file's rounding, no resolution
-_USUAL_COUNTS = 4096
-_SURE_SLOPE = 0.99  # correlation of a velocity with a slope that says the period
-_PERIODS = (1e-4, 1.0)  # s
 _ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
-_LEAST_COUNT, _MOST_COUNT = 1e-12, 1e6  # rad or m, as cards have resolutions
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
 
@@ -229,11 +224,13 @@ def _resolution(numbers: Numbers, unit: str, kind: Kind) -> tuple[int | None, fl
         if counts is not None:
             return counts, None
     size = (ANGLE | LENGTH).get(unit)
-    is_coarse = step > _COARSE * (numbers.range[1] - numbers.range[0])
+    # a smaller step of 1, 0.1, ... is a file's rounding, no resolution
+    is_coarse = step > 1e-4 * (numbers.range[1] - numbers.range[0])
     if size is None or not (is_coarse or not is_power_of_ten(step)):
         return None, None
     resolution = float(f"{step * size:.6g}")
-    return None, resolution if _LEAST_COUNT < resolution < _MOST_COUNT else None
+    # rad or m, as cards have resolutions
+    return None, resolution if 1e-12 < resolution < 1e6 else None
 
 
 def _unit_by_velocity(
@@ -352,7 +349,7 @@ def _counts(
     if compared is not None and (by_wrap is None or abs(compared / by_wrap - 1) < _SAME_FACTOR):
         because.append(f"{by_wrap or compared} counts in a turn")
         return by_wrap or compared, False
-    counts = by_wrap or _USUAL_COUNTS
+    counts = by_wrap or 4096  # as many encoders have
     overflow = f", which starts again at {turn:.0f}" if turn else ""
     text = f"counts in a turn of the encoder '{column}'{overflow}"
     choice.questions.append(Question(key, text, str(counts), is_number=True))
@@ -481,7 +478,7 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
         speed, unit = (findings.readings[n].unit for n in (c.velocity.column, c.column))
         if c.column in findings.sines:
             unit, speed = "rad", speed or "rad/s"
-        if correlation < _SURE_SLOPE or factor <= 0 or bool(unit) != bool(speed):
+        if correlation < 0.99 or factor <= 0 or bool(unit) != bool(speed):
             continue
         if unit:  # else both are in one unit that nothing says
             if speed not in sizes or unit not in (*ANGLE, *LENGTH):
@@ -495,4 +492,4 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
         return None
     usual = float(f"{period:.2g}")
     period = usual if abs(period / usual - 1) < _SAME_FACTOR else float(f"{period:.4g}")
-    return period if _PERIODS[0] <= period <= _PERIODS[1] else None
+    return period if 1e-4 <= period <= 1.0 else None

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,22 +11,38 @@ from jaxtyping import Float
 from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Values
 
-_WIDTHS = (1, 2, 4, 8, 16, 32, 64)  # samples over which a column is integrated
-_MOST_ROWS = 20_000  # displacements that are compared
-_LATE = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40)  # samples by which a position may follow its set point
-_BLOCKS = (1, 4, 12)  # samples over which causes are averaged: fast ones, and slow ones in noise
 _OWN_LAGS = 12  # at most, of which an order selection takes as many as a column needs
-_FEWEST_BLOCKS = 25  # in a record
-_COPY = 2e-5  # share of the variance in which copies differ, rounding aside
-_SUM = 0.02  # of the smaller deviation, in which a sum may differ: columns are rounded
-_SMALL = 0.5  # of the size of what is controlled, a control error in the last quarter of a record
-_ONE = 0.98  # squared correlation of columns that are one signal: their sums say nothing
-_CIRCLE = 1.05  # no cosine is larger
-_ON_CIRCLE = 0.02  # deviation of cosine^2 + sine^2 from 1
-_OF_ANGLE = 0.3  # range of a cosine or sine, at least
 
 Pairs = Float[np.ndarray, "c c"]
 Table = Float[np.ndarray, "_ c"]  # the columns of a record, of any length
+
+
+class RelationLevels(NamedTuple):
+    """Levels that decide on relations of columns.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        copy: share of the variance in which copies differ, rounding aside.
+        sum: share of the smaller deviation, in which a sum may differ: columns are rounded.
+        small: control error in the last quarter of a record, by the size of what is
+            controlled.
+        one: squared correlation of columns that are one signal: their sums say nothing.
+        circle: size of a value, above which a column is no cosine.
+        on_circle: deviation of cosine^2 + sine^2 from 1.
+        of_angle: range of a cosine or sine, at least.
+    """
+
+    copy: float = 2e-5
+    sum: float = 0.02
+    small: float = 0.5
+    one: float = 0.98
+    circle: float = 1.05
+    on_circle: float = 0.02
+    of_angle: float = 0.3
+
+
+RELATION = RelationLevels()
 
 
 @dataclass(frozen=True)
@@ -70,9 +87,10 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
     best = Slopes(names, *(np.zeros((size, size)) for _ in range(2)))
     stacks = [np.stack([columns[name][k] for name in names], axis=1) for k in range(len(times))]
     stacks = [np.where(np.isfinite(stack), stack, 0.0) for stack in stacks]
-    for width in _WIDTHS:
+    # samples over which columns are integrated
+    for width in (1, 2, 4, 8, 16, 32, 64):
         changes, integrals = [], []
-        stride = max(1, width // 2, sum(map(len, times)) // _MOST_ROWS)
+        stride = max(1, width // 2, sum(map(len, times)) // 20_000)
         for t, stack in zip(times, stacks, strict=True):
             if len(t) < 4 * width + 4:
                 continue
@@ -111,7 +129,8 @@ def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
     """
     size = records[0].shape[1]
     best, lags = np.full((size, size), -np.inf), np.zeros((size, size))
-    for late in _LATE:
+    # samples by which a position may follow its set point
+    for late in (0, 1, 2, 3, 5, 8, 12, 18, 27, 40):
         differences, spreads = np.zeros((size, size)), np.zeros(size)
         for record in records:
             if len(record) > 4 * late + 20:
@@ -143,10 +162,10 @@ def find_errors(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
     squares = np.diag(products)
     found: list[tuple[int, int, int | None]] = []
     for i, j in permutations(range(len(size)), 2):
-        limit = _SUM**2 * min(squares[i], squares[j])
-        if not (size[i] < _SMALL * size[j] and limit > 0):
+        limit = RELATION.sum**2 * min(squares[i], squares[j])
+        if not (size[i] < RELATION.small * size[j] and limit > 0):
             continue
-        are_one = products[i, j] ** 2 > _ONE * squares[i] * squares[j]
+        are_one = products[i, j] ** 2 > RELATION.one * squares[i] * squares[j]
         total = squares[i] + squares[j] + 2 * products[i, j]
         # mean squares of the sum of both less each other column
         left = total + squares - 2 * (products[i] + products[j])
@@ -176,11 +195,12 @@ def find_causes(records: Sequence[Table]) -> Pairs:
     """
     size = records[0].shape[1]
     gains = np.zeros((size, size))
-    for width in _BLOCKS:
+    # samples over which causes are averaged: fast ones, and slow ones in noise
+    for width in (1, 4, 12):
         blocks = [
             r[: len(r) // width * width].reshape(-1, width, size).mean(axis=1) for r in records
         ]
-        blocks = [block for block in blocks if len(block) >= _FEWEST_BLOCKS]
+        blocks = [block for block in blocks if len(block) >= 25]
         if not blocks:
             continue
         spread = np.concatenate(blocks).std(axis=0)
@@ -235,7 +255,7 @@ def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float | None
         return None
     a, b = a - a.mean(), b - b.mean()
     correlation = a @ b / np.sqrt((a @ a) * (b @ b))
-    return float((a @ b) / (a @ a)) if 1 - correlation**2 < _COPY else None
+    return float((a @ b) / (a @ a)) if 1 - correlation**2 < RELATION.copy else None
 
 
 def find_sines(
@@ -258,7 +278,7 @@ def find_sines(
     names = [
         n
         for n, s in samples.items()
-        if np.abs(np.concatenate(s)).max(initial=0.0) < _CIRCLE
+        if np.abs(np.concatenate(s)).max(initial=0.0) < RELATION.circle
         and not {*readings[n].stated(readings[n].quantities)} - {"position"}
         and readings[n].kind != "linear"
         and not readings[n].unit
@@ -294,5 +314,5 @@ def are_of_one_angle(first: Sequence[Values], second: Sequence[Values]) -> bool:
     """
     a, b = np.concatenate(first), np.concatenate(second)
     radius = a * a + b * b
-    moves = min(float(np.ptp(a)), float(np.ptp(b))) > _OF_ANGLE
-    return moves and bool((np.abs(radius - 1) < _ON_CIRCLE).all())
+    moves = min(float(np.ptp(a)), float(np.ptp(b))) > RELATION.of_angle
+    return moves and bool((np.abs(radius - 1) < RELATION.on_circle).all())

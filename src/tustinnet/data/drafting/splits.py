@@ -5,29 +5,50 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePosixPath
+from typing import NamedTuple
 
 import numpy as np
 
 from tustinnet.data.drafting.logs import Piece
 from tustinnet.data.drafting.numbers import Values
 
-_FEW = 4  # records; of fewer ones long ones are cut
-_LONG = 2000  # samples of a record that may be cut
-_LONG_SECONDS = 20.0
-_REST = 0.5  # s without motion, in whose middle a log is cut
-_STILL = 0.01  # of the largest displacement
-_SHORTEST = 500  # samples of a part
-_PARTS = 12  # at most
-_VALIDATION, _TEST = 0.2, 0.15  # of the records of a kind
-_ENOUGH_TO_TEST = 6  # records of a kind
 _SPLIT_WORDS = {
     "train": {"train", "training", "trn", "trainingsdaten", "estimation", "ident", "est"},
     "validation": {"val", "valid", "validation", "validierung"},
     "test": {"test", "testing", "holdout", "heldout"},
 }
 _REPETITIONS = {"rep", "repeat", "repetition", "wdh", "wiederholung", "trial", "take", "r"}
-_FEWEST_DIGITS_OF_A_DATE = 6
-_SAME_INPUT = 0.9995  # correlation of the inputs of repetitions
+
+
+class SplitRules(NamedTuple):
+    """Rules by which records are cut and dealt to splits.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        few: records; of fewer ones long ones are cut.
+        long: samples of a record that may be cut.
+        long_seconds: length of a record that may be cut [s].
+        rest: time without motion, in whose middle a log is cut [s].
+        shortest: samples of a part.
+        validation: share of the records of a kind.
+        test: share of the records of a kind.
+        enough_to_test: records of a kind, of which some are for tests.
+        same_input: correlation of the inputs of repetitions.
+    """
+
+    few: int = 4
+    long: int = 2000
+    long_seconds: float = 20.0
+    rest: float = 0.5
+    shortest: int = 500
+    validation: float = 0.2
+    test: float = 0.15
+    enough_to_test: int = 6
+    same_input: float = 0.9995
+
+
+SPLITTING = SplitRules()
 
 
 @dataclass(frozen=True)
@@ -74,7 +95,7 @@ def choose_splits(
         ]
         return Splits(tuple(records), ("splits by the names of files or folders",))
     sentences: list[str] = []
-    if len(pieces) < _FEW:
+    if len(pieces) < SPLITTING.few:
         pieces, sentences = _cut_long(pieces, positions)
     reasons = sorted({p.because for p in pieces if p.because and not p.because.startswith("a gap")})
     gaps = sum(p.because.startswith("a gap") for p in pieces)
@@ -86,7 +107,7 @@ def choose_splits(
     sets: dict[str, dict[str, list[DraftRecord]]] = {}
     for record in records:
         sets.setdefault(record.kind, {}).setdefault(record.repetitions, []).append(record)
-    if all(len(units) == 1 for units in sets.values()) and len(sets) >= _FEW:
+    if all(len(units) == 1 for units in sets.values()) and len(sets) >= SPLITTING.few:
         # a file of each kind: kinds do not matter then
         sets = {"": {name: rs for units in sets.values() for name, rs in units.items()}}
     split_by_set: dict[str, str] = {}
@@ -146,9 +167,8 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
     sets: list[str] = []
     for piece in pieces:
         tokens = _tokens(PurePosixPath(piece.log.file).with_suffix("").as_posix())
-        numbers = [
-            i for i, t in enumerate(tokens) if t.isdigit() and len(t) < _FEWEST_DIGITS_OF_A_DATE
-        ]
+        # longer numbers are dates
+        numbers = [i for i, t in enumerate(tokens) if t.isdigit() and len(t) < 6]
         marked = [i for i in numbers if i and tokens[i - 1] in _REPETITIONS]
         name = PurePosixPath(piece.log.file).as_posix()
         is_part = not piece.whole or piece.log.place != piece.log.file
@@ -196,7 +216,10 @@ def _have_equal_inputs(first: Piece, second: Piece, inputs: Sequence[str]) -> bo
         if np.array_equal(a, b):
             continue
         size = np.sqrt(np.mean(b**2))
-        if np.corrcoef(a, b)[0, 1] < _SAME_INPUT or np.sqrt(np.mean((a - b) ** 2)) > 0.05 * size:
+        if (
+            np.corrcoef(a, b)[0, 1] < SPLITTING.same_input
+            or np.sqrt(np.mean((a - b) ** 2)) > 0.05 * size
+        ):
             return False
     return True
 
@@ -206,8 +229,8 @@ def _deal(units: Mapping[str, Sequence[DraftRecord]]) -> dict[str, str]:
     names = list(units)
     count = len(names)
     lengths = [sum(r.piece.seconds for r in units[name]) for name in names]
-    validation = 0 if count < 2 else max(1, round(_VALIDATION * count))
-    test = max(1, round(_TEST * count)) if count >= _ENOUGH_TO_TEST else 0
+    validation = 0 if count < 2 else max(1, round(SPLITTING.validation * count))
+    test = max(1, round(SPLITTING.test * count)) if count >= SPLITTING.enough_to_test else 0
     usual = float(np.median(lengths)) or 1.0
     order = sorted(range(count), key=lambda k: (round(abs(lengths[k] / usual - 1), 1), -k))
     splits = dict.fromkeys(names, "train")
@@ -226,7 +249,7 @@ def _cut_long(
     parts: list[Piece] = []
     sentences: list[str] = []
     for k, piece in enumerate(pieces):
-        is_long = len(piece.t) >= _LONG and piece.seconds >= _LONG_SECONDS
+        is_long = len(piece.t) >= SPLITTING.long and piece.seconds >= SPLITTING.long_seconds
         cuts = _rests(piece, [columns[k] for columns in positions.values()]) if is_long else []
         edges = [0, *cuts, len(piece.t)]
         if cuts:
@@ -234,7 +257,7 @@ def _cut_long(
             parts += [piece.part(a, b, "it rests") for a, b in pairwise(edges)]
         else:
             parts.append(piece)
-    if len(parts) == 1 and len(parts[0].t) >= _LONG // 4:
+    if len(parts) == 1 and len(parts[0].t) >= SPLITTING.long // 4:
         (piece,) = parts
         n = len(piece.t)
         edges = [0, n // 4, n // 2, 3 * n // 4, n]
@@ -247,13 +270,13 @@ def _rests(piece: Piece, positions: Sequence[Values]) -> list[int]:
     """Samples in the middle of rests, so that no part is short."""
     n = len(piece.t)
     dt = piece.seconds / (n - 1)
-    width = max(2, round(_REST / 2 / dt))
+    width = max(2, round(SPLITTING.rest / 2 / dt))
     if 4 * width > n or not positions:
         return []
     still = np.ones(n, bool)
     for q in positions:
         moved = np.abs(q[width:] - q[:-width])
-        limit = _STILL * moved.max(initial=0.0)
+        limit = 0.01 * moved.max(initial=0.0)
         calm = np.zeros(n, bool)
         calm[width // 2 : width // 2 + len(moved)] = moved <= limit
         still &= calm
@@ -261,7 +284,7 @@ def _rests(piece: Piece, positions: Sequence[Values]) -> list[int]:
     rests = [
         (int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= width
     ]
-    shortest = max(_SHORTEST, n // _PARTS)
+    shortest = max(SPLITTING.shortest, n // 12)
     cuts: list[int] = []
     for a, b in rests:
         middle = (a + b) // 2

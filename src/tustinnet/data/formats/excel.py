@@ -4,14 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tustinnet.data.formats.reader import Array, Contents, Reader
-from tustinnet.data.text_dialect import Dialect, find_table, read_header
+from tustinnet.data.text_dialect import HEADER_ROWS, LAST_ROWS, Dialect, find_table, read_header
 
 if TYPE_CHECKING:
     import polars as pl
 
-_HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
-_PREAMBLE = 50  # rows of titles and remarks, at most
-_LAST = 5  # rows at the end, which are samples
 _DIALECT = Dialect(",")  # of numbers that are cells of text
 
 
@@ -75,14 +72,15 @@ def _sheet(table: "pl.DataFrame") -> _Sheet | None:
 
     if not len(table):
         return None
-    shape = find_table(cells_of(range(len(table))[-_LAST:]), _DIALECT)
-    top = cells_of(range(len(table))[:_PREAMBLE])
+    shape = find_table(cells_of(range(len(table))[-LAST_ROWS:]), _DIALECT)
+    # rows of titles and remarks
+    top = cells_of(range(len(table))[:50])
     first = shape.count_rows_above(top)
     usual = min(2, table.width)
     first = next((k for k in range(first, len(top)) if sum(map(bool, top[k])) >= usual), None)
     if first is None:
         return None
-    rows = top[first : first + _HEADER_ROWS]
+    rows = top[first : first + HEADER_ROWS]
     numbered = [f"column {k}" for k in range(1, table.width + 1)]
     names, units, count = numbered, {}, 0
     if not all(_DIALECT.is_number(cell) for cell in rows[0] if cell):

@@ -6,10 +6,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape, parts_of_groups
+from tustinnet.data.formats.reader import (
+    DEEPEST,
+    REAL,
+    Array,
+    Contents,
+    Reader,
+    Shape,
+    parts_of_groups,
+)
 from tustinnet.errors import InputError
 
-_DEEPEST = 20  # groups in one another
 _UNITS = ("units", "unit", "Units", "Unit")  # attributes
 
 
@@ -94,8 +101,8 @@ def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
 def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:
     import h5py
 
-    if depth > _DEEPEST:
-        raise InputError(path, f"'{prefix}' is nested deeper than {_DEEPEST}", "a few groups")
+    if depth > DEEPEST:
+        raise InputError(path, f"'{prefix}' is nested deeper than {DEEPEST}", "a few groups")
     for key, inner in members(group):
         name = f"{prefix}{key}"
         if isinstance(inner, h5py.Group):

@@ -14,13 +14,11 @@ import numpy as np
 
 from tustinnet.data.formats.hdf5 import members, require_all_inside
 from tustinnet.data.formats.mat_objects import can_read_objects, object_arrays, object_names
-from tustinnet.data.formats.reader import REAL, Array, Contents, Reader, Shape
+from tustinnet.data.formats.reader import DEEPEST, REAL, Array, Contents, Reader, Shape
 from tustinnet.errors import InputError, convert_errors
 
 _NUMBERS = "c" + REAL
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_MOST_SIGNALS, _FEWEST_SAMPLES = 64, 200  # of a matrix whose rows are signals
-_DEEPEST = 20  # structs and cells in one another
 _OBJECT = 3  # `MATLAB_object_decode` of objects
 _UNNAMED = "None"  # the name that scipy gives objects
 OBJECT = "a MATLAB object (timeseries, timetable, table, ...)"
@@ -181,7 +179,8 @@ def _numbers(name: str, shape: Shape, load: Callable[[], Array]) -> MatVariable:
 
 def _has_signals_in_rows(shape: Shape) -> bool:
     """Whether a matrix is as `To File` of Simulink writes it: a signal a row, many samples each."""
-    return shape[0] <= _MOST_SIGNALS and shape[1] >= max(_FEWEST_SAMPLES, 20 * shape[0])
+    # at most 64 signals
+    return shape[0] <= 64 and shape[1] >= max(200, 20 * shape[0])
 
 
 def _oriented(variables: Iterable[MatVariable]) -> Iterator[MatVariable]:
@@ -288,8 +287,8 @@ def _mat5_value(name: str, value: Any, brackets: str = "") -> Iterator[MatVariab
 def _hdf5(path: Path, name: str, item: Any, depth: int) -> Iterator[MatVariable]:
     import h5py
 
-    if depth > _DEEPEST:
-        raise InputError(path, f"'{name}' is nested deeper than {_DEEPEST}", "a few structs")
+    if depth > DEEPEST:
+        raise InputError(path, f"'{name}' is nested deeper than {DEEPEST}", "a few structs")
     kind = item.attrs.get("MATLAB_class", b"")
     if item.attrs.get("MATLAB_object_decode") == _OBJECT:
         yield MatVariable(name, None, other=OBJECT)

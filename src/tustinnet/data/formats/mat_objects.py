@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.reader import Array
+from tustinnet.data.formats.reader import DEEPEST, Array
 
-_DEEPEST = 20  # objects, structs and cells in one another
 _SECONDS = {
     "seconds": 1.0,
     "milliseconds": 1e-3,
@@ -65,7 +64,7 @@ def object_arrays(path: Path, variables: list[str]) -> Iterator[ObjectArray]:
 
 def _walk(name: str, value: Any, depth: int) -> Iterator[ObjectArray]:
     properties = getattr(value, "properties", None)
-    if depth > _DEEPEST:
+    if depth > DEEPEST:
         return
     if hasattr(value, "columns") and hasattr(value, "index"):
         yield from _table(name, value)

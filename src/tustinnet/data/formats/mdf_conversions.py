@@ -11,7 +11,7 @@ import numpy as np
 
 from tustinnet.data.formats.reader import Array
 
-_DEEPEST = 8  # conversions that refer to others
+_MOST_CONVERSIONS = 8  # conversions that refer to others
 # kinds by their numbers in version 3, also of 2, and in version 4
 _KINDS = {
     3: {
@@ -47,8 +47,8 @@ def reason_to_refuse(conversion: Any, version: int, depth: int = 0) -> str:
         depth: how many conversions refer to it.
     """
     kind = _kind(conversion, version)
-    if depth > _DEEPEST:
-        return f"converted by more than {_DEEPEST} conversions that refer to one another"
+    if depth > _MOST_CONVERSIONS:
+        return f"converted by more than {_MOST_CONVERSIONS} conversions that refer to one another"
     if kind == "formula":
         return "converted by a formula, which is not evaluated"
     if not kind:

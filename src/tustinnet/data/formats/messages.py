@@ -17,9 +17,8 @@ import numpy as np
 from tustinnet.data.formats.reader import Array, Contents
 from tustinnet.errors import describe_error
 
-_FIRST = 50  # messages of a topic by which its columns are listed
-_LONGEST = 64  # numbers of a list that can be columns: pictures and scans are none
-_DEEPEST = 12  # messages in one another
+_LONGEST_LIST = 64  # numbers of a list that can be columns: pictures and scans are none
+_DEEPEST_MESSAGE = 12  # messages in one another
 _LABELS = ("name", "names", "joint_names", "interface_names", "motor_names")
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
@@ -165,7 +164,7 @@ def _layout(topic: Topic) -> _Layout:
     present: dict[str, list[int]] = {}
     others: dict[str, str] = {}
     stamps: list[int | None] = []
-    for k, (_, message) in enumerate(islice(topic.messages(), _FIRST)):
+    for k, (_, message) in enumerate(islice(topic.messages(), 50)):
         stamps.append(_stamp(message))
         for name, value in _numbers(f"{prefix}/", message):
             if isinstance(value, str):
@@ -227,8 +226,8 @@ def _numbers(
     only: set[str] | None = None,
 ) -> Iterator[tuple[str, float | str]]:
     """Numbers in a message, or in some fields of it, by name, and descriptions of what is none."""
-    if depth > _DEEPEST:
-        yield prefix.rstrip("/"), f"messages nested deeper than {_DEEPEST}"
+    if depth > _DEEPEST_MESSAGE:
+        yield prefix.rstrip("/"), f"messages nested deeper than {_DEEPEST_MESSAGE}"
         return
     fields = _fields(message) or {}
     lists = (fields[name] for name in _LABELS if name in fields)
@@ -253,8 +252,8 @@ def _value(
         yield name, time / 1e9
     elif _fields(value) is not None:
         yield from _numbers(f"{name}/", value, labels, depth + 1)
-    elif len(value) > _LONGEST:
-        yield name, f"a list of {len(value)}, longer than {_LONGEST}"
+    elif len(value) > _LONGEST_LIST:
+        yield name, f"a list of {len(value)}, longer than {_LONGEST_LIST}"
     else:
         items = value.tolist() if isinstance(value, np.ndarray) else value
         by_label = labels is not None and len(labels) == len(items)

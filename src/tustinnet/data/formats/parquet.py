@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 LEROBOT_INFO = "meta/info.json"  # in the folder of a LeRobot data set
 _EPISODE = "episode_index"
 _LARGEST_INFO = 10**7  # bytes
-_LONGEST = 256  # numbers of a list that are columns
+_LONGEST_LIST = 256  # numbers of a list that are columns
 
 Place = tuple[str, int | None]  # a column of the table, and the number of an item of its lists
 
@@ -86,8 +86,8 @@ def _places(
             length = (
                 kind.size if isinstance(kind, pl.Array) else len(first[name].to_list()[0] or ())
             )
-            if length > _LONGEST:
-                others[name] = f"lists of {length}, longer than {_LONGEST}"
+            if length > _LONGEST_LIST:
+                others[name] = f"lists of {length}, longer than {_LONGEST_LIST}"
                 continue
             labels = _labels(info, name, length)
             places |= {f"{name}{label}": (name, k) for k, label in enumerate(labels)}

@@ -9,6 +9,7 @@ import numpy as np
 Array = np.ndarray
 Shape = tuple[int, ...]
 
+DEEPEST = 20  # groups, structs, cells and objects in one another
 REAL = "fiub"  # kinds of numpy's types
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from jax.sharding import Mesh
 
 MEMBERS, WINDOWS = "members", "windows"  # the axes of a mesh
-_FEWEST = 8  # windows of a batch that are worth a device
 
 
 def lay_out_devices(members: int, batch: int, devices: Sequence[Any] | None = None) -> Mesh:
@@ -33,6 +32,7 @@ def lay_out_devices(members: int, batch: int, devices: Sequence[Any] | None = No
         (preferred,) = jnp.zeros(()).devices()
         devices = jax.devices(preferred.platform)
     for_members = max(d for d in range(1, len(devices) + 1) if members % d == 0)
-    for_windows = max(1, min(len(devices) // for_members, batch // _FEWEST))
+    # fewer than 8 windows of a batch are not worth a device
+    for_windows = max(1, min(len(devices) // for_members, batch // 8))
     chosen = np.asarray(devices[: for_members * for_windows])
     return Mesh(chosen.reshape(for_members, for_windows), (MEMBERS, WINDOWS))

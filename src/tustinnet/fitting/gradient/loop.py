@@ -25,7 +25,7 @@ from tustinnet.fitting.gradient.state import (
 from tustinnet.fitting.listener import SILENT, EpochReport, Listener
 from tustinnet.fitting.report import FINISHED, OUT_OF_TIME
 from tustinnet.models.contract import Model
-from tustinnet.simulate.rollout import LONG
+from tustinnet.simulate.rollout import LONG_ROLLOUT
 
 _CALL = 1.0  # s, compiled calls of several epochs take at most: between two a training can stop
 
@@ -165,7 +165,7 @@ def _report_epochs(
                 f"rate {rate:.3g}; back to the last good state with rate "
                 f"{rate * ROLLBACK_FACTOR:.3g}"
             )
-        elif f.epoch <= 1 and stage.windows.length > LONG:
+        elif f.epoch <= 1 and stage.windows.length > LONG_ROLLOUT:
             event = (
                 f"windows of {stage.windows.length} steps: the gradient keeps some states and "
                 "computes those between them again, which saves memory and takes longer"

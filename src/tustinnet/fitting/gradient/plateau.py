@@ -7,8 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from tustinnet.fitting.recipe import PlateauRecipe, StageRecipe
 
-_THRESHOLD = 1e-4  # relative improvement that counts
-_SMALLEST_CHANGE = 1e-8  # a smaller change of the rate is not made
+_THRESHOLD = 1e-4  # relative improvement that counts, as in PyTorch
 
 
 class Plateau(NamedTuple):
@@ -46,7 +45,8 @@ def update_plateau(
     bad = jnp.where(better, 0, state.bad_epochs + 1)
     due = bad > recipe.patience
     reduced = state.rate * recipe.factor
-    changed = due & (state.rate - reduced > _SMALLEST_CHANGE)
+    # PyTorch makes no smaller change of the rate
+    changed = due & (state.rate - reduced > 1e-8)
     return Plateau(
         rate=jnp.where(changed, reduced, state.rate),
         best=jnp.where(better, figure, state.best),

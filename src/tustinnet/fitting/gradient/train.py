@@ -13,8 +13,6 @@ from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FINISHED, FitResult
 from tustinnet.simulate.start_rules import start_named
 
-_FEW = 5  # epochs at the ends of a stage
-
 
 def train_plan(
     plan: TrainingPlan,
@@ -84,7 +82,8 @@ def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[Finding
     recipe = plan.stages[index].recipe
     if recipe.keep == "last":
         return ()
-    few = min(_FEW, recipe.epochs // 10)
+    # epochs at the ends of a stage
+    few = min(5, recipe.epochs // 10)
     criterion = "training loss" if plan.validation_runs is None else f"lowest `{recipe.keep}`"
     kept = {
         "epoch": best_epoch,

@@ -18,12 +18,10 @@ from tustinnet.simulate.along import states_along
 from tustinnet.simulate.input_signal import input_signal
 from tustinnet.wording import counted
 
-_LONGEST = 4  # an adapted window is at most this many times the recipe's length
 _RECORD_SHARE = 4  # and at most the median record over this
 _ROUND = 5  # adapted lengths are multiples of this
 _SHORTEST_SPAN, _LONGEST_SPAN = 25, 200  # steps of a window whose length follows the records
 _STEPS_AN_OCTAVE = 2  # of such lengths
-_DECAYS = 3  # times of decay to 1/e after which a wrong start is forgotten
 
 
 class Records(eqx.Module):
@@ -194,9 +192,10 @@ def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
     samples = q.std(axis=0)[moving] / (v.std(axis=0)[moving] * experiments[0].dt)
     slowest = float(samples.max()) if moving.any() else float(length)
     fast_decays = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
-    until_forgotten = _DECAYS * max(fast_decays, default=0.0)
+    # by then a wrong start has decayed to 5 %
+    until_forgotten = 3 * max(fast_decays, default=0.0)
     median = int(np.median([len(e) for e in experiments]))
-    longest = min(_LONGEST * length, median // _RECORD_SHARE)
+    longest = min(4 * length, median // _RECORD_SHARE)
     adapted = min(max(length, slowest, until_forgotten), longest)
     return max(_ROUND, int(adapted) // _ROUND * _ROUND)
 

@@ -22,14 +22,33 @@ from tustinnet.fitting.shooting.groups import expand_parameters_by_values, group
 from tustinnet.models.internal_states import Memory
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import delay_names
-from tustinnet.signals.low_pass import low_pass, noise_bandwidth
+from tustinnet.signals.low_pass import HIGHEST_CUTOFF, low_pass, noise_bandwidth
 
-SAMPLES = 2.5  # that are compared for each period of the cut-off frequency
-HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
-_EVALUATED = 20  # samples for each period of it at which forces are evaluated, at most
-_MOTION = 6.0  # cut-off of the motion by that of the forces: friction needs sharper reversals
-_INPUTS = 6.0  # cut-off frequency of inputs before samples are left out
-_FEWEST = 20  # samples that must be left of a record
+
+class FilterSettings(NamedTuple):
+    """Settings by which the motion and the forces of a record are filtered.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        compared: samples at which forces are compared, for each period of the cut-off
+            frequency of forces.
+        evaluated: samples for each of these periods at which forces are evaluated, at most.
+        motion: cut-off frequency of the motion, by that of the forces: friction needs
+            sharper reversals.
+        inputs: cut-off frequency of the inputs by that of the forces, before samples are
+            left out.
+        fewest: samples that must be left of a record.
+    """
+
+    compared: float = 2.5
+    evaluated: int = 20
+    motion: float = 6.0
+    inputs: float = 6.0
+    fewest: int = 20
+
+
+FILTER = FilterSettings()
 
 
 class Obstacle(NamedTuple):
@@ -70,7 +89,7 @@ class FilteredRecord(NamedTuple):
     @property
     def step(self) -> int:
         """Number of samples from one at which forces are compared to the next."""
-        return max(1, int(1 / (SAMPLES * self.cutoff * self.dt)))
+        return max(1, int(1 / (FILTER.compared * self.cutoff * self.dt)))
 
     @property
     def edge(self) -> int:
@@ -109,21 +128,21 @@ def filter_record(e: Experiment, cutoff: float) -> FilteredRecord:
     Raises:
         InputError: the record is too short.
     """
-    motion_cutoff = min(_MOTION * cutoff, HIGHEST / e.dt)
+    motion_cutoff = min(FILTER.motion * cutoff, HIGHEST_CUTOFF / e.dt)
     q, v, a = (low_pass(e.q, e.dt, motion_cutoff, derivative) for derivative in range(3))
     # what a held input is around a sample, to fourth order: their mean would be too smooth
     first, last = e.held_inputs[:1], e.held_inputs[-1:]
     padded = np.vstack([first, first, e.held_inputs, last, last])
     u = (13 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 24
-    every = max(1, int(1 / (_EVALUATED * cutoff * e.dt)))
+    every = max(1, int(1 / (FILTER.evaluated * cutoff * e.dt)))
     if every > 1:
-        u = low_pass(u, e.dt, _INPUTS * cutoff)
+        u = low_pass(u, e.dt, FILTER.inputs * cutoff)
     part = FilteredRecord(e, q[::every], v[::every], a[::every], u[::every], every * e.dt, cutoff)
-    if (remaining := len(part.q) - 2 * part.edge) < _FEWEST:
+    if (remaining := len(part.q) - 2 * part.edge) < FILTER.fewest:
         raise InputError(
             f"record '{e.name}'",
             f"{len(e)} samples, of which a filter of {cutoff:.3g} Hz leaves {max(remaining, 0)}",
-            f"at least {_FEWEST}",
+            f"at least {FILTER.fewest}",
             "longer records, or another search.cutoff",
         )
     return part

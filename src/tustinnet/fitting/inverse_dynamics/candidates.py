@@ -31,7 +31,6 @@ from tustinnet.models.forces import LAWS, AddedInertia, ForceWithMemory, Frictio
 
 _GAIN = 0.01  # least fall of the left-out forces for which one is kept
 _COUPLED = 0.1  # fall at both joints for which a motor that turns with both is kept
-_PROPOSED = 3  # pairs of joints that are fitted
 _OF_MOTORS = ("armature", "viscous")  # of a motor at two joints, beside the frictions of others
 
 
@@ -222,7 +221,7 @@ def _try_motors(choice: Choice, offers: _Offers, should_stop: Callable[[], bool]
 
 
 def _propose_motors(choice: Choice, offers: _Offers) -> list[str]:
-    """The pairs of coordinates whose missing forces motors of theirs explain best."""
+    """The three pairs of coordinates whose missing forces motors of theirs explain best."""
     import scipy.optimize  # takes half a second, and what is not identified needs none of it
 
     coordinates = coordinates_of(choice.forces.space, choice.vector)
@@ -241,7 +240,7 @@ def _propose_motors(choice: Choice, offers: _Offers) -> list[str]:
         ]
         triangle: Any = np.linalg.qr(np.concatenate(rows), mode="r")
         left[channel] = scipy.optimize.nnls(triangle[:, :-1], -triangle[:, -1])[1]
-    return sorted(left, key=lambda channel: left[channel])[:_PROPOSED]
+    return sorted(left, key=lambda channel: left[channel])[:3]
 
 
 def _is_of_motors(name: str) -> bool:

@@ -7,26 +7,46 @@ not white.
 
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.inverse_dynamics.along import HIGHEST, SAMPLES, filter_record
+from tustinnet.fitting.inverse_dynamics.along import FILTER, filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
 from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of, solve
 from tustinnet.fitting.inverse_dynamics.sums import fold_pieces, sum_up
 from tustinnet.fitting.shooting.groups import expand_parameters
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace, make_search_space
 from tustinnet.models.lagrangian import LagrangianSystem
+from tustinnet.signals.low_pass import HIGHEST_CUTOFF
 
-_POWER = 0.99  # of the positions, within the band of the motion
-_BANDS = 10.0  # of it, with which the search begins
-_ROUNDS = 3
-_FURTHER = 4.0  # times the cut-off so far, up to which each looks
-_BINS = 24
-_EXPLAINED = 0.5  # share of the power that must be
-_BAND = 3.0  # cut-off frequency by the highest frequency of a designed motion
+
+class CutoffSearch(NamedTuple):
+    """Settings of the search for the cut-off frequency.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        power: share of the power of the positions that is within the band of the motion.
+        first: first cut-off frequency that is tried, by the band of the motion.
+        further: times the cut-off frequency so far, up to which each round looks.
+        bins: pieces of the spectrum in which the explained share is computed.
+        explained: share of the power of the forces that a fit must explain below the
+            cut-off frequency.
+        designed: cut-off frequency of a designed motion, by its highest frequency.
+    """
+
+    power: float = 0.99
+    first: float = 10.0
+    further: float = 4.0
+    bins: int = 24
+    explained: float = 0.5
+    designed: float = 3.0
+
+
+CUTOFF = CutoffSearch()
 
 
 def choose_cutoff(
@@ -47,10 +67,10 @@ def choose_cutoff(
         space = make_search_space(system, {}, {}, expand_parameters(system, records))
     if vector is None:
         vector = space.to_vector(space.nominal)
-    cutoff, limit = _BANDS * _motion_band(records), HIGHEST / records[0].dt
+    cutoff, limit = CUTOFF.first * _motion_band(records), HIGHEST_CUTOFF / records[0].dt
     explained = cache(lambda highest: _explained_band(system, space, vector, records, highest))
-    for _ in range(_ROUNDS):
-        cutoff = max(explained(min(_FURTHER * cutoff, limit)), cutoff / 2)
+    for _ in range(3):
+        cutoff = max(explained(min(CUTOFF.further * cutoff, limit)), cutoff / 2)
     return min(cutoff, limit)
 
 
@@ -61,7 +81,7 @@ def cutoff_for(band: float, dt: float) -> float:
         band: highest frequency of the motion [Hz].
         dt: sampling period [s].
     """
-    return min(_BAND * band, HIGHEST / dt)
+    return min(CUTOFF.designed * band, HIGHEST_CUTOFF / dt)
 
 
 def compared_samples(seconds: float, cutoff: float) -> float:
@@ -71,7 +91,7 @@ def compared_samples(seconds: float, cutoff: float) -> float:
         seconds: length of the record [s].
         cutoff: frequency up to which forces are compared [Hz].
     """
-    return SAMPLES * cutoff * seconds
+    return FILTER.compared * cutoff * seconds
 
 
 def _explained_band(
@@ -97,8 +117,8 @@ def _explained_band(
         for own, part in zip(columns, parts, strict=True)
         for piece in fold_pieces(own, len(columns))
     ]
-    edges = np.linspace(0.0, highest, _BINS + 1)
-    power = np.zeros((2, len(system.coordinates), _BINS))
+    edges = np.linspace(0.0, highest, CUTOFF.bins + 1)
+    power = np.zeros((2, len(system.coordinates), CUTOFF.bins))
     for half in (0, 1):
         sums = sum_up([piece for piece, _ in pieces[1 - half :: 2]])
         found = coordinates_of(space, solve(sums, prior, vector).vector)
@@ -108,7 +128,7 @@ def _explained_band(
     missing, applied = power
     share = np.median(missing / np.maximum(applied, 1e-300), axis=0)
     smooth = np.convolve(share, np.ones(3) / 3, mode="valid")
-    beyond = np.flatnonzero(smooth > 1 - _EXPLAINED) + 1
+    beyond = np.flatnonzero(smooth > 1 - CUTOFF.explained) + 1
     return float(edges[beyond[0]]) if len(beyond) else highest
 
 
@@ -125,7 +145,7 @@ def _motion_band(records: Sequence[Experiment]) -> float:
             continue
         scaled = (e.q[:, moving] - e.q[:, moving].mean(axis=0)) / spread[moving]
         power = np.cumsum(np.abs(np.fft.rfft(scaled, axis=0)) ** 2, axis=0)
-        bins = [np.searchsorted(p, _POWER * p[-1]) for p in power.T]
+        bins = [np.searchsorted(p, CUTOFF.power * p[-1]) for p in power.T]
         bands.append(float(np.median(bins)) / (len(e) * e.dt))
     return max(bands)
 

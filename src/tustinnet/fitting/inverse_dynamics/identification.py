@@ -51,7 +51,12 @@ from tustinnet.fitting.shooting.problem import (
 )
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
-from tustinnet.fitting.shooting.uncertainty import CONFIDENCE, FEWEST_RECORDS, INFORMED
+from tustinnet.fitting.shooting.uncertainty import (
+    CONFIDENCE,
+    FEWEST_RECORDS,
+    INFORMED,
+    NO_INFORMATION,
+)
 from tustinnet.models.added import PlacedForce, with_forces
 from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.models.forces import OWN_LEVEL, SLIP, SLIP_TRAVELS
@@ -61,11 +66,7 @@ STAGE = "inverse dynamics"
 
 _LINEARISED = 10  # times that forces are made linear anew, at most
 _CONVERGED = 1e-2  # decrease of the cost, in squares of standard deviations
-_HALVINGS = 10  # of a step
 _QUANTILE = float(scipy.special.ndtri((1 + CONFIDENCE) / 2))  # errors in half an interval
-_POSES = 3  # in which it is looked which coordinates the inputs drive
-_RANK = 1e-6  # of inputs' directions, below which one is a combination of others
-_UNINFORMED = 1e-9  # of the information of all folds, below which others have none of a parameter
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ def _fit(
         before, found = _cost(missing, unit, prior, vector), solution.vector
         missing = forces.missing(found)
         # where forces are far from linear a whole step may go too far
-        for _ in range(_HALVINGS):
+        for _ in range(10):
             if _cost(missing, unit, prior, found) < before + _CONVERGED:
                 break
             found = vector + (found - vector) / 2
@@ -295,12 +296,13 @@ def are_all_driven(system: LagrangianSystem, records: Sequence[Experiment]) -> b
     if system.input_map is None or n_u < n:
         return False
     drive, values = jax.jacobian(system.input_map, argnums=2), system.nominal()
-    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u), values) for e in records[:_POSES]])
+    gains = np.array([drive(e.q[0], np.zeros(n), np.zeros(n_u), values) for e in records[:3]])
     if not np.isfinite(gains).all():
         return False
-    # their units differ: compared are the directions of the inputs' forces
+    # three records are enough; units differ: compared are the directions of the inputs' forces,
+    # which are combinations of others up to a relative 1e-6
     sizes = np.linalg.norm(gains, axis=1, keepdims=True)
-    ranks = np.linalg.matrix_rank(gains / np.where(sizes > 0, sizes, 1.0), tol=_RANK)
+    ranks = np.linalg.matrix_rank(gains / np.where(sizes > 0, sizes, 1.0), tol=1e-6)
     return int(ranks.max()) == n
 
 
@@ -476,7 +478,7 @@ def _errors(
     left_out = [
         k
         for k, own in enumerate(matrices)
-        if np.all(by_all - np.diag(own[both]) >= _UNINFORMED * (by_all - np.diag(precision)))
+        if np.all(by_all - np.diag(own[both]) >= NO_INFORMATION * (by_all - np.diag(precision)))
     ]
     if (n := len(left_out)) < FEWEST_RECORDS:
         return _Errors(noise, None)

@@ -10,8 +10,6 @@ from tustinnet.channels import Coordinate
 from tustinnet.fitting.inverse_dynamics.sums import force_sizes, rest_speeds
 from tustinnet.fitting.report import ForceError
 
-_LEAST = 1e-12  # size of a force [N m or N]
-
 
 @dataclass(frozen=True)
 class RecordForces:
@@ -84,7 +82,8 @@ def force_errors(forces: Sequence[RecordForces]) -> tuple[ForceError, ...]:
                 coordinate=c.name,
                 unit="N m" if c.kind == "angular" else "N",
                 cutoff=own[0].cutoff,
-                size=max(float(size[k]), _LEAST),
+                # not 0 where a joint has no force [N m or N]
+                size=max(float(size[k]), 1e-12),
                 missing=float(missing[k]),
                 moving=moving[k],
                 by_file=by_nominal[k],

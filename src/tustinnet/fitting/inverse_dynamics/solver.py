@@ -18,15 +18,30 @@ from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
-_REWEIGHTINGS = 4
-_STEPS = 50  # of Newton's method for each set of weights, at most
-_CONVERGED = 1e-6  # decrease of the cost, in squares of standard deviations
-_HALVINGS = 30
-_PASSES = 30  # of the search for the parameters that are at a bound
-_REST_SHARE = 0.1  # of a joint's mean square, below which neither motion nor rest weighs more
-_NO_EFFECT = 1e-12  # of the largest singular value, below which a direction has none
-_DUST = 1e-10  # of the largest column, below which one is what rounding left of none
-_LEAST = 1e-9  # of a force, below which nothing is told apart
+
+class SolverSettings(NamedTuple):
+    """Settings of the weighted least squares of forces.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        reweightings: times that weights follow from the missing forces.
+        steps: steps of Newton's method for each set of weights, at most.
+        converged: decrease of the cost from which on steps go on, in squares of standard
+            deviations.
+        rest: share of a joint's mean square, below which neither motion nor rest weighs
+            more.
+        least: share of a force, below which nothing is told apart.
+    """
+
+    reweightings: int = 4
+    steps: int = 50
+    converged: float = 1e-6
+    rest: float = 0.1
+    least: float = 1e-9
+
+
+SOLVER = SolverSettings()
 
 
 class Prior:
@@ -143,12 +158,12 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
     total, space = sums.total, prior.space
     (matrices,), (counts,), (applied,) = total.matrices, total.counts, total.applied
     size = applied.sum(axis=1) + matrices[..., -1, -1].sum(axis=1)
-    least = _LEAST**2 * size / np.maximum(counts.sum(axis=1), 1)
+    least = SOLVER.least**2 * size / np.maximum(counts.sum(axis=1), 1)
     vector, steps, cost, variances = start, 0, 0.0, np.zeros_like(counts)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(SOLVER.reweightings):
         (left,) = total.squares(coordinates_of(space, vector))
         mean = np.maximum(left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1), least)
-        variances = np.maximum(left / np.maximum(counts, 1), _REST_SHARE * mean[:, None])
+        variances = np.maximum(left / np.maximum(counts, 1), SOLVER.rest * mean[:, None])
         matrix = np.einsum("jr,jrkl->kl", 1 / variances, matrices)
         vector, cost, more = _minimise(matrix, prior, vector, counts.sum(axis=1))
         steps += more
@@ -166,11 +181,13 @@ def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
     total = sums.total
     matrices, counts = total.matrices[0].sum(axis=1), total.counts[0].sum(axis=1)
     left, found = matrices[:, -1, -1], np.zeros(matrices.shape[-1] - 1)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(SOLVER.reweightings):
         matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
         size = np.sqrt(np.diag(matrix)[:-1])
-        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > _DUST * size.max())
-        inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), _NO_EFFECT, True)
+        # a smaller column is what rounding leaves of none
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-10 * size.max())
+        # singular values below this share of the largest one are none
+        inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), 1e-12, True)
         found = -scale * (inverse @ (scale * matrix[:-1, -1]))
         left = total.squares(found)[0].sum(axis=1)
     return found
@@ -229,11 +246,11 @@ def _minimise(
 
     lower, upper = space.lower, space.upper
     cost, gradient, curvature = at(vector)
-    for number in range(_STEPS):
+    for number in range(SOLVER.steps):
         step = solve_in_box(curvature, gradient, lower - vector, upper - vector)
-        if -(gradient @ step + step @ curvature @ step / 2) < _CONVERGED:
+        if -(gradient @ step + step @ curvature @ step / 2) < SOLVER.converged:
             return vector, cost, number
-        for _ in range(_HALVINGS):
+        for _ in range(30):
             trial = np.clip(vector + step, lower, upper)
             if (reached := at(trial))[0] <= cost:
                 break
@@ -241,7 +258,7 @@ def _minimise(
         else:
             return vector, cost, number
         vector, (cost, gradient, curvature) = trial, reached
-    return vector, cost, _STEPS
+    return vector, cost, SOLVER.steps
 
 
 def solve_in_box(
@@ -259,7 +276,7 @@ def solve_in_box(
         upper: upper bounds.
     """
     x, at_bound = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
-    for _ in range(_PASSES):
+    for _ in range(30):  # each changes which parameters are at a bound
         free = ~at_bound
         target = -gradient[free] - matrix[np.ix_(free, at_bound)] @ x[at_bound]
         x[free] = np.linalg.solve(matrix[np.ix_(free, free)], target)

@@ -12,8 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _REST = 0.02  # speed by its root mean square below which a joint rests
-_FEW, _PIECES = 3, 5  # records below which each is cut into so many folds
-_MOST_FOLDS = 10
 
 
 @dataclass(frozen=True)
@@ -95,8 +93,8 @@ def force_sizes(
 
 
 def fold_pieces(part: Columns, records: int) -> list[np.ndarray]:
-    """Samples of a record in each of its folds: all, or of one or two records pieces of it."""
-    return np.array_split(np.arange(len(part.rest)), _PIECES if records < _FEW else 1)
+    """Samples of a record in each of its folds: all, or of one or two records five pieces of it."""
+    return np.array_split(np.arange(len(part.rest)), 5 if records < 3 else 1)
 
 
 def sum_up(parts: Sequence[Columns]) -> ForceSums:
@@ -107,7 +105,7 @@ def sum_up(parts: Sequence[Columns]) -> ForceSums:
     """
     slow = rest_speeds(np.concatenate([part.speed for part in parts]))
     sums = [_sum_up(part[piece], slow) for part in parts for piece in fold_pieces(part, len(parts))]
-    together = np.array_split(np.arange(len(sums)), min(len(sums), _MOST_FOLDS))
+    together = np.array_split(np.arange(len(sums)), min(len(sums), 10))
     folds = [[sum(x) for x in zip(*(sums[i] for i in some), strict=True)] for some in together]
     return ForceSums(*(np.stack(x) for x in zip(*folds, strict=True)))
 

@@ -7,6 +7,7 @@ each value of a group with those of every other value, and single records with a
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import scipy.special
@@ -24,13 +25,31 @@ from tustinnet.fitting.shooting.uncertainty import (
 )
 from tustinnet.signals.outliers import TO_DEVIATION
 
-_LEVEL = 0.01  # of all comparisons of a kind together that differ by chance
-_LEAST = 0.01  # of a value, or of a range: less is no disagreement that matters
-_SUSPECT = 5.0  # robust standard deviations from the median of all records
 _MOST_SUSPECTS = 1 / 3  # of the records
-_NOTHING = 1e-6  # of the information of all records: so little determines no parameter
 _LARGE_FREEDOM = 1000.0  # degrees of freedom of errors from J'J
 _CLOSE = StoppingRule(1e-2, 6)  # near enough to compare
+
+
+class AgreementLevels(NamedTuple):
+    """Levels from which on estimates from different records disagree.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        chance: chance of a difference in any comparison of a kind, where none is real.
+        least: share of a value, or of a range: less is no disagreement that matters.
+        suspect: distance from the median of all records, in robust standard deviations.
+        information: share of the information of all records, below which a parameter is not
+            determined.
+    """
+
+    chance: float = 0.01
+    least: float = 0.01
+    suspect: float = 5.0
+    information: float = 1e-6
+
+
+AGREEMENT = AgreementLevels()
 
 
 @dataclass(frozen=True)
@@ -128,9 +147,10 @@ def _find_suspects(state: SearchState, n_records: int) -> list[int]:
     steps = -np.einsum("spq,sq->sp", inverses, gradients / unit) / unit
     distance = np.abs(steps - np.median(steps, axis=0))
     usual = TO_DEVIATION * np.median(distance, axis=0)
-    largest = np.max(distance / np.maximum(usual, _LEAST / _SUSPECT), axis=1, initial=0.0)
+    least = AGREEMENT.least / AGREEMENT.suspect
+    largest = np.max(distance / np.maximum(usual, least), axis=1, initial=0.0)
     worst = np.argsort(-largest)[: int(n_records * _MOST_SUSPECTS)]
-    return [int(i) for i in worst if largest[i] > _SUSPECT]
+    return [int(i) for i in worst if largest[i] > AGREEMENT.suspect]
 
 
 def _fit_records(
@@ -147,7 +167,9 @@ def _fit_records(
         np.einsum("spp->p", eliminate_initial_states(products).matrices)
         for products in (result.products, whole.products)
     )
-    informed = space.inside(result.vector) & (part_information > _NOTHING * information)
+    informed = space.inside(result.vector) & (
+        part_information > AGREEMENT.information * information
+    )
     curvature = cost.prior.curvature(space, result.vector)
     uncertainty = estimate_uncertainty(result.products, segments, curvature, informed)
     is_clustered, freedom = uncertainty.clustered is not None, float(len(records) - 1)
@@ -183,12 +205,12 @@ def _differences(
     distance = np.abs(one.vector - other.vector)
     disagreements = []
     for j, p in enumerate(space.free_parameters):
-        if not (np.isfinite(variance[j]) and variance[j] > 0 and distance[j] > _LEAST):
+        if not (np.isfinite(variance[j]) and variance[j] > 0 and distance[j] > AGREEMENT.least):
             continue
         t = distance[j] / np.sqrt(variance[j])
         single = 2 * float(scipy.special.stdtr(freedom, -t))
         chance = min(1.0, single * comparisons * len(space.free_parameters))
-        if chance < _LEVEL:
+        if chance < AGREEMENT.chance:
             side, other_side = (
                 Side(
                     estimate.name,

@@ -21,8 +21,6 @@ from jaxtyping import Float
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.chains import INERTIAL, STANDARD, standard_inertia
 
-_DEPENDENT = 1e-6  # of a column, what others leave of one that they make up
-_NO_EFFECT = 1e-7  # of the largest effect of a parameter
 _SMALLEST_TERM = 1e-3  # of a combination, in standard deviations of the priors
 
 
@@ -65,12 +63,13 @@ def find_combinations(
     sizes = np.linalg.norm(scaled, axis=0)
     basis, pivots = np.zeros((len(scaled), 0)), []
     for j in order:
-        if sizes[j] <= _NO_EFFECT * sizes.max():
-            continue
+        if sizes[j] <= 1e-7 * sizes.max():
+            continue  # it changes no force
         rest = scaled[:, j]
         for _ in range(2):  # once more, for what rounding has left
             rest = rest - basis @ (basis.T @ rest)
-        if (remaining := np.linalg.norm(rest)) > _DEPENDENT * sizes[j]:
+        # a smaller rest is what rounding leaves of one that the others make up
+        if (remaining := np.linalg.norm(rest)) > 1e-6 * sizes[j]:
             basis = np.column_stack([basis, rest / remaining])
             pivots.append(j)
     factors = np.linalg.lstsq(scaled[:, pivots], scaled, rcond=None)[0]

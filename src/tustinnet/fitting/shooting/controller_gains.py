@@ -7,6 +7,7 @@ errors as priors of a search.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,16 +18,36 @@ from tustinnet.errors import InputError
 from tustinnet.finding import Finding, make_finding
 from tustinnet.models.feedback import gain_name
 from tustinnet.models.lagrangian import Parameter
-from tustinnet.signals.low_pass import low_pass, occupied_band
+from tustinnet.signals.low_pass import HIGHEST_CUTOFF, low_pass, occupied_band
 
 _PER = {"kp": "", "kd": " s", "ki": "/s"}  # unit of a gain: the input's, this, by the coordinate's
-_RANGE = 3.0  # factor by which a gain may differ from what is found
-_HIGHEST = 0.4  # cut-off frequency by the sampling rate, at most
-_APART = 3  # periods between a sample and those that it is found by, which have other noise
-_LEAST_MOTION = 1e-4  # of the products of deviations, by their squares
-_SURE = 3.0  # standard errors below 0 from which on a gain has the wrong sign
-_LEAST_ERROR = 1e-3  # of a gain, relative: what a derived velocity may add
-_OTHER_LAW = 0.3  # share of the recorded input that another controller than the card's would leave
+
+
+class GainSettings(NamedTuple):
+    """Settings of the estimate of a controller's gains.
+
+    All are set by hand, not measured.
+
+    Attributes:
+        factor: factor by which a gain may differ from its estimate.
+        apart: periods between a sample and its instruments, whose noise is another.
+        least_motion: products of deviations by their squares, below which no gain is found.
+        sure: standard errors below 0, from which on a gain has the wrong sign.
+        least_error: relative standard error of a gain, at least: what a derived velocity
+            may add.
+        other_law: share of the recorded input that is missing where another controller
+            acted.
+    """
+
+    factor: float = 3.0
+    apart: int = 3
+    least_motion: float = 1e-4
+    sure: float = 3.0
+    least_error: float = 1e-3
+    other_law: float = 0.3
+
+
+GAINS = GainSettings()
 
 
 @dataclass(frozen=True)
@@ -67,7 +88,7 @@ def gain_parameters(
     if controller is None:
         return ControllerGains((), ())
     parameters, listed, shares = [], [], {}
-    cutoff = min(max(occupied_band(e.q, e.dt) for e in records), _HIGHEST / records[0].dt)
+    cutoff = min(max(occupied_band(e.q, e.dt) for e in records), HIGHEST_CUTOFF / records[0].dt)
     inputs = {i.name: i for i in controller.inputs}
     is_recorded = all(e.outputs is not None for e in records)
     for k, loop in enumerate(controller.loops):
@@ -88,9 +109,11 @@ def gain_parameters(
             if value <= 0:
                 parameters.append(Parameter(name, unit, 0.0, 0.0, 0.0, fixed=True))
             else:
-                error = max(error, _LEAST_ERROR * value)
+                error = max(error, GAINS.least_error * value)
                 parameters.append(
-                    Parameter(name, unit, value, value / _RANGE, value * _RANGE, prior=error)
+                    Parameter(
+                        name, unit, value, value / GAINS.factor, value * GAINS.factor, prior=error
+                    )
                 )
             listed.append(
                 make_finding("controller gain", gain=name, value=value, error=error, unit=unit)
@@ -113,7 +136,7 @@ def _remarks(
         low, high = min(shares.values()), max(shares.values())
         low = low if len(shares) > 1 else None
         remarks.append(make_finding("controller unexplained", low=low, high=high))
-    if other := [name for name, share in shares.items() if share > _OTHER_LAW]:
+    if other := [name for name, share in shares.items() if share > GAINS.other_law]:
         remarks.append(make_finding("controller other law", inputs=other))
     return tuple(remarks)
 
@@ -129,8 +152,8 @@ def _fit_gains(
     regressors, instruments, outputs = [], [], []
     for e in records:
         x, y, is_free = _law_along(e, k, loop, computed)
-        inside = slice(_APART, max(_APART, len(x) - _APART))
-        own = x[inside], (x[: -2 * _APART] + x[2 * _APART :]) / 2, y[inside, None]
+        inside = slice(GAINS.apart, max(GAINS.apart, len(x) - GAINS.apart))
+        own = x[inside], (x[: -2 * GAINS.apart] + x[2 * GAINS.apart :]) / 2, y[inside, None]
         own = [part[is_free[inside]] for part in own]
         if "ki" in loop.gains:  # nobody knows where the integral of a record begins
             own = [part - part.mean(axis=0) if len(part) else part for part in own]
@@ -149,7 +172,7 @@ def _fit_gains(
         unit = np.where(unit > 0, unit, 1.0)
         scaled, instrument = x[:, free] / unit, z[:, free] / unit
         products = instrument.T @ scaled
-        if len(y) <= len(free) or np.linalg.svd(products)[1].min() < _LEAST_MOTION * len(y):
+        if len(y) <= len(free) or np.linalg.svd(products)[1].min() < GAINS.least_motion * len(y):
             names = " and ".join(loop.gains[g] for g in free)
             raise InputError(
                 where,
@@ -164,7 +187,7 @@ def _fit_gains(
         deviations = np.sqrt(np.diag(covariance)) / unit
         gains[free] = values / unit
         for g, deviation in zip(free, deviations.tolist(), strict=True):
-            if gains[g] < -_SURE * deviation:
+            if gains[g] < -GAINS.sure * deviation:
                 raise InputError(
                     where,
                     f"{loop.gains[g]} is found to be {gains[g]:.4g}",

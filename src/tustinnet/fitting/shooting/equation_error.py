@@ -23,11 +23,9 @@ from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.lagrangian import LagrangianSystem
 
-_SHORTEST, _LONGEST = 8, 200  # samples of a window
-_AT_ONCE = 50_000  # samples whose derivatives are in memory together
 _REVERSED = 0.7  # a reversal is likely when it leaves less than this part of the residual
-_MOST_FLIPPED = 2
-_WELL_EXPLAINED = 0.1
+# unexplained share of the momentum: right signs leave a few hundredths, wrong ones over a half
+WELL_EXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,8 @@ def estimate_by_equation_error(
     bump_rate = -6 * s * (1 - s**2) ** 2 * 2 / ((length - 1) * motion.dt)
     equations = system_equations(system, space.names)
     columns = equations.free_columns(space)
-    per_batch = max(1, _AT_ONCE // length)
+    # as many samples have their derivatives in memory together
+    per_batch = max(1, 50_000 // length)
     batches = [
         motion.window_begins[k : k + per_batch]
         for k in range(0, len(motion.window_begins), per_batch)
@@ -238,13 +237,13 @@ def find_reversed_signs(
         return estimate_by_equation_error(system, space, vector, flipped_motion).unexplained
 
     before = unexplained(())
-    for count in range(1, _MOST_FLIPPED + 1):
+    for count in (1, 2):
         shares = {
             flipped: unexplained(flipped) for flipped in combinations(range(len(names)), count)
         }
         # the record that is explained worst decides: others may not move what is reversed, but
         # none that was explained well may suffer
-        allowed = np.maximum(before, _WELL_EXPLAINED)
+        allowed = np.maximum(before, WELL_EXPLAINED)
         worst = {flipped: x.max() for flipped, x in shares.items() if np.all(x <= allowed)}
         best = min(worst.values(), default=np.inf)
         if best < _REVERSED * before.max():
@@ -255,7 +254,7 @@ def find_reversed_signs(
 
 def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:
     """Samples after which the fastest velocity is no longer correlated: a quarter of a swing."""
-    shortest = _LONGEST
+    shortest = 200
     for v in velocities:
         for column in v.T:
             if not np.ptp(column):
@@ -266,4 +265,4 @@ def _quarter_swing(velocities: Sequence[np.ndarray]) -> int:
             below = np.flatnonzero(correlation <= 0)
             if len(below):
                 shortest = min(shortest, int(below[0]))
-    return max(_SHORTEST, shortest)
+    return max(8, shortest)

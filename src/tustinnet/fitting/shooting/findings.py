@@ -26,8 +26,6 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 _POOR_CONDITION = 1e3
 _AT_NOISE = 1.5  # times the rms error of rounding to counts: residuals that show no more
-_MOST_STRETCHES = 5  # that are listed
-_MOST_RANGES = 3  # that a line for a system file has
 _CORRELATED = 0.2  # residuals' correlation from one sample to the next that is more than chance
 
 
@@ -183,7 +181,7 @@ def describe_bounds(
             )
         )
     if ranges and system.source is not None:
-        some = dict([*ranges.items()][:_MOST_RANGES])
+        some = dict([*ranges.items()][:3])  # a line for a system file has no room for more
         findings.append(make_finding("wider ranges", call=system.source.call(ranges=some)))
     return findings
 
@@ -294,7 +292,8 @@ def describe_stretches(stretches: Sequence[Stretch]) -> list[Finding]:
     """Stretches of records that weigh little: probably corrupted samples."""
     if not stretches:
         return []
-    longest = sorted(stretches, key=lambda s: s.begin - s.end)[:_MOST_STRETCHES]
+    # five are listed
+    longest = sorted(stretches, key=lambda s: s.begin - s.end)[:5]
     listed = [make_finding("stretch", record=s.record, begin=s.begin, end=s.end) for s in longest]
     return [
         make_finding(

@@ -28,8 +28,7 @@ from tustinnet.simulate.horizon import FOLLOWED
 
 _GROWTH = 1000.0  # of errors, with sensors without noise: forces that a model lacks grow, too
 _LEAST_GROWTH = 10.0  # that of a fall which goes through upright once may be 50, of a held one any
-_SHORTEST = 2  # blocks: those across which the transient growth is read
-_LARGEST = 1e15  # norm of a matrix up to which its exponential is computed in earnest
+_FEWEST_BLOCKS = 2  # blocks: those across which the transient growth is read
 _SMALL = 0.5  # norm of a matrix whose exponential four terms of the series give to 1e-3
 _AT_ONCE = 50_000  # samples whose transitions are in memory together
 
@@ -130,7 +129,7 @@ def steps_before_growth(
         A multiple of the block, at least 2 of them; None where no error grows so much.
     """
     blocks = len(a) // block
-    if blocks <= _SHORTEST:
+    if blocks <= _FEWEST_BLOCKS:
         return None
     begins = range(0, blocks * block, max(1, _AT_ONCE // block) * block)
     parts = [a[k : min(k + begins.step, blocks * block)] for k in begins]
@@ -158,7 +157,7 @@ def steps_before_growth(
         longer = further @ error[: len(further)]
         if len(longer) and not has_grown(longer):
             length, error = length + 2**k, longer
-    return None if length == blocks else max(length, _SHORTEST) * block
+    return None if length == blocks else max(length, _FEWEST_BLOCKS) * block
 
 
 def _transitions_across_blocks(
@@ -170,7 +169,8 @@ def _transitions_across_blocks(
         Transitions and sizes, each (n / block, n_x, n_x).
     """
     # exponentials of A dt, by squaring those of a small part of it
-    size = min(float(np.abs(a).sum(axis=2).max()) * dt, _LARGEST)
+    # up to this norm exponentials are computed in earnest
+    size = min(float(np.abs(a).sum(axis=2).max()) * dt, 1e15)
     halvings = max(0, ceil(log2(max(size, _SMALL) / _SMALL)))
     small, one = a * (dt / 2**halvings), np.eye(a.shape[1])
     transitions = one + small @ (one + small / 2 @ (one + small / 3 @ (one + small / 4)))

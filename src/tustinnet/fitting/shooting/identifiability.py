@@ -13,10 +13,9 @@ from jaxtyping import Float
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
-_NULL = 1e-11  # of the largest eigenvalue, in units in which every parameter acts alike
-_DIVERGED = 1e30  # squared derivatives: a change in the last digit moves the simulation by 1
-_MEMBER = 1e-3  # of the largest share
-_MOST_SETS = 5  # of parameters, each with a sentence of its own
+_DIVERGED_SQUARES = (
+    1e30  # squared derivatives: a change in the last digit moves the simulation by 1
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def describe_confounded(confounded: Sequence[ConfoundedParameters], total: int) 
         confounded: the sets that are not identifiable, one finding each where they are few.
         total: how many parameters were free.
     """
-    if len(confounded) <= _MOST_SETS:
+    if len(confounded) <= 5:  # each has a sentence of its own
         return [one.finding for one in confounded]
     names = list(dict.fromkeys(one.suggestion for one in confounded))
     return [
@@ -70,7 +69,9 @@ def has_diverged(products: Float[np.ndarray, "n_p n_p"]) -> bool:
     Args:
         products: `J'J` by the parameters, (n_p, n_p).
     """
-    return bool(not np.isfinite(products).all() or np.diag(products).max(initial=0.0) > _DIVERGED)
+    return bool(
+        not np.isfinite(products).all() or np.diag(products).max(initial=0.0) > _DIVERGED_SQUARES
+    )
 
 
 def find_confounded(
@@ -90,7 +91,8 @@ def find_confounded(
     strong = diagonal > 1e-12 * diagonal.max(initial=0.0)
     unit = np.where(strong, diagonal, 1.0)
     values, vectors = np.linalg.eigh(products / np.outer(unit, unit) + np.diag(1.0 * ~strong))
-    null = (vectors[:, values < _NULL * values.max()] / unit[:, None]).T
+    # in units in which every parameter acts alike, directions without effect
+    null = (vectors[:, values < 1e-11 * values.max()] / unit[:, None]).T
     null /= np.maximum(np.abs(null).max(axis=1, keepdims=True), 1e-300)
     null = np.vstack([null, np.eye(len(vector))[~strong]])
     # a standard deviation that is known beforehand counts as half a range
@@ -111,7 +113,7 @@ def find_confounded(
         pivots.append(pivot)
     confounded = []
     for direction, pivot in zip(null, pivots, strict=True):
-        members = np.flatnonzero(np.abs(direction) > _MEMBER * np.abs(direction).max())
+        members = np.flatnonzero(np.abs(direction) > 1e-3 * np.abs(direction).max())
         shares = {space.names[i]: float(direction[i]) for i in members}
         spread = {
             name: abs(x) * float(ranges[pivot]) / 2

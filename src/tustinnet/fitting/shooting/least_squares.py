@@ -30,7 +30,6 @@ from tustinnet.models.lagrangian import LagrangianSystem
 
 _LONGEST_STEP = 1.0  # of a logarithm, or of a range: a factor of e at most
 _LEAST_DAMPING = 1e-9
-_SHORTEST_STEP = 1e-10
 _TINY = 1e-300
 
 # rising gently finds the longest step that is still good; the fall is Nielsen's
@@ -188,7 +187,7 @@ def minimise(
         undamped = _damped_step(cost, point, _LEAST_DAMPING)
         length = max(np.max(np.abs(x), initial=0.0) for x in (undamped.vector, undamped.x0))
         small = undamped.predicted_decrease <= stopping.tolerance * (point.cost + _TINY)
-        return bool(small or length < _SHORTEST_STEP)
+        return bool(small or length < 1e-10)
 
     point = evaluate(cost.space.clip(vector), cost.segments.x0)
     iterations, status = 0, "diverged"

@@ -17,9 +17,6 @@ from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
 from tustinnet.fitting.shooting.space import ParameterVector
 from tustinnet.fitting.shooting.uncertainty import FEWEST_RECORDS
 
-_GROUPS = 8  # into which the segments of fewer than 4 records are divided
-_TINY = 1e-300
-
 FixedEntries = Mapping[int, float]  # entries of the vector that are fixed, by index
 
 
@@ -113,11 +110,11 @@ def make_quadratic_cost(
         ends = np.cumsum([len(e) for e in problem.records])
         group = np.searchsorted(ends, first_row, side="right")
     else:
-        count = min(_GROUPS, len(first_row))
+        count = min(8, len(first_row))
         group = np.arange(len(first_row)) * count // len(first_row)
     membership = (group[None, :] == np.unique(group)[:, None]).astype(float)
     curvature = np.einsum("gs,sij->gij", membership, reduced.matrices)
-    unit = np.sqrt(np.maximum(np.diag(curvature.sum(axis=0)) + prior_curvature, _TINY))
+    unit = np.sqrt(np.maximum(np.diag(curvature.sum(axis=0)) + prior_curvature, 1e-300))
     gradient = membership @ reduced.gradients / unit
     point = result.vector * unit
     longest = reach * (np.abs(point).max(initial=0.0) or 1.0)

@@ -23,17 +23,10 @@ from tustinnet.fitting.shooting.stages import (
     update_horizons,
 )
 
-_QUARTER_SWINGS = (1, 4)  # lengths of the segments
-_FEWEST = 4  # segments, for groups of them to be compared
 _STOPPING = StoppingRule(1e-2, 15)
 _NEEDED = 0.1  # share of the cost of records left out by which it rises without a needed term
-_MOST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
-_STEPS = (1e-2, 1e-1, 1.0)  # of it: terms that nobody would miss go first
+_MOST_COST = 3.0  # times the cost of all terms: with few segments, those left out decide too little
 _CLEARLY = 0.5  # times the cost from the initial values: another start is clearly better
-_HALVES = 2  # times that fewer terms are dropped where the second-order model did not hold
-# of the largest parameter: where one that moves so far to make up for others costs as much as a
-# term that is needed; less where the second-order model did not hold so far
-_REACHES = (10.0, 1.0, 0.1)
 
 
 def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, SearchState]:
@@ -66,7 +59,7 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     # all terms, fitted to short segments, of which there are several
     stages = [
         SearchStage(problem.early_initial_treatment, _STOPPING, quarters)
-        for quarters in _QUARTER_SWINGS
+        for quarters in (1, 4)  # lengths of segments
     ]
     stage, *longer_stages = stages
     state = _fit_from_best_start(problem, state, stage)
@@ -85,7 +78,7 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
             state = choose_substeps(problem, state)
             longer = run_stage(problem, state, longer_stage)
         if longer.is_stopped or (
-            len(longer.last_result.segments.steps) >= _FEWEST and not longer.has_diverged
+            len(longer.last_result.segments.steps) >= 4 and not longer.has_diverged
         ):
             state, stage = longer, longer_stage
     problem, state = _drop_all_unneeded(problem, state, stage)
@@ -154,7 +147,9 @@ def _drop_all_unneeded(
         state: the state after the stage.
         stage: the stage.
     """
-    for reach in _REACHES:
+    # of the largest parameter: where one that moves so far to make up for others costs as much as a
+    # term that is needed; less where the second-order model did not hold so far
+    for reach in (10.0, 1.0, 0.1):
         while (
             not state.is_stopped
             and (reduced := _drop_some(problem, state, stage, reach)) is not None
@@ -179,7 +174,7 @@ def _drop_some(
         if name in optional
     }
     fixed = _find_unneeded(cost, choices)
-    for _ in range(1 + _HALVES):
+    for _ in range(3):  # fewer are dropped where the second-order model did not hold
         if not fixed:
             return None
         # terms at 0 are dropped, those at a usual value are fixed there
@@ -213,11 +208,12 @@ def _find_unneeded(cost: QuadraticCost, choices: Mapping[int, Sequence[float]]) 
         Entries of the vector and the value, of `choices`, where each costs least.
     """
     fixed: dict[int, float] = {}
-    lowest, most = cost.leave_one_out_cost(fixed), _MOST * cost.best_cost(fixed)
+    lowest, most = cost.leave_one_out_cost(fixed), _MOST_COST * cost.best_cost(fixed)
     plain = [i for i, values in choices.items() if len(values) == 1]
     with_usual = [i for i, values in choices.items() if len(values) > 1]
     rounds = [(plain, slice(1)), (with_usual, slice(1)), (with_usual, slice(1, None))]
-    for (entries, part), share in itertools.product(rounds, _STEPS):
+    # terms that nobody would miss go first
+    for (entries, part), share in itertools.product(rounds, (1e-2, 1e-1, 1.0)):
         has_changed = True
         while has_changed:
             has_changed = False

@@ -35,7 +35,6 @@ from tustinnet.simulate.start_rules import Start, start_named
 from tustinnet.simulate.starts import default_start, start_states
 
 _HELD_HORIZON = 0.25  # s, of free runs of a system that a controller of unknown kind held
-_INITIAL_VARIANCE = 1e-4  # of residuals, before any are known
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +227,7 @@ class SearchState:
     space: SearchSpace
     vector: ParameterVector
     substeps: int = 1
-    variance: float = _INITIAL_VARIANCE
+    variance: float = 1e-4  # before residuals are known
     result: LeastSquaresResult | None = None
     stage: str = ""
     initial_treatment: str = ""

@@ -33,12 +33,9 @@ from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.start_rules import FirstSamples, Start
 from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
 
-_MAX_ITERATIONS = 10
-_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
+_COST_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
 _PRIOR = 2.0  # cost of a parameter that doubles: the mean RMSE of so many records
-_LEAST = 0.01  # of its range: the size of a parameter that is nearly 0
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
-_LISTED = 3  # parameters that changed most
 
 # any decrease will do: what is predicted does not matter
 _DAMPING_RULE = DampingRule(
@@ -103,7 +100,7 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
     before = space.to_values_in_range(state.vector)
     refitted = replace(state, vector=space.clip(space.to_vector(before | after)))
     changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
-    most = sorted(changes, key=lambda name: -changes[name])[:_LISTED]
+    most = sorted(changes, key=lambda name: -changes[name])[:3]
     finding = make_finding(
         "refitted",
         start=start.name,
@@ -147,7 +144,7 @@ def _minimise_mean_rmse(
     first = np.array([identified[name] for name in names])
     # a change of 1 is the value, unless it is nearly 0
     unit = np.array(
-        [max(abs(x), _LEAST * (p.upper - p.lower)) for x, p in zip(first, free, strict=True)]
+        [max(abs(x), 0.01 * (p.upper - p.lower)) for x, p in zip(first, free, strict=True)]
     )
     lower = (np.array([p.lower for p in free]) - first) / unit
     upper = (np.array([p.upper for p in free]) - first) / unit
@@ -169,7 +166,7 @@ def _minimise_mean_rmse(
         return _RefitPoint(change, products, cost), 1.0  # see the damping rule
 
     def has_converged(point: _RefitPoint, previous_cost: float) -> bool:
-        return previous_cost - point.cost < _TOLERANCE * point.cost
+        return previous_cost - point.cost < _COST_TOLERANCE * point.cost
 
     report = partial(
         report_step, problem, state, f"refit to free runs from {start.name}", start.name
@@ -185,7 +182,7 @@ def _minimise_mean_rmse(
             propose,
             has_converged,
             _DAMPING_RULE,
-            _MAX_ITERATIONS,
+            10,  # iterations
             on_step,
             problem.should_stop,
         )

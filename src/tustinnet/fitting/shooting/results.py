@@ -33,7 +33,6 @@ from tustinnet.fitting.shooting.uncertainty import (
 from tustinnet.models.lagrangian import LagrangianSystem
 
 _EXACT = 1e-6  # of the motion: residuals of records without counts that are taken for rounding
-_LITTLE = 0.5  # of the weight of residuals that count in full
 
 
 def make_identification(
@@ -238,7 +237,8 @@ def _downweighted(
     for e in records:
         mean = weights[row : row + len(e)].mean(axis=1)
         row += len(e)
-        edges = np.flatnonzero(np.diff(mean < _LITTLE, prepend=False, append=False))
+        # below half of the weight of others
+        edges = np.flatnonzero(np.diff(mean < 0.5, prepend=False, append=False))
         for a, b in edges.reshape(-1, 2).tolist():
             weight = float(mean[a:b].mean())
             stretches.append(Stretch(e.name, float(e.t[a]), float(e.t[b - 1]), weight))

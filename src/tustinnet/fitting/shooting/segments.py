@@ -19,8 +19,6 @@ from tustinnet.signals.derivatives import polynomial_fit
 from tustinnet.simulate.start_names import DERIVED
 from tustinnet.simulate.starts import initial_state
 
-_LEAST_ERROR = 1e-9  # rad or m
-_DELAY_STEP = 1e-3  # of a period: between two samples everything is smooth in a delay
 _LOCAL = 3  # samples on either side of a segment's beginning that its state is read from
 
 
@@ -75,7 +73,8 @@ class Segments:
         """Segments whose inputs have the delays that are among the parameters' values."""
         if self.delayed_inputs is None:
             return self
-        step = _DELAY_STEP * float(self.periods[0])
+        # within a thousandth of a period everything is smooth in a delay
+        step = 1e-3 * float(self.periods[0])
         names = delay_names(values)
         after, before = (
             self.delayed_inputs({name: values[name] + change for name in names})
@@ -193,10 +192,10 @@ def cut_records(
             q, v = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[begin : begin + 1])
             x0[s, channels.measured] = np.concatenate([q[0], v[0]])
         if options.initial_treatment != "unanchored":
-            # a measured position errs by half a count, or by what a parabola misses
+            # a measured position errs by half a count, or by what a parabola misses [rad or m]
             parabola, _ = polynomial_fit(e.t[near], e.q[near], 2, at=e.t[near])
             missed = np.sqrt(np.mean((parabola - e.q[near]) ** 2, axis=0))
-            error = np.maximum(np.maximum(e.channels.resolution / 2, missed), _LEAST_ERROR)
+            error = np.maximum(np.maximum(e.channels.resolution / 2, missed), 1e-9)
             precision[s, channels.position] = is_free[s, channels.position] / error
 
     def delayed_inputs(values: Mapping[str, float]) -> np.ndarray:

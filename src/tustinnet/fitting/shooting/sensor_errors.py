@@ -15,9 +15,6 @@ from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_name
 
 _WHERE = "model.free"
-_ANGLE = 0.5  # rad that the zero of an angle may be off by
-_GAINS = (0.5, 2.0)
-_LATEST = 10  # periods that an input may act later than the card says
 
 
 def sensor_parameters(
@@ -69,10 +66,11 @@ def _sensor_parameter(
                 "a delay common to all sensors is the same as one of the inputs",
             )
         declared = experiments[0].inputs[system.inputs.index(channel)].delay or 0.0
+        # ten periods at most
         dt, longest = experiments[0].dt, min(map(len, experiments)) - 2
-        return Parameter(name, "s", declared, declared - dt, declared + min(_LATEST, longest) * dt)
+        return Parameter(name, "s", declared, declared - dt, declared + min(10, longest) * dt)
     if kind == "gain":
-        return Parameter(name, "1", 1.0, *_GAINS)
+        return Parameter(name, "1", 1.0, 0.5, 2.0)
     if kind != "bias":
         raise InputError(_WHERE, f"'{name}'", f"{channel_name}.bias or {channel_name}.gain")
 
@@ -80,7 +78,7 @@ def _sensor_parameter(
         k = system.inputs.index(channel)
         largest = max(float(np.abs(e.u[:, k]).max()) for e in experiments)
     elif channel.kind == "angular":
-        largest = _ANGLE
+        largest = 0.5  # rad
     else:
         k = system.coordinates.index(channel)
         largest = (

@@ -44,9 +44,6 @@ ESTIMATE = "equation-error estimate"  # what the listener calls the first step
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _QUARTER_SWINGS = (4, 16)  # lengths of the early stages' segments
-_SHIFT = 0.25  # standard errors by which finer steps may move a parameter
-_MOST_REWEIGHTINGS = 20
-_LEAST_CHANGE = 1e-5  # of a logarithm, or of a range, by which new weights still matter
 
 
 @dataclass(frozen=True)
@@ -197,13 +194,14 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
     stage = SearchStage(initial_treatment, StoppingRule(options.tolerance, options.iterations))
     finished = state.finished_stages
     before, state = state, run_stage(problem, state, stage)
-    for _ in range(_MOST_REWEIGHTINGS if options.robust != "none" else 0):
+    for _ in range(20 if options.robust != "none" else 0):
         before = replace(state, finished_stages=finished)
         state = run_stage(problem, before, stage)
         if (
             state.is_stopped
             or state.has_diverged
-            or np.abs(state.vector - before.vector).max() < _LEAST_CHANGE
+            # of a logarithm, or of a range: new weights do not matter any more
+            or np.abs(state.vector - before.vector).max() < 1e-5
         ):
             break
     while not state.is_stopped and _needs_finer_steps(problem, before, state):
@@ -240,7 +238,8 @@ def _needs_finer_steps(problem: Problem, before: SearchState, state: SearchState
     shift = shift_of_estimate(result.products, finer, curvature, inside)
     uncertainty = estimate_uncertainty(result.products, result.segments, curvature, inside)
     errors = np.sqrt(np.diag(uncertainty.trusted)[inside])
-    return bool(np.any(np.abs(shift) > _SHIFT * errors))
+    # finer steps may move a parameter by a quarter of a standard error
+    return bool(np.any(np.abs(shift) > 0.25 * errors))
 
 
 def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> SearchState:

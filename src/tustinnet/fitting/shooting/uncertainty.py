@@ -12,6 +12,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float
 
+from tustinnet.data.experiment import LARGEST
 from tustinnet.fitting.shooting.normal import NormalProducts, eliminate_initial_states
 from tustinnet.fitting.shooting.segments import Segments
 
@@ -19,8 +20,7 @@ FEWEST_RECORDS = 4  # for an estimate of how records differ
 FEWEST_SEGMENTS = 12  # for an estimate of how segments differ, where there are not enough records
 CONFIDENCE = 0.95
 INFORMED = 0.5  # share of a prior's standard deviation below which records decide
-_NOTHING = 1e-9  # of the information on a parameter, that remains where nothing else tells of it
-_LARGEST = 1e100  # residuals above it cannot be squared and summed
+NO_INFORMATION = 1e-9  # of that on a parameter, which remains where nothing else tells of it
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def estimate_uncertainty(
         parts = np.add.reduceat(reduced.matrices, first)[:, inside][:, :, inside]
         gradients = np.add.reduceat(reduced.gradients, first)[:, inside]
         # parameters of which the other parts say nothing, by the part that is left out
-        is_alone = np.diag(whole) - np.einsum("rii->ri", parts) < _NOTHING * np.diag(whole)
+        is_alone = np.diag(whole) - np.einsum("rii->ri", parts) < NO_INFORMATION * np.diag(whole)
         left_out = np.flatnonzero(~is_alone.any(axis=1))
         n = len(left_out)
         if n < FEWEST_RECORDS:
@@ -196,7 +196,7 @@ def without_overflow(
     errors: Sequence[Float[np.ndarray, "_ n_y"]],
 ) -> list[Float[np.ndarray, "_ n_y"]]:
     """Residuals, 0 where a simulation diverged so far that their squares overflow."""
-    return [np.where(np.abs(x) < _LARGEST, x, 0.0) for x in errors]
+    return [np.where(np.abs(x) < LARGEST, x, 0.0) for x in errors]
 
 
 def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> Float[np.ndarray, " n_y"]:

@@ -22,7 +22,6 @@ from tustinnet.store.log import is_stage_end
 _POINTS = (2000, 1700, 1400, 1200, 1000, 850, 700, 600, 500, 400, 300, 200, 150, 100)
 _POINT_BYTES, _SIGNAL_BYTES = 8 / 3, 80.0  # of a point in base64, of the keys of a signal
 DRAWN_INPUTS = 3  # with whose correlations the residuals of a coordinate are drawn, at most
-_EPOCHS = 400  # points of a training curve
 
 
 @dataclass(frozen=True)
@@ -183,7 +182,7 @@ def _training_content(name: str, lines: History) -> dict[str, Any]:
     values = np.array([[e["loss"], e["validation"]] for e in lines], float)  # None becomes NaN
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.log10(values)
-    epochs = thin(values, _EPOCHS)
+    epochs = thin(values, 400)  # points of a curve
     loss, validation = values[epochs].T
     return {
         "name": name,

@@ -31,7 +31,6 @@ from tustinnet.simulate.range import Range
 from tustinnet.store.files import write_into
 from tustinnet.store.model_file import package_versions
 
-_POINTS = 1000  # samples of a run that are drawn, at most
 _ESTIMATE, _PLAN = "estimate", "plan"
 
 
@@ -124,7 +123,8 @@ def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> di
         at_goal = np.repeat(plan.goal[None], max(0, n - len(plan.x)), axis=0)
         lines.append(np.concatenate([plan.x, at_goal])[:n, positions])
     errors = [bounded(line, q) - q for line in lines]
-    samples = thin(np.concatenate([q, v, u, *errors], axis=1), _POINTS)
+    # a thousand samples of a run are drawn
+    samples = thin(np.concatenate([q, v, u, *errors], axis=1), 1000)
     t = run.dt * np.arange(n)
     by_unit = channels.places_by_unit.values()
 

@@ -19,11 +19,6 @@ from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.simulate.range import ExtrapolationPoint, Range
 from tustinnet.simulate.starts import start_named
 
-_STEPS_AHEAD = 100
-_MAX_PREDICTIONS = 1500  # more give the same curve, and take seconds
-_LAGS = 50
-_LEVEL = 0.9  # of bands, where there are enough calibration records
-
 Energies = Sequence[Float[np.ndarray, " _"]]
 
 
@@ -86,7 +81,8 @@ def compute_model_result(
     ]
     residuals: list[ResidualReport] = []
     try:
-        lags = min(_LAGS, min(map(len, records)) - start_named(start).first - 1)
+        # residuals are correlated at 50 lags
+        lags = min(50, min(map(len, records)) - start_named(start).first - 1)
         residuals = residual_reports(model, records, start, lags, horizon=horizon, runs=runs)
     except InputError as error:
         notes.append(f"no residuals: {error}")
@@ -94,13 +90,16 @@ def compute_model_result(
     try:
         if BANDS in header:
             calibration = Calibration.from_header(header, reported.label)
-            options = BandOptions(min(_LEVEL, calibration.highest_level))
+            # bands of 90 %, where there are enough calibration records
+            options = BandOptions(min(0.9, calibration.highest_level))
             others = find_alternatives(model, header, reported.label)
             bands = make_bands(calibration, options, model, others, records, scores)
     except InputError as error:
         notes.append(f"no bands: {error}")
-    steps = min(_STEPS_AHEAD, max(map(len, records)) - model.warm_up - 1)
-    every = -(-sum(map(len, records)) // _MAX_PREDICTIONS)
+    # predictions up to 100 steps ahead
+    steps = min(100, max(map(len, records)) - model.warm_up - 1)
+    # more predictions give the same curve, and take seconds
+    every = -(-sum(map(len, records)) // 1500)
     ahead = np.zeros((0, len(model.channels.units)))
     if steps > 0:
         errors = coordinate_rmse_ahead(model, records, steps, every=every)

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-_LARGEST = 32767  # largest integer that stands for a value
+_LARGEST_INTEGER = 32767  # largest integer that stands for a value
 _GAP = -32768  # stands for a value that is not finite
-_GROWTH = 1.15  # factor between the lengths of stretches that are tried
-_FARTHEST = 3.0  # times the measured span from its centre, beyond which a simulation is cut
 
 
 def thin(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"]:
@@ -31,7 +29,8 @@ def thin(signals: Float[np.ndarray, "n c"], points: int) -> Int[np.ndarray, " m"
         return np.arange(n)
     samples = find_extremes(signals, length)
     while len(samples) > points and length < n:
-        length = max(length + 1, int(_GROWTH * length))
+        # lengths of stretches that are tried
+        length = max(length + 1, int(1.15 * length))
         samples = find_extremes(signals, length)
     return samples
 
@@ -62,7 +61,7 @@ def pack(values: Float[np.ndarray, " n"] | Sequence[float]) -> dict[str, Any]:
     finite = np.isfinite(y)
     low, high = (float(y[finite].min()), float(y[finite].max())) if finite.any() else (0.0, 0.0)
     share = (np.where(finite, y, low) - low) / ((high - low) or 1.0)
-    whole = np.where(finite, np.round(share * 2 * _LARGEST) - _LARGEST, _GAP)
+    whole = np.where(finite, np.round(share * 2 * _LARGEST_INTEGER) - _LARGEST_INTEGER, _GAP)
     return {"low": low, "high": high, "k": b64encode(whole.astype("<i2").tobytes()).decode()}
 
 
@@ -73,5 +72,6 @@ def bounded(
     centre = (measured.max(axis=0) + measured.min(axis=0)) / 2
     reach = np.ptp(measured, axis=0) + 1e-12
     with np.errstate(invalid="ignore", over="ignore"):
-        inside = np.abs(simulated - centre) < _FARTHEST * reach
+        # three times the measured span from its centre
+        inside = np.abs(simulated - centre) < 3.0 * reach
     return np.where(inside, simulated, np.nan)

@@ -34,7 +34,7 @@ from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import find_fitted, records_in_header
 from tustinnet.wording import counted
 
-_DIGITS = 12  # of a checksum
+_CHECKSUM_DIGITS = 12  # of a checksum
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) 
                 f"{counted(count, 'record')} of {header['data']['name']}"
                 if header.get("data")
                 else "–",
-                hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] if file else "–",
+                hashlib.sha256(file.read_bytes()).hexdigest()[:_CHECKSUM_DIGITS] if file else "–",
                 " ".join(f"{k} {v}" for k, v in (header.get("versions") or {}).items()) or "–",
             ]
         )
@@ -337,7 +337,7 @@ def records_table(results: Sequence[ModelResult], records: Sequence[Experiment])
             str(len(e)),
             f"{e.seconds:.4g}",
             ", ".join(label for label, names in trained.items() if e.name in names) or "–",
-            e.sha256[:_DIGITS] or "–",
+            e.sha256[:_CHECKSUM_DIGITS] or "–",
         ]
         for e in records
     ]
