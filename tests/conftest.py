@@ -31,11 +31,13 @@ import jaxtyping
 import numpy as np
 import pytest
 import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
+from remembered_figures import RememberingCanvas
 
 import tustinnet as tn
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.task import Member
+from tustinnet.report import drawing
 from tustinnet.simulate.programs import make_room
 
 # objects of JAX and of loaded modules live until the end: looking through them again and again took
@@ -56,6 +58,17 @@ def _room_for_programs() -> Iterator[None]:
     """Forgets compiled programs before there are too many."""
     yield
     make_room(_SHARE)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _figures_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Draws figures that are composed alike once, but in the tests of figures."""
+    if request.path.parent.name == "report":
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(drawing, "FigureCanvasAgg", RememberingCanvas)
+        yield
 
 
 def swing(samples: int, seed: int, *, forced: bool = False) -> tuple[np.ndarray, np.ndarray]:
