@@ -31,6 +31,7 @@ import jaxtyping
 import numpy as np
 import pytest
 import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
+from kept_machine_code import keep_machine_code
 from remembered_figures import RememberingCanvas
 
 import tustinnet as tn
@@ -47,6 +48,8 @@ gc.set_threshold(50_000, 20, 50)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
+
+keep_machine_code(Path(__file__).parents[1] / ".pytest_cache/machine-code")
 
 DT = 0.02
 _SHARE = 0.3  # of the room for programs, which one module may take after another
