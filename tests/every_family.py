@@ -96,8 +96,10 @@ _FAMILIES = (
     "hybrid 2",
     "network taps",
 )
+# two structures twice, not beside one another; what one more member adds, its own case tries
+_MEMBERS = ("network memory", "hybrid", "linear", "network memory 2", "network taps", "hybrid 2")
 _OTHERS = {
-    "committee": lambda: tn.committee(every_family()),
+    "committee": lambda: tn.committee([example(name) for name in _MEMBERS]),
     "qube": lambda: nominal(SYSTEM, 1),
     "qube memory": lambda: nominal(WITH_MEMORY, 4),
     "qube rubbing": lambda: nominal(WITH_CABLE_FRICTION, 2),
@@ -109,7 +111,11 @@ _OTHERS = {
     "first-order": lambda: physics(_with_hold("first-order")),
     "band-limited": lambda: hybrid(1, _with_hold("band-limited"), taps=(-1, 0, 1)),
 }
-NAMES = (*_FAMILIES, *_OTHERS)
+# of two that are alike but for their weights, one
+NAMES = (*(name for name in _FAMILIES if not name.endswith(" 2")), *_OTHERS)
+_WITHOUT_LAYERS = ("physics", "committee", "qube", "qube memory", "qube rubbing", "cart")
+_WITHOUT_LAYERS += ("actuator lag", "first-order")
+LAYERED = tuple(name for name in NAMES if name not in _WITHOUT_LAYERS)
 
 
 def _with_hold(hold: str) -> tn.Channels:

@@ -34,7 +34,7 @@ LEVELS = {
     ),
 }
 _SAMPLES = {1: 700, 2: 400, 5: 200, 30: 60}  # by the number of records: all take as long
-_MOST = 3  # machines: a dozen would take more than a minute and a half
+_MOST = 2  # machines, which take a quarter of a minute each
 _BUDGET = "15s"
 _GENERATOR = np.random.default_rng(1)
 MACHINES = [

@@ -328,7 +328,7 @@ def is_plain(text: str) -> bool:
 
 @pytest.mark.parametrize("write", WRITERS)
 @settings(
-    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(names=st.lists(HOSTILE, min_size=3, max_size=3, unique_by=escape_unprinted))
 def test_hostile_names_make_a_card_of_exactly_these_names(

@@ -4,7 +4,9 @@ import importlib.util
 import shutil
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
+from cells_in_process import SHELL, Notebook, run_shell
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPTS = sorted((DOCS / "tutorials").glob("*.py"))
@@ -55,25 +57,58 @@ def marked(script):
     return pytest.param(script, id=script.stem, marks=pytest.mark.real if needs else ())
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("script", [marked(script) for script in SCRIPTS])
 def test_a_tutorial_runs_to_its_end(script, tmp_path, monkeypatch, request):
     if "cc -" in script.read_text(encoding="utf-8") and shutil.which("cc") is None:
         pytest.skip("no C compiler (cc)")
     if make.lacking(make.read(script)):
-        monkeypatch.setenv("TUSTINNET_DATA", str(request.getfixturevalue("real_data")))
+        monkeypatch.setenv("TUSTINNET_DATA", str(request.getfixturevalue("real_data").resolve()))
     text = script.read_text(encoding="utf-8")
     for part, shorter in SHORTER.get(script.stem, {}).items():
         assert text.count(part) == 1
         text = text.replace(part, shorter)
     short = tmp_path / script.name
     short.write_text(text, encoding="utf-8")
-    book = make.run(short, tmp_path / "run")
+    (folder := tmp_path / "run").mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(plt, "show", lambda: None)
+    book, notebook, drawn = make.read(short), Notebook(), []
     assert not make.lacking(book)
-    code = [cell for cell in book.cells if cell.cell_type == "code"]
-    assert all(cell.execution_count for cell in code)
-    drawn = [c for c in code if any("image/png" in o.get("data", {}) for o in c.outputs)]
+    for cell in book.cells:
+        if cell.cell_type != "code":
+            continue
+        if cell.source.startswith(SHELL):
+            run_shell(cell.source.removeprefix(SHELL), tmp_path)
+        elif notebook.run(cell.source):
+            drawn.append(cell)
     assert drawn
     assert all(len(cell.metadata.get("alt", "")) > 20 for cell in drawn)
+
+
+NOTEBOOK = """# %% [markdown]
+# # Two cells
+
+# %%
+import matplotlib.pyplot as plt
+
+plt.plot([1, 2])
+plt.show()
+
+# %% language="bash"
+# tustinnet --version | cut -d " " -f 1
+# pwd
+"""
+
+
+def test_cells_are_run_in_an_empty_folder_with_the_command_of_this_python(tmp_path):
+    (script := tmp_path / "two.py").write_text(NOTEBOOK)
+    book = make.run(script, tmp_path / "run")
+    drawing, typing = (cell for cell in book.cells if cell.cell_type == "code")
+    assert drawing.execution_count
+    assert any("image/png" in output.get("data", {}) for output in drawing.outputs)
+    (printed,) = typing.outputs
+    assert printed.text.split() == ["tustinnet", str(tmp_path / "run")]
 
 
 def test_a_tutorial_without_its_recordings_is_not_run_and_says_so(tmp_path, monkeypatch):

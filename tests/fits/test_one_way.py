@@ -64,17 +64,18 @@ def test_the_command_and_python_identify_the_same_bits(
     by_command = {e["name"]: e["value"] for e in header["identification"]["estimates"]}
     values = {e.name: e.value for e in by_python.estimates}
     assert by_command == json.loads(json.dumps(values))
-    by_fit = tn.fit(tn.load(folder), recipe, system=system).identification
-    assert by_fit is not None
-    assert {e.name: e.value for e in by_fit.estimates} == values
     assert values["gravity"] == pytest.approx(gravity, rel=0.01)
+    if not declared:  # what is declared is the same for both functions
+        by_fit = tn.fit(tn.load(folder), recipe, system=system).identification
+        assert by_fit is not None
+        assert {e.name: e.value for e in by_fit.estimates} == values
 
 
-def test_the_command_and_python_train_the_same_bits(tmp_path, small_recipe):
+def test_the_command_and_python_train_the_same_bits(tmp_path, tiny_recipe):
     folder = tmp_path / "logs"
     write_random_machine(folder, 5, first_order=False, declared="")
-    by_python = tn.fit(tn.load(folder), small_recipe)
-    options = ["--recipe", small_recipe, "--out", tmp_path / "out", "--quiet", "--no-report"]
+    by_python = tn.fit(tn.load(folder), tiny_recipe)
+    options = ["--recipe", tiny_recipe, "--out", tmp_path / "out", "--quiet", "--no-report"]
     with pytest.raises(SystemExit) as ended:
         run([str(a) for a in ("fit", folder, *options)])
     assert not ended.value.code

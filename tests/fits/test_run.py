@@ -91,19 +91,18 @@ def test_a_seed_that_joins_later_does_not_disturb_those_that_are_done(
     run_folder, folder, small_recipe
 ):
     before = arrays(run_folder / "seed-1" / MODEL)
-    joined = run(
-        tn.load(folder), small(small_recipe), [0, 1, 2], run_folder, "resume", rates=[1.0, 0.5]
-    )
+    # two are new, as many as were trained there together: by the same program
+    members = [Member(0), Member(1), Member(1, 0.5), Member(2)]
+    request = FitRequest(tn.load(folder), small(small_recipe), members)
+    joined = run_fit(prepare(request), run_folder, "resume")
     assert arrays(run_folder / "seed-1" / MODEL) == before
     assert [(r.result.seed, r.result.member.rate) for r in joined.members] == [
         (0, 1.0),
-        (0, 0.5),
         (1, 1.0),
         (1, 0.5),
         (2, 1.0),
-        (2, 0.5),
     ]
-    assert (run_folder / "seed-2-rate-0.5" / MODEL).is_file()
+    assert (run_folder / "seed-1-rate-0.5" / MODEL).is_file()
     assert all(r.result.finished for r in joined.members)
 
 

@@ -21,10 +21,10 @@ from tustinnet.simulate.rollout import rollouts
 
 TRAINED = {
     "tustin-net": {"kind": "tustin-net", "hidden": [4]},
-    "with memory": {"kind": "tustin-net", "hidden": [4], "memory": [0.3]},
-    "with taps and a linear map": {
+    "with memory, taps and a linear map": {
         "kind": "tustin-net",
         "hidden": [4],
+        "memory": [0.3],
         "linear": True,
         "input_taps": [-1, 0],
     },

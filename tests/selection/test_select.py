@@ -408,13 +408,22 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     assert again.result("network").rmse() != first.result("network").rmse()
 
 
-def test_a_damaged_account_of_a_job_is_not_believed(tmp_path):
+def test_a_damaged_account_of_a_job_is_not_believed(tmp_path, monkeypatch):
     first, _ = selected(tmp_path)
-    path = next(first.context.folder.glob("candidates/*/*/scores.json"))
-    for text in ("{", "[]", "{}", path.read_text().replace('"done"', '"fine"')):
+    paths = sorted(first.context.folder.glob("candidates/*/*/scores.json"))
+    sound = [path.read_text() for path in paths]
+    for path, text in zip(paths, ("{", "[]", sound[2].replace('"done"', '"fine"')), strict=True):
         path.write_text(text)
-        again, _ = selected(tmp_path, "resume")
-        assert again.result("network").rmse() == first.result("network").rmse()
+    fitted: list[Path] = []
+
+    def fit(folder, *more, **named):
+        fitted.append(folder)
+        return fit_in_folder(folder, *more, **named)
+
+    monkeypatch.setattr(jobs, "fit_in_folder", fit)
+    again, _ = selected(tmp_path, "resume")
+    assert len(fitted) == 3
+    assert again.result("network").rmse() == first.result("network").rmse()
 
 
 def compiled_programs() -> int:

@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -92,16 +91,19 @@ def test_values_and_gradients_are_those_of_the_plain_scan(
 
     (value, states), gradient = results_by_batch(model, x0, u, target)
     (expected_value, expected_states), expected = results_one_by_one(model, x0, u, target)
-    size = float(jnp.max(jnp.abs(expected_states)))
+    size = np.max(np.abs(expected_states))
     np.testing.assert_allclose(states, expected_states, rtol=0, atol=tolerance * max(size, 1.0))
     np.testing.assert_allclose(value, expected_value, rtol=tolerance)
-    pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(expected), strict=True)
-    whole = optax.tree.norm(expected)
-    for ours, plain in pairs:
+    # by NumPy: JAX compiles for each shape
+    found, wanted = (
+        [np.asarray(leaf) for leaf in jax.tree.leaves(g)] for g in (gradient, expected)
+    )
+    whole = np.sqrt(sum(np.sum(leaf.astype(np.float64) ** 2) for leaf in wanted))
+    for ours, plain in zip(found, wanted, strict=True):
         assert ours.dtype == plain.dtype
         # a part that cancels has the rounding of what cancelled in it
-        near = jnp.linalg.norm(plain) + 0.1 * whole
-        assert jnp.linalg.norm(ours - plain) <= tolerance * near + 1e-30
+        near = np.linalg.norm(plain) + 0.1 * whole
+        assert np.linalg.norm(ours - plain) <= tolerance * near + 1e-30
 
 
 def test_frozen_layers_and_models_without_layers_work_too(pendulum):
@@ -113,15 +115,14 @@ def test_frozen_layers_and_models_without_layers_work_too(pendulum):
     def loss(trained):
         return jnp.sum(rollouts(eqx.combine(trained, frozen), x0, u) ** 2)
 
-    gradient = jax.grad(loss)(trained)
+    gradient = jax.jit(jax.grad(loss))(trained)
     assert [leaf.shape for leaf in jax.tree.leaves(gradient)] == [model.network.output.weight.shape]
     system = tn.load_system("qube-servo2")
     values = {name: jnp.asarray(value) for name, value in system.nominal().items()}
     grey = tn.discretise(tn.LagrangianModel(system, values), 0.01, substeps=1)
     start, drive = jnp.zeros((2, 4)).at[:, 1].set(0.3), jnp.zeros((2, 6, 1))
-    np.testing.assert_allclose(
-        rollouts(grey, start, drive), one_by_one(grey, start, drive), rtol=1e-12
-    )
+    together, alone = (jax.jit(way)(grey, start, drive) for way in (rollouts, one_by_one))
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
 def test_beyond_the_long_horizon_memory_is_saved_instead(monkeypatch):

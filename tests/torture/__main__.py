@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 from . import faults, fuzz, hostile, kills, load, pairs, report, verbs
@@ -41,16 +42,18 @@ def _arguments() -> argparse.Namespace:
 def _parts(asked: argparse.Namespace, place: Path) -> list[report.Part]:
     seconds = {name: 60 * asked.minutes * share for name, share in _SHARE.items()}
     scale = 1 if asked.minutes >= _WHOLE else _PART
+    # every case leaves it as it was
+    prepared = cache(lambda: verbs.prepare(place, place / "verbs"))
     doing = {
         "corpus": lambda: fuzz.replay(place),
         "fuzz": lambda: fuzz.Campaign(place, asked.seed, asked.jobs).run(
             seconds["fuzz"], asked.cases
         ),
         "hostile": lambda: hostile.Hostile(place, asked.seed).run(seconds["hostile"], asked.cases),
-        "headers": lambda: verbs.Headers(verbs.prepare(place, place / "verbs"), asked.seed).run(
+        "headers": lambda: verbs.Headers(prepared(), asked.seed).run(
             seconds["headers"], asked.cases // _VERBS
         ),
-        "verbs": lambda: verbs.Interface(verbs.prepare(place, place / "verbs"), asked.seed).run(
+        "verbs": lambda: verbs.Interface(prepared(), asked.seed).run(
             seconds["verbs"], asked.cases // _VERBS
         ),
         "kills": lambda: kills.Kills(place, asked.seed).run(
