@@ -84,7 +84,7 @@ def test_init_without_a_terminal_assumes_and_says_so(logs, capsys):
 
 def test_a_fit_says_in_a_line_what_the_card_assumes(logs, tmp_path, capsys):
     tustinnet(capsys, "init", logs, "--yes")
-    load_records_to_fit(str(logs), None, tmp_path / "RUN", strict=False, follow_links=False)
+    load_records_to_fit(str(logs), None, tmp_path / "RUN", follow_links=False)
     lines = [line for line in capsys.readouterr().err.splitlines() if "assumed to be" in line]
     (line,) = lines
     assert "counts in a turn of cnt were assumed to be" in line

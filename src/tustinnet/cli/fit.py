@@ -220,7 +220,7 @@ def _fit_recipe(
             fit_options.earlier,
             progress.follow,
             system_file,
-            judges_records=fit_options.leave_out_spoiled,
+            searches_spoiled=fit_options.leave_out_spoiled,
         )
     # the folder is let go only when figures and report, which are of this model, are there
     with after_model(run.folder / run_folder.MODEL), disk.lock_folder(run.folder):

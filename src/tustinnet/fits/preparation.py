@@ -1,4 +1,4 @@
-"""The preparation of records for a fit: the same steps in the same order, whatever is fitted."""
+"""The preparation of records before folds and roles: corrupted parts, and when inputs act."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,6 +10,9 @@ from tustinnet.fits.left_out import leave_out_unexplained, leave_out_visible
 from tustinnet.fits.timing import determine_timing
 from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.systems.files import AnySystem, SystemTemplate
+
+_SHARE = 0.2  # of the budget of a selection, for what no model explains
+_LEFT_OUT = "parts left out"
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,9 @@ class PreparationOptions:
         finds_timing: whether holds and delays are found that no data card declares.
         keeps_unknown_delays: whether delays that the card calls unknown stay so.
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
-        budget: how long all that follows may take [s], None for no limit; a step takes its share.
-        should_stop: asked often: whether steps end early, with what is known by then.
+        selection_budget: how long the whole selection may take [s], of which the search for parts
+            that no model explains takes a fifth at most; None for no limit.
+        should_stop: asked often in that search: whether it ends early.
         on_message: called with sentences on what is being done, and on what was found.
         on_step: called with the name of each step at its end.
     """
@@ -54,88 +58,51 @@ class PreparationOptions:
     finds_timing: bool = True
     keeps_unknown_delays: bool = False
     leaves_out_spoiled: bool = False
-    budget: float | None = None
+    selection_budget: float | None = None
     should_stop: ShouldStopSearch = never_stop_search
     on_message: Callable[[str], None] = field(default=lambda sentence: None)
     on_step: Callable[[str], None] = field(default=lambda name: None)
 
 
-@dataclass(frozen=True)
-class PreparationStep:
-    """A step of the preparation.
-
-    Attributes:
-        name: what the time that it takes is accounted to.
-        share: the share of the budget that it may take.
-        applies: whether it is taken, by the options.
-        run: makes records of those before it, given the options and when it has to end.
-    """
-
-    name: str
-    share: float
-    applies: Callable[[PreparationOptions], bool]
-    run: Callable[[PreparedRecords, PreparationOptions, ShouldStopSearch], PreparedRecords]
-
-
 def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecords:
-    """Prepares records for fits: the steps of `STEPS` that apply, one after the other.
+    """Prepares records for fits: corrupted parts are left out, holds and delays are found.
+
+    What shows without a model comes first, so that it does not disturb what follows. A model can
+    tell what it does not explain only where it knows when inputs act.
 
     Args:
         data: the records.
         options: what is done.
     """
-    if isinstance(options.system, SystemTemplate):
-        options = replace(options, system=None)
+    system = None if isinstance(options.system, SystemTemplate) else options.system
     records = PreparedRecords(data)
-    for step in STEPS:
-        if not step.applies(options):
-            continue
-        seconds = None if options.budget is None else step.share * options.budget
-        deadline = NEVER if seconds is None else Deadline.after(seconds)
 
-        def is_over(deadline: Deadline = deadline) -> bool:
-            return deadline.has_passed() or options.should_stop()
+    def report(name: str, findings: tuple[Finding, ...]) -> None:
+        for finding in findings:
+            options.on_message(finding.text)
+        options.on_step(name)
 
-        before = records.findings
-        records = step.run(records, options, is_over)
-        for finding in records.findings:
-            if finding not in before:
-                options.on_message(finding.text)
-        options.on_step(step.name)
+    if options.leaves_out_spoiled:
+        data, visible = leave_out_visible(data)
+        records = replace(records, data=data, left_out=tuple(visible))
+        report(_LEFT_OUT, records.left_out)
+    if options.finds_timing:
+        timing = determine_timing(
+            records.data, system, keeps_unknown_delays=options.keeps_unknown_delays
+        )
+        records = replace(records, data=timing.data, timing=timing.findings, lags=timing.lags)
+        report("holds and delays", records.timing)
+    if options.leaves_out_spoiled:
+        budget = options.selection_budget
+        deadline = NEVER if budget is None else Deadline.after(_SHARE * budget)
+        data, unexplained = leave_out_unexplained(
+            records.data,
+            system,
+            lambda: deadline.has_passed() or options.should_stop(),
+            options.on_message,
+        )
+        if not unexplained and not records.left_out:
+            unexplained = (make_finding("spoiled none"),)
+        records = replace(records, data=data, left_out=(*records.left_out, *unexplained))
+        report(_LEFT_OUT, tuple(unexplained))
     return records
-
-
-def _leave_out_visible(
-    records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
-) -> PreparedRecords:
-    data, findings = leave_out_visible(records.data)
-    return replace(records, data=data, left_out=(*records.left_out, *findings))
-
-
-def _determine_timing(
-    records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
-) -> PreparedRecords:
-    timing = determine_timing(
-        records.data, options.system, keeps_unknown_delays=options.keeps_unknown_delays
-    )
-    return replace(records, data=timing.data, timing=timing.findings, lags=timing.lags)
-
-
-def _leave_out_unexplained(
-    records: PreparedRecords, options: PreparationOptions, should_stop: ShouldStopSearch
-) -> PreparedRecords:
-    data, findings = leave_out_unexplained(
-        records.data, options.system, should_stop, options.on_message
-    )
-    if not findings and not records.left_out:
-        findings = (make_finding("spoiled none"),)
-    return replace(records, data=data, left_out=(*records.left_out, *findings))
-
-
-# what shows without a model comes first, so that it does not disturb what follows; a model can tell
-# what it does not explain only where it knows when inputs act
-STEPS = (
-    PreparationStep("parts left out", 0.0, lambda o: o.leaves_out_spoiled, _leave_out_visible),
-    PreparationStep("holds and delays", 0.0, lambda o: o.finds_timing, _determine_timing),
-    PreparationStep("parts left out", 0.2, lambda o: o.leaves_out_spoiled, _leave_out_unexplained),
-)

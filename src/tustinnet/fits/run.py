@@ -113,7 +113,7 @@ class Run:
 
     @cached_property
     def training_rmse(self) -> Mapping[str, float]:
-        """RMSE of each training record that the best model leaves [rad or m].
+        """RMSE of the best model on each training record [rad or m].
 
         Of a training that of its free run; of an identification from its initial states.
         """
@@ -220,7 +220,7 @@ def run_fit(
     make_listener: MakeListener = lambda prepared: Listener(),
     system: SystemFile | None = None,
     *,
-    judges_records: bool = False,
+    searches_spoiled: bool = False,
 ) -> Run:
     """Fits all members of a prepared fit, scores them, and keeps everything in a folder.
 
@@ -232,14 +232,13 @@ def run_fit(
         make_listener: given the plan of trainings that run together, or the task of an
             identification, returns the listener of its progress.
         system: the file of the system that the fits are of; a copy is kept with the models.
-        judges_records: whether parts of records that spoil the fit are looked for with networks,
-            too, which takes longer than with an identified system.
+        searches_spoiled: whether parts of records that spoil the fit are looked for with any
+            model; with one that was identified by simulations they always are.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
             run that is neither resumed nor discarded; a resumed run had another specification, or
-            its checkpoints belong to another run; an identification is to be resumed; see also
-            `fit`.
+            its checkpoints belong to another run; an identification is to be resumed.
     """
     require_float64("run_fit")
     task = fit.task
@@ -277,7 +276,7 @@ def run_fit(
         )
         identification = run.best.result.identification
         is_simulated = identification is not None and not identification.force_errors
-        if judges_records or is_simulated:
+        if searches_spoiled or is_simulated:
             run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
         write_specification(folder, specification)
         if system is not None:

@@ -49,7 +49,7 @@ def takes_inputs(function: Callable[..., Any], arguments: str) -> bool:
 
 @dataclass(frozen=True)
 class Memory:
-    """Forces with memory: internal states `z` beside positions and velocities.
+    """Equations of internal states `z`: forces with memory, lags of actuators, controllers.
 
     Functions may also take the inputs, before the parameters. So a motor or a fan
     that lags behind its command is written: `rate(q, v, z, u, p)` returns `(u - z) / p["lag"]`.
@@ -186,8 +186,9 @@ class UnmeasuredCoordinates:
 
     Attributes:
         names: names of the coordinates; their velocities are called `NAME_speed`.
-        follow: `follow(q, p)`, where they are if nothing gives, by the measured coordinates, (n_h,)
-            [rad or m]. Estimates without a simulation take this for their motion.
+        follow: `follow(q, p)`, their positions if all joints were rigid, by the measured
+            coordinates, (n_h,) [rad or m]. Estimates without a simulation take this for the
+            motion.
         initial: `initial(q, v, u, p)`, their expected positions and velocities where a record or a
             piece of one begins, (2 n_h,), by the measured coordinates. None for those of `follow`.
         spread: `spread(p)`, standard deviations of positions and velocities from the expected ones,
@@ -205,7 +206,7 @@ class UnmeasuredCoordinates:
         return (*self.names, *(f"{name}_speed" for name in self.names))
 
     def complete(self, q: Coordinates, p: Values) -> AllCoordinates:
-        """Positions of all coordinates if nothing gives, (n_q + n_h,).
+        """Positions of all coordinates if all joints were rigid, (n_q + n_h,).
 
         Args:
             q: measured positions, (n_q,).
@@ -236,27 +237,27 @@ class InternalStates:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of all internal states."""
         return (*self.unmeasured.states, *self.memory.names)
 
     @property
     def searched(self) -> Bool[np.ndarray, " n_z"]:
-        """Mask of those that an identification searches for; unmeasured coordinates are."""
+        """Mask of the internal states that an identification searches for, unmeasured ones too."""
         searched = (*self.unmeasured.states, *self.memory.searched)
         return np.array([name in searched for name in self.names], dtype=bool)
 
     @property
     def has_initial(self) -> bool:
-        """Whether others than 0 are expected where a record begins."""
+        """Whether internal states other than 0 are expected where a record begins."""
         return bool(self.unmeasured.names) or self.memory.initial is not None
 
     @property
     def initial_needs_inputs(self) -> bool:
-        """Whether those that are expected there depend on inputs."""
+        """Whether the internal states that are expected where a record begins depend on inputs."""
         return bool(self.unmeasured.names) or self.memory.initial_needs_inputs
 
     def initial(self, q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Internal:
-        """The expected ones where a record begins, (n_z,), by the measured coordinates."""
+        """The expected internal states where a record begins, (n_z,), by measured coordinates."""
         own = self.unmeasured.initial_states(q, v, u, p)
         q, v, _ = self.split(q, v, own)
         return jnp.concatenate([own, self.memory.compute_initial(q, v, u, p)])

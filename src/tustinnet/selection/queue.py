@@ -95,7 +95,7 @@ class CandidateQueue:
         self.results = {c.name: CandidateResult(c.name) for c in candidates}
         self._candidates, self._on_message = tuple(candidates), on_message
         self._options = options or DEFAULTS
-        self._deadline, self._time, self._ending = deadline, deadline.remaining, ending
+        self._deadline, self._ending = deadline, ending
         self._promising = promising
         self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
         self._seconds_of_usual: dict[float, float] = {}  # of what usually takes so long
@@ -138,7 +138,12 @@ class CandidateQueue:
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
-        steps, rounds, places, ahead = [], self._climb(), self._places(), self._find_ahead()
+        steps, rounds, places, ahead = (
+            [],
+            self._candidates_by_round(),
+            self._places(),
+            self._find_ahead(),
+        )
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
@@ -154,7 +159,7 @@ class CandidateQueue:
 
         Lost is what is further off than the records move. Where all are, all remain.
         """
-        ranking = rank([self.results[name] for name in self._climb()[-1]])
+        ranking = rank([self.results[name] for name in self._candidates_by_round()[-1]])
         motion = self.context.motion_within_turns
         kept = [r for r in ranking if mean_and_error(r.rmse().values())[0] <= motion]
         return kept or ranking
@@ -181,7 +186,7 @@ class CandidateQueue:
                 jobs.append(job)
         return jobs
 
-    def _climb(self) -> list[list[str]]:
+    def _candidates_by_round(self) -> list[list[str]]:
         """The candidates of every round: of the first all, then the best of the one before.
 
         Of each kind of model the simplest that is as good as its best goes on, and the best that

@@ -172,7 +172,7 @@ def select_model(
         PreparationOptions(
             system=context.loaded_system,
             leaves_out_spoiled=options.leave_out_spoiled,
-            budget=budget,
+            selection_budget=budget,
             on_message=reporter.on_message,
             on_step=stopwatch.end,
         ),

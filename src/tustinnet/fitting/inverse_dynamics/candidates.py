@@ -53,15 +53,15 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class Choice:
-    """Forces, and how well they explain those of folds that were left out.
+    """Forces, and how well they explain those of held-out folds (records, or pieces of them).
 
     Attributes:
         forces: the forces.
         vector: the parameters that explain all folds best.
         columns: the forces of each record, linear about these parameters.
-        squares: sums of squares of the forces that are missing at each joint in each fold that was
-            left out, (f, n_q).
-        trials: what was tried so far.
+        squares: sums of squares of the forces that are missing at each joint in each held-out
+            fold, (f, n_q).
+        trials: the forces that were tried so far, and the motors that were kept.
     """
 
     forces: LinearForces
