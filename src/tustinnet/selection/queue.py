@@ -138,12 +138,8 @@ class CandidateQueue:
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
-        steps, rounds, places, ahead = (
-            [],
-            self._candidates_by_round(),
-            self._places(),
-            self._find_ahead(),
-        )
+        steps, rounds = [], self._candidates_by_round()
+        places, ahead = self._places(), self._find_ahead()
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
