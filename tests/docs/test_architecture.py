@@ -47,6 +47,20 @@ def test_every_file_of_the_overview_exists():
     assert not missing
 
 
+def test_every_file_is_in_the_overview():
+    named = {
+        folder / Path(name).with_suffix("").name
+        for folder, names in entries().items()
+        for name in names
+    }
+    missing = [
+        path.relative_to(SOURCE).as_posix()
+        for path in SOURCE.rglob("*.py")
+        if not path.name.startswith("__") and path.with_suffix("") not in named
+    ]
+    assert not missing
+
+
 @cache
 def existing_paths() -> list[str]:
     places = (ROOT / name for name in ("src", "tests", "docs", "benchmarks", "examples"))
