@@ -76,6 +76,11 @@ IDENTIFICATION = {
         "'{parameter}' is at its {bound} bound ({value:.4g} {unit}[[; range: {basis}]]): the "
         "model lacks something, or the range is wrong"
     ),
+    "masses at bound": warning(
+        "the masses of {count} of {total} links are at their {bound} bound: the inputs are "
+        "probably in another unit, as motor currents without a gain",
+        "`scale` in the card, or `motor_constants=` of `load_robot`",
+    ),
     "breakaway sticks": warning(
         "the breakaway friction beside it then stands for a joint that sticks, which the rounded "
         "sign of the model does not",

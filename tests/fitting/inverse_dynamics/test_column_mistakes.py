@@ -14,6 +14,7 @@ from tustinnet.fitting.inverse_dynamics.column_mistakes import (
     describe_beyond_limits,
     take_busiest_part,
 )
+from tustinnet.fitting.shooting.findings import describe_bounds
 from tustinnet.models.lagrangian import LagrangianSystem
 
 
@@ -100,6 +101,20 @@ def test_a_mistake_is_named(case: str, system: LagrangianSystem, twin: tn.DataSe
     assert message.format(*(c.name for c in system.coordinates)) in found[0]
     assert "falls from" in found[0]
     assert ("mN m" in found[0]) == (case == "mN m")
+
+
+def test_most_masses_at_one_bound_are_a_sign_of_another_unit(
+    system: LagrangianSystem, twin: tn.DataSet
+) -> None:
+    """As of currents without a gain: light links explain small forces as well."""
+    result = tn.identify(twin, system, tn.read_recipe("inverse-dynamics", ["search.candidates=[]"]))
+    light = [
+        replace(e, bound="lower" if e.name.endswith(".mass") else "") for e in result.estimates
+    ]
+    (finding,) = [f for f in describe_bounds(light, np.inf, system) if f.code == "masses at bound"]
+    assert finding.what.startswith("the masses of 2 of 2 links are at their lower bound")
+    findings = describe_bounds(result.estimates, np.inf, system)
+    assert "masses at bound" not in [f.code for f in findings]
 
 
 def test_records_are_compared_where_they_move(twin: tn.DataSet) -> None:

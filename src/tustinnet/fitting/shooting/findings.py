@@ -22,6 +22,7 @@ from tustinnet.fitting.shooting.identifiability import ConfoundedParameters
 from tustinnet.fitting.shooting.problem import SearchState
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.uncertainty import Uncertainty
+from tustinnet.models.chains import INERTIAL
 from tustinnet.models.lagrangian import LagrangianSystem
 
 _POOR_CONDITION = 1e3
@@ -180,6 +181,12 @@ def describe_bounds(
                 advises_forces=not system.added_parameters,
             )
         )
+    masses = [e for e in estimates if e.name.partition("[")[0].endswith(f".{INERTIAL[0]}")]
+    for bound in ("lower", "upper"):
+        at_bound = [e for e in masses if e.bound == bound]
+        if len(masses) > 1 and 2 * len(at_bound) > len(masses):
+            counts = {"count": len(at_bound), "total": len(masses)}
+            findings.append(make_finding("masses at bound", bound=bound, **counts))
     if ranges and system.source is not None:
         some = dict([*ranges.items()][:3])  # a line for a system file has no room for more
         findings.append(make_finding("wider ranges", call=system.source.call(ranges=some)))
