@@ -25,7 +25,7 @@ from tustinnet.selection.cross_validation import (
     cross_validate,
     make_cross_validation_options,
 )
-from tustinnet.selection.folds import FoldSplit, split_into_folds
+from tustinnet.selection.folds import FoldSplit, prepare_for_folds, split_into_folds
 from tustinnet.store.files import to_json
 
 TINY: dict[str, Any] = {
@@ -87,6 +87,18 @@ def test_the_fold_after_the_scored_one_chooses():
 def test_records_of_a_kind_are_spread_over_the_folds():
     for d in split_into_folds(short(kinds="aaaabbbb"), 4):
         assert sorted(name[0] for name in names(d.scored)) == ["a", "b"]
+
+
+def test_a_few_short_records_beside_long_ones_are_left_out_and_named():
+    """No model could begin on them, and every candidate would fail for their sake."""
+    made = records()
+    long = [replace(e, name=f"{e.name}-{i}") for i in range(3) for e in made]
+    brief = replace(made[0][:12], name="brief")
+    kept, findings = prepare_for_folds(tn.DataSet("some", (*long, brief)))
+    assert names(kept) == names(long)
+    assert [f.text for f in findings] == ["left out, of fewer than 100 samples: brief"]
+    alike = [replace(e[:40], name=e.name) for e in long]  # all are short: none is left out
+    assert prepare_for_folds(tn.DataSet("some", tuple(alike)))[1] == []
 
 
 def test_records_of_the_split_test_stay_out():

@@ -15,7 +15,8 @@ from tustinnet.fitting.roles import Roles, records_without_test
 FOLDS = 5
 _FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
 _PIECES = 6  # that fewer records are cut into, all together
-_SHORTEST = 100  # samples of a piece
+_SHORTEST = 100  # samples of a piece, or of a record unless there are many such
+_LITTLE = 0.1  # of all samples, that short records have which are left out
 
 
 @dataclass(frozen=True)
@@ -80,17 +81,22 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
     return splits
 
 
-def prepare_for_folds(data: DataSet) -> tuple[DataSet, Finding | None]:
-    """Records that can be split into folds, and what was done to them.
+def prepare_for_folds(data: DataSet) -> tuple[DataSet, list[Finding]]:
+    """Records that can be split into folds, and findings on what was done to them.
 
-    One or two records are cut in time into pieces of the same length, six in all.
+    A few short records beside long ones are left out: most models cannot begin on them. One or two
+    records are cut in time into pieces of the same length, six in all.
 
     Raises:
         InputError: the pieces would be too short.
     """
-    records = records_without_test(data)
+    records, findings = records_without_test(data), list[Finding]()
+    short = [e for e in records if len(e) < _SHORTEST]
+    if 0 < sum(map(len, short)) < _LITTLE * sum(map(len, records)):
+        records = [e for e in records if len(e) >= _SHORTEST]
+        findings.append(make_finding("short records", records=names_of(short), fewest=_SHORTEST))
     if len(records) >= _FEWEST:
-        return replace(data, experiments=tuple(records)), None
+        return replace(data, experiments=tuple(records)), findings
     if not records:
         raise InputError(data.name, "test records alone", "records to fit to")
     count = _PIECES // len(records)
@@ -107,8 +113,8 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, Finding | None]:
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
         ]
-    cut = make_finding("cut into pieces", records=len(records), pieces=len(pieces))
-    return replace(data, experiments=tuple(pieces)), cut
+    findings.append(make_finding("cut into pieces", records=len(records), pieces=len(pieces)))
+    return replace(data, experiments=tuple(pieces)), findings
 
 
 def names_of(records: Sequence[Experiment]) -> list[str]:

@@ -145,7 +145,8 @@ def select_model(
         models_end = Deadline(started + budget - files)
         rounds_end = Deadline(started + budget - files - ending)
     # what cannot be done is said before time is spent
-    records, cut = prepare_for_folds(data)
+    records, before = prepare_for_folds(data)
+    is_cut = any(finding.code == "cut into pieces" for finding in before)
     horizon = effective_horizon(plan.horizon, list(records))
     context = RunContext(
         records,
@@ -157,7 +158,6 @@ def select_model(
     candidates, omitted = applicable_candidates(plan, context, budget)
     if earlier == "refuse":
         _require_no_earlier(folder)
-    before = [] if cut is None else [cut]
     if plan.horizon is not None and horizon is None:
         before.append(make_finding("records shorter than horizon", horizon=plan.horizon))
     if records.channels.controller is not None:
@@ -226,7 +226,7 @@ def select_model(
             seconds=sum(stopwatch.seconds.values()),
             seconds_by_part=stopwatch.seconds,
             budget=budget,
-            is_cut=cut is not None,
+            is_cut=is_cut,
         )
         write_into(folder, SUMMARY, to_json(choice.as_plain()))
     return choice

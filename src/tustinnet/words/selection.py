@@ -83,6 +83,7 @@ SELECTION = {
     ),
     "without score": note("without a score, {why}: {candidates}"),
     # --- what was done before and meanwhile ---
+    "short records": note("left out, of fewer than {fewest} samples: {records}"),
     "cut into pieces": warning(
         "{records:record}, cut into {pieces} pieces in time: each is scored by models that did "
         "not see it, but pieces of one record are alike, so that the scores are optimistic"
