@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from swinging import DT, LAGGING, simulated, swing_model, voltage
 
 import tustinnet as tn
 from tustinnet.control.closed_loop import closed_loop
@@ -90,6 +91,16 @@ def test_inputs_that_act_late_are_disturbed_late():
     # the estimator knows how late: what it expects of velocities is right
     np.testing.assert_allclose(run.estimates[50:, 1], run.states[50:, 1], atol=0.01)
     assert np.abs(run.states[-50:, 0]).max() < 3 * COUNT
+
+
+def test_a_lag_behind_the_disturbed_input_begins_by_the_inputs_of_the_record():
+    u, values = voltage(60, 3), {"lag": 0.12, "share": 0.4}
+    record = simulated("lagging", [0.5, 0.0, 0.4 * u[0]], u, values, LAGGING)
+    inner = tn.discretise(swing_model(values, LAGGING), DT, 2)
+    model = observe_disturbances(inner, input_limits(inner, {"voltage": (-8.0, 8.0)}))
+    (expected,), (state,) = (tn.start_states(m, [record], "derived-6") for m in (inner, model))
+    assert expected[2] != 0
+    np.testing.assert_array_equal(state, [*expected, 0.0])
 
 
 def test_derivatives_of_the_disturbed_model_are_those_of_its_step():

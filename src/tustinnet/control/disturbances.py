@@ -39,13 +39,18 @@ class DisturbedModel(Model):
 
     @property
     def internal_spread(self) -> Internal:
-        """Those of the inner model, then the expected ones."""
+        """Spreads of the inner model's states, then those of the disturbances."""
         return jnp.concatenate([self.inner.internal_spread, self.spread])
+
+    @property
+    def initial_needs_inputs(self) -> bool:
+        """Whether the expected internal states of the inner model depend on inputs."""
+        return self.inner.initial_needs_inputs
 
     def initial_internal(
         self, measured: Float[Array, " n_measured"], u: Array | None = None
     ) -> Internal:
-        """Those of the inner model, and no disturbance."""
+        """Expected internal states of the inner model, and no disturbance."""
         return jnp.concatenate(
             [self.inner.initial_internal(measured, u), jnp.zeros_like(self.spread)]
         )
