@@ -84,8 +84,8 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
 
     if options.leaves_out_spoiled:
         data, visible = leave_out_visible(data)
-        records = replace(records, data=data, left_out=tuple(visible))
-        report(_LEFT_OUT, records.left_out)
+        records = replace(records, data=data, left_out=visible)
+        report(_LEFT_OUT, visible)
     if options.finds_timing:
         timing = determine_timing(
             records.data, system, keeps_unknown_delays=options.keeps_unknown_delays
@@ -104,5 +104,5 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
         if not unexplained and not records.left_out:
             unexplained = (make_finding("spoiled none"),)
         records = replace(records, data=data, left_out=(*records.left_out, *unexplained))
-        report(_LEFT_OUT, tuple(unexplained))
+        report(_LEFT_OUT, unexplained)
     return records

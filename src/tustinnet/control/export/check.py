@@ -18,7 +18,7 @@ from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
 from tustinnet.wording import counted
 
 BOUND = 1e-9  # of the difference, relative to 1 + the value
-_SPOILED = 20  # every so many samples are wrong, by so much [rad or m], or NaN
+_SPOILED = 20  # every so many samples are wrong by 3 rad or m, or NaN
 
 Vector = Float[np.ndarray, " _"]
 
@@ -167,5 +167,4 @@ def _spoil(y: Vector, k: int, is_last: bool) -> None:
     """
     if is_last or k % _SPOILED == 0:
         i, turn = divmod(k // (1 if is_last else _SPOILED), 2)
-        # [rad or m]
         y[i % len(y)] += np.nan if turn else 3.0

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
-_DIVERGED_SQUARES = (
-    1e30  # squared derivatives: a change in the last digit moves the simulation by 1
-)
+# squared derivatives: a change in the last digit moves the simulation by 1
+_DIVERGED_SQUARES = 1e30
 
 
 @dataclass(frozen=True)
