@@ -90,7 +90,7 @@ def score(draws: list[Draw], model: tn.Model, start: str) -> list[DrawResult]:
 def networks(draws: list[Draw], network: tn.Recipe, gentle: tn.Recipe, start: str) -> Results:
     """Results of networks, a fit a draw: anew, gone on with, and as the first device had it."""
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        fitter = DrawFitter(twin(0), start, progress.follow)
+        fitter = DrawFitter(twin(0), start, progress.listener())
         first = model_of(fitter.train([first_device()], network)[0])
         return {
             "network, anew": fitter.train(draws, network),
@@ -104,7 +104,7 @@ def with_physics(draws: list[Draw], options: CrossValidationOptions, start: str)
     first, n, recipe, system = [first_device()], len(draws), options.physics, options.system
     assert recipe is not None
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        fitter = DrawFitter(twin(0), start, progress.follow)
+        fitter = DrawFitter(twin(0), start, progress.listener())
         ours = model_of(fitter.identify(first, recipe, system)[0])
         hybrid = model_of(fitter.train(first, options.recipe, physics=[ours])[0])
         anew = fitter.identify(draws, recipe, system)

@@ -7,8 +7,7 @@ import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.fitting.fit import MakeListener
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.roles import Roles
 from tustinnet.models.contract import Model
@@ -65,17 +64,16 @@ class DrawFitter:
     Args:
         data: the records.
         start: where free runs start; a model with a warm-up starts with its own.
-        make_listener: given the plan of trainings that run together, or the task of an
-            identification, returns the listener of its progress.
+        listener: functions that are called while fits go on.
     """
 
     def __init__(
         self,
         data: DataSet,
         start: str,
-        make_listener: MakeListener = lambda prepared: SILENT,
+        listener: Listener = SILENT,
     ) -> None:
-        self._data, self._make_listener = data, make_listener
+        self._data, self._listener = data, listener
         self._scoring = RecipeScorer(0, start, names=(start,), warm_up=True)
 
     def train(
@@ -162,7 +160,7 @@ class DrawFitter:
         )
 
         def perform(jobs: Sequence[Job]) -> list[JobResult]:
-            return perform_jobs(jobs, context, self._make_listener, raises=together)
+            return perform_jobs(jobs, context, self._listener, raises=together)
 
         done = perform(jobs) if together and jobs else [r for job in jobs for r in perform([job])]
         results = []

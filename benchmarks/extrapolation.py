@@ -120,7 +120,7 @@ def main() -> None:
     alone = [Draw(0, len(of), of, tuple(scored_of(data, of))) for _, of in lots]
     draws = [Draw(seed, d.size, d.records, d.scored) for seed in range(given.seeds) for d in alone]
     with FitProgress(Console(stderr=True, soft_wrap=True)) as progress:
-        fitter = DrawFitter(data, given.start, progress.follow)
+        fitter = DrawFitter(data, given.start, progress.listener())
         physics = fitter.identify(alone, options.physics, options.system)
         models = [result.model for result in physics] * given.seeds
         network = fitter.train(draws, network_recipe)

@@ -31,6 +31,7 @@ from rich.console import Console
 import tustinnet as tn
 from tustinnet.evaluate.next_record import Proposal, rank_proposals
 from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.report.progress import FitProgress
@@ -99,7 +100,7 @@ def grey(
     arms: Sequence[Arm],
     made: dict[str, tn.Experiment],
     held_out: Sequence[tn.Experiment],
-    tell: Callable,
+    listener: Listener,
     horizon: float | None,
 ) -> list[Ranked]:
     """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
@@ -109,7 +110,7 @@ def grey(
     for arm in arms:
         roles = Roles(tuple(made[name] for name in arm.names), ())
         task = Task(recipe, (Fold(roles),), system=WITH_MEMORY)
-        result = fit_task(task, tell)[0]
+        result = fit_task(task, listener)[0]
         scores = tn.evaluate(result.model, held_out, "model-20")
         assert result.identification is not None
         off = [
@@ -130,7 +131,7 @@ def network(
     arms: Sequence[Arm],
     made: dict[str, tn.Experiment],
     held_out: Sequence[tn.Experiment],
-    tell: Callable,
+    listener: Listener,
     horizon: float | None,
 ) -> list[Ranked]:
     """Trains a committee for each arm: its RMSE, and who ranks."""
@@ -139,7 +140,7 @@ def network(
     members = tuple(
         Member(MEMBERS * arm.seed + k, fold=f) for f, arm in enumerate(arms) for k in range(MEMBERS)
     )
-    results = fit_task(Task(recipe, folds, members), tell)
+    results = fit_task(Task(recipe, folds, members), listener)
     ranked: list[Ranked] = []
     for f in range(len(arms)):
         model = tn.committee([r.model for r in results if r.member.fold == f])
@@ -187,7 +188,7 @@ def main() -> None:
     with FitProgress(Console(stderr=True, soft_wrap=True), quiet=given.what == "grey") as progress:
         for n, more in zip(sizes, (*np.diff(sizes).tolist(), 0), strict=True):
             for arm, (figures, rank) in zip(
-                arms, fit(arms, made, held_out, progress.follow, given.horizon), strict=True
+                arms, fit(arms, made, held_out, progress.listener(), given.horizon), strict=True
             ):
                 lines.append(
                     {

@@ -81,8 +81,8 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
 ):
     from tustinnet.fits import in_folder
 
-    def stopped(task, make_listener, *more):
-        told, listener = [], make_listener(task)
+    def stopped(task, listener, *more):
+        told = []
         after = replace(listener, on_stage=lambda of: (listener.on_stage(of), told.append(of)))
 
         def iteration(of):
@@ -90,7 +90,7 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
                 raise KeyboardInterrupt
             listener.on_iteration(of)
 
-        return fit_task(task, lambda _: replace(after, on_iteration=iteration))
+        return fit_task(task, replace(after, on_iteration=iteration))
 
     monkeypatch.setattr(in_folder, "fit_task", stopped)
     fit = prepare(FitRequest(pendulum, "grey", system=system))

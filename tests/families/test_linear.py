@@ -19,6 +19,7 @@ from tustinnet.families.linear_search import (
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.task import Origin, make_task
 from tustinnet.store.run_folder import MODEL
 
@@ -109,7 +110,7 @@ def test_internal_states_explain_more_and_an_origin_of_other_size_is_refused():
 def test_a_search_that_is_stopped_has_its_best_stage():
     task = make_task(oscillation(0.02), "linear")
     questions = itertools.count()
-    (result,) = fit_task(task, should_stop_search=lambda: next(questions) >= 2)
+    (result,) = fit_task(task, Listener(should_stop=lambda seconds: next(questions) >= 2))
     assert result.is_out_of_time
     assert not result.finished
     assert error(result.model, oscillation()) < 1.0

@@ -158,7 +158,7 @@ def test_a_damaged_log_is_set_aside_and_said_so(run_folder, folder, small_recipe
     sound = {"cut": 4, "list": 3, "other keys": 1, "again": 6}.get(damage, 0)
     told: list[str] = []
     fit = prepare(FitRequest(tn.load(folder), small(small_recipe), [Member(0), Member(1)]))
-    run_fit(fit, run_folder, "resume", lambda prepared: Listener(on_message=told.append))
+    run_fit(fit, run_folder, "resume", Listener(on_message=told.append))
     assert len(told) == 1
     assert f"seed-0/log.jsonl: {sound} sound lines, expected 9" in told[0]
     assert log.read_text() == "".join(lines[:sound])
@@ -221,7 +221,7 @@ def test_a_folder_that_is_removed_while_it_is_written_into_ends_the_run(
 
     fit = prepare(FitRequest(tn.load(folder), small(small_recipe)))
     with pytest.raises(tn.InputError, match=r"log\.jsonl: cannot be written \(No such file"):
-        run_fit(fit, place, "refuse", lambda prepared: Listener(on_epoch=remove))
+        run_fit(fit, place, "refuse", Listener(on_epoch=remove))
 
 
 def test_a_run_without_validation_records_is_judged_on_its_training_records(

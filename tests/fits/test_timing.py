@@ -11,6 +11,7 @@ import tustinnet as tn
 from tustinnet.channels import Hold, Input
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.timing import determine_timing
+from tustinnet.fitting.listener import Listener
 from tustinnet.models.integrate import discretise
 from tustinnet.simulate.input_signal import input_signal
 
@@ -101,7 +102,7 @@ def test_a_declared_delay_tells_the_hold_and_what_is_declared_stays():
 def test_published_recipes_keep_records_and_identifications_unknown_delays(recipe, known, expected):
     data, messages = records("zero-order", DT, "zero-order", known), list[str]()
     system = SWING if recipe == "grey" else None
-    fit = prepare(FitRequest(data, recipe, system=system), on_message=messages.append)
+    fit = prepare(FitRequest(data, recipe, system=system), Listener(on_message=messages.append))
     (found,) = fit.records.data.channels.inputs
     assert found.delay == (expected and pytest.approx(expected, abs=0.1 * DT))
     assert bool(messages) == bool(expected)

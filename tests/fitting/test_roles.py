@@ -83,7 +83,7 @@ def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, t
     run = run_fit(
         prepare(FitRequest(data, recipe)),
         tmp_path / "run",
-        make_listener=lambda plan: Listener(on_message=messages.append),
+        listener=Listener(on_message=messages.append),
     )
     assert messages == ["left out of validation: short: 12 samples; expected at least 20"]
     assert [score.experiment for score in run.best.scores] == ["fall3", "noise2"]

@@ -12,9 +12,9 @@ from swinging import SWING, data_set, records
 
 import tustinnet as tn
 from tustinnet.evaluate.scores import Score
-from tustinnet.fitting.gradient.plan import make_plan
+from tustinnet.fitting.gradient.plan import TrainingPlan, make_plan
 from tustinnet.fitting.listener import EpochReport, Listener, SearchProgress
-from tustinnet.fitting.task import Member, make_task
+from tustinnet.fitting.task import Member, Task, make_task
 from tustinnet.report.drawing import write_figure
 from tustinnet.report.figures import (
     ahead_figure,
@@ -120,13 +120,20 @@ def test_a_long_free_run_is_drawn_by_its_extremes_with_its_error_below(tmp_path)
     write_figure(figure, tmp_path, "long.png")
 
 
+def begun(progress: FitProgress, prepared: TrainingPlan | Task, label: str = "") -> Listener:
+    """The listener of fits that have begun."""
+    listener = progress.listener(label)
+    listener.on_begin(prepared)
+    return listener
+
+
 def test_progress_shows_loss_validation_rate_and_time_left(pendulum, small_recipe):
     prepared = make_plan(make_task(pendulum, small_recipe))
     for terminal in (True, False):
         out = io.StringIO()
         console = Console(file=out, force_terminal=terminal, width=160)
         with FitProgress(console) as progress:
-            told = progress.follow(prepared).on_epoch
+            told = begun(progress, prepared).on_epoch
             told(EpochReport("first", 1, 0.5, 0.25, 1e-3, 0.25))
             told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "back to the last good state"))
         text = out.getvalue()
@@ -146,7 +153,7 @@ def test_time_left_is_told_from_the_first_epoch_with_what_later_stages_need_to_c
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=160)
     with FitProgress(console) as progress:
-        told = progress.follow(prepared).on_epoch
+        told = begun(progress, prepared).on_epoch
         told(EpochReport("first", 1, 0.5, 0.2, 1e-3, 0.2, seconds=2.0, compiling=7.0))
     rest = 2.0 * (first.recipe.epochs - 1 + second.recipe.epochs * works[1] / works[0])
     assert f", {rest + 7:.0f} s left" in out.getvalue()
@@ -172,7 +179,7 @@ def test_progress_shows_three_digits_of_small_motion(pendulum, small_recipe):
     small = tn.DataSet("small", tuple(replace(e, q=1e-4 * e.q, v=None) for e in pendulum))
     out = io.StringIO()
     with FitProgress(Console(file=out, width=160)) as progress:
-        told = progress.follow(make_plan(make_task(small, small_recipe))).on_epoch
+        told = begun(progress, make_plan(make_task(small, small_recipe))).on_epoch
         told(EpochReport("second", 4, 0.4, 1.234e-6, 5e-4, 1.2e-6))
     assert "rmse 0.0000012" in out.getvalue()
 
@@ -189,7 +196,7 @@ def test_progress_of_trainings_that_run_together_tells_the_slowest_and_the_best(
     out = io.StringIO()
     with FitProgress(Console(file=out, width=160)) as progress:
         members = [Member(3), Member(4, 0.5)]
-        told = progress.follow(make_plan(make_task(pendulum, small_recipe, members))).on_epoch
+        told = begun(progress, make_plan(make_task(pendulum, small_recipe, members))).on_epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.15))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened", 1))
@@ -204,7 +211,7 @@ def test_progress_of_an_identification_shows_its_stages(terminal, monkeypatch):
     monkeypatch.setattr("tustinnet.report.progress.time.monotonic", lambda: now[0])
     task = make_task(data_set(records()), "grey", system=SWING)
     with FitProgress(Console(file=out, force_terminal=terminal, width=160)) as progress:
-        report = progress.follow(task, "swing").on_progress
+        report = begun(progress, task, "swing").on_progress
         report(SearchProgress("equation-error estimate", 0, 0, 1, 0.5))
         for iteration, cost in enumerate((0.25, 0.2, 0.15, 0.125)):
             now[0] += 2.0
@@ -226,23 +233,23 @@ def test_quiet_progress_of_an_identification_says_nothing():
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
         task = make_task(data_set(records()), "grey", system=SWING)
-        progress.follow(task).on_progress(SearchProgress("equation-error estimate", 0, 0, 1, 0.5))
+        begun(progress, task).on_progress(SearchProgress("equation-error estimate", 0, 0, 1, 0.5))
     assert out.getvalue() == ""
 
 
 def test_a_message_that_several_fits_have_is_printed_once():
-    out, task = io.StringIO(), make_task(data_set(records()), "grey", system=SWING)
+    out = io.StringIO()
     with FitProgress(Console(file=out)) as progress:
         for fold in range(3):
-            progress.follow(task, f"grey-box, fold {fold}").on_message("left out: short")
-        progress.follow(task).on_message("left out: another")
+            progress.listener(f"grey-box, fold {fold}").on_message("left out: short")
+        progress.listener().on_message("left out: another")
     assert out.getvalue().splitlines() == ["left out: short", "left out: another"]
 
 
 def test_quiet_progress_tells_events_only(pendulum, small_recipe):
     out = io.StringIO()
     with FitProgress(Console(file=out), quiet=True) as progress:
-        told = progress.follow(make_plan(make_task(pendulum, small_recipe))).on_epoch
+        told = begun(progress, make_plan(make_task(pendulum, small_recipe))).on_epoch
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2))
         assert out.getvalue() == ""
         told(EpochReport("second", 4, 0.4, 0.2, 5e-4, 0.2, "something happened"))

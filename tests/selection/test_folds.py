@@ -13,7 +13,7 @@ import tustinnet as tn
 from tustinnet.fitting.gradient.plan import TrainingPlan, groups_alike, make_plan
 from tustinnet.fitting.gradient.train import train_plan
 from tustinnet.fitting.gradient.windows import RecordPool
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
@@ -333,7 +333,7 @@ def identified(monkeypatch) -> list[Task]:
     """Instead of identifying, the true model is the answer; every task that was asked for."""
     asked: list[Task] = []
 
-    def identify_task(task, member, listener, should_stop):
+    def identify_task(task, member, listener):
         if not any(task is other for other in asked):
             asked.append(task)
         return FitResult(
@@ -417,15 +417,10 @@ def test_a_hybrid_corrects_the_physics_of_its_own_fold(identified, monkeypatch):
 def test_whoever_wants_to_know_is_given_what_runs_together(identified):
     data, _ = swinging()
     told: list[object] = []
-
-    def tell(task):
-        told.append(task)
-        return SILENT
-
     cross_validate(
         data,
         make_cross_validation_options("best-grey", system=SWING, folds=3, starts=["file"]),
-        tell,
+        Listener(on_begin=told.append),
     )
     assert told == identified
 

@@ -56,11 +56,11 @@ def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
 
     def tell(job: Job):
         done.append(job)
-        return Reporter().make_job_listener(job)
+        return Reporter().make_listener(job)
 
     options = SelectionOptions(plan_in(folder, NETWORK_ONLY), **changes)
     choice = select_model(
-        data or swings(), folder / "run", options, earlier, Reporter(make_job_listener=tell)
+        data or swings(), folder / "run", options, earlier, Reporter(make_listener=tell)
     )
     return choice, done
 
@@ -440,10 +440,10 @@ def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
 
     def tell(job: Job):
         sizes.append(compiled_programs())
-        return Reporter().make_job_listener(job)
+        return Reporter().make_listener(job)
 
     options = SelectionOptions(plan_in(tmp_path, NETWORK_ONLY))
-    select_model(cut, tmp_path / "run", options, "refuse", Reporter(make_job_listener=tell))
+    select_model(cut, tmp_path / "run", options, "refuse", Reporter(make_listener=tell))
     assert sizes[1] == sizes[2] == sizes[0] + 1
 
 
@@ -580,7 +580,7 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
     alone, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
-        patch.setattr(jobs.StopCheck, "__call__", lambda self, progress: True)
+        patch.setattr(deadline.Deadline, "comes_within", lambda self, seconds: True)
         stopped, _ = selected(tmp_path)
     assert outcomes(stopped) == [("out of time", "out of time")] * 3
     assert np.isfinite(list(stopped.result("network").rmse().values())).all()
@@ -595,15 +595,15 @@ def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
 def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(
     tmp_path, monkeypatch
 ):
-    check, skipped = jobs.StopCheck.__call__, [0.0]
+    check, skipped = deadline.Deadline.comes_within, [0.0]
 
-    def later(self, progress):
+    def later(self, seconds):
         skipped[0] = 15.0  # once the training has begun, it takes most of the budget at a stroke
-        return check(self, progress)
+        return check(self, seconds)
 
     clock = SimpleNamespace(monotonic=lambda: time.monotonic() + skipped[0])
     monkeypatch.setattr(deadline, "time", clock)
-    monkeypatch.setattr(jobs.StopCheck, "__call__", later)
+    monkeypatch.setattr(deadline.Deadline, "comes_within", later)
     text = NETWORK_ONLY.replace(
         'recipe = "small.toml"', 'recipe = "small.toml", set = ["stages.0.epochs=100000"]'
     ).replace("folds = 3 }", "folds = 1 }")
@@ -617,10 +617,10 @@ def test_a_training_that_reaches_the_deadline_is_chosen_with_its_best_weights(
 def stop_searches(monkeypatch, asked: int) -> None:
     """The deadline of every identification of a fold comes when it has asked for it so often."""
 
-    def fit(folder, *more, **named):
+    def fit(folder, task, listener, **named):
         questions = itertools.count()
-        stop = {"should_stop_search": lambda: next(questions) >= asked}
-        return fit_in_folder(folder, *more, **named | stop)
+        stopped = replace(listener, should_stop=lambda seconds: next(questions) >= asked)
+        return fit_in_folder(folder, task, stopped, **named)
 
     monkeypatch.setattr(jobs, "fit_in_folder", fit)
 
@@ -663,10 +663,9 @@ def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones
     text = NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml")
     questions = itertools.count()
 
-    def fit(folder, *more, **named):
-        return fit_in_folder(
-            folder, *more, **named | {"should_stop_search": lambda: next(questions) >= 4}
-        )
+    def fit(folder, task, listener, **named):
+        stopped = replace(listener, should_stop=lambda seconds: next(questions) >= 4)
+        return fit_in_folder(folder, task, stopped, **named)
 
     monkeypatch.setattr("tustinnet.selection.final_models.fit_in_folder", fit)
     choice = select_model(

@@ -131,8 +131,7 @@ def cross_validate(
                 validation,
                 sizes,
                 learning.DRAWS if draws is None else draws,
-                progress.follow,
-                terminal.make_printer(quiet=quiet),
+                progress.listener(),
             )
             table, plain = learning_report.learning_table(curve), curve.as_plain()
             sentences = [curve.sentence(approach) for approach in curve.approaches]
@@ -141,11 +140,10 @@ def cross_validate(
             result = tn.cross_validate(
                 data_set,
                 validation,
-                progress.follow,
+                progress.listener(),
                 folder=out,
                 executor=executor,
                 system=system and system_files.find_system(system),
-                on_message=terminal.make_printer(quiet=quiet),
             )
             table, plain, sentences = fits.folds_table(result), result.as_plain(), []
         lines = "".join(f"\n* {sentence}." for sentence in sentences)

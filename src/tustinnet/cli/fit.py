@@ -28,6 +28,7 @@ from tustinnet.data import catalog
 from tustinnet.errors import InputError
 from tustinnet.fits import request
 from tustinnet.fits import run as runs
+from tustinnet.fitting import listener as listeners
 from tustinnet.fitting import recipe as recipes
 from tustinnet.fitting import task as tasks
 from tustinnet.fitting.gradient import windows
@@ -197,9 +198,8 @@ def _fit_recipe(
         leaves_out_spoiled=fit_options.leave_out_spoiled,
     )
     preparation_start = time.perf_counter()
-    prepared = request.prepare(
-        fit_request, on_message=terminal.make_printer(quiet=fit_options.quiet)
-    )
+    printer = terminal.make_printer(quiet=fit_options.quiet)
+    prepared = request.prepare(fit_request, listeners.Listener(on_message=printer))
     preparation_seconds = time.perf_counter() - preparation_start
     task = prepared.task
     print_still_coordinates(task.folds[0].roles.train)
@@ -218,7 +218,7 @@ def _fit_recipe(
             prepared,
             fit_options.out,
             fit_options.earlier,
-            progress.follow,
+            progress.listener(),
             system_file,
             searches_spoiled=fit_options.leave_out_spoiled,
         )

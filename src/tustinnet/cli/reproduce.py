@@ -125,7 +125,7 @@ def reproduce(
                 folder,
                 table_options,
                 runs,
-                lambda name: lambda prepared: progress.follow(prepared, name),
+                progress.listener,
             )
         content, table = table1.as_json(rows, scored_split), table1.as_table(rows, scored_split)
         texts = disk.to_json(content), table.markdown(), table.latex()

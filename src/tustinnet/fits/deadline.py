@@ -1,10 +1,7 @@
-"""Deadlines: when computations have to end, and whether a training stops in time for that."""
+"""Deadlines: when computations have to end, and the time that they take."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-
-from tustinnet.fitting.gradient.state import Progress
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,12 @@ class Deadline:
         return cls(None if seconds == float("inf") else time.monotonic() + seconds)
 
     def has_passed(self) -> bool:
-        """Whether it is over: the `should_stop` of an identification."""
+        """Whether it is over."""
         return self.remaining < 0
+
+    def comes_within(self, seconds: float) -> bool:
+        """Whether fewer seconds remain: the `should_stop` of a `Listener`."""
+        return self.remaining < seconds
 
 
 NEVER = Deadline()
@@ -63,24 +64,3 @@ class Stopwatch:
         now = time.monotonic()
         self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last
         self._last = now
-
-
-class StopCheck:
-    """Decides after every compiled call whether a training stops: before one that ends too late.
-
-    The first call of a stage compiles and says nothing of the time that the next ones take.
-
-    Args:
-        deadline: when the training has to end.
-    """
-
-    def __init__(self, deadline: Deadline) -> None:
-        self._deadline = deadline
-        self._last: tuple[int, float] | None = None  # stage, and when the last call ended
-
-    def __call__(self, progress: Sequence[Progress]) -> bool:
-        """Whether to stop, given every member's progress after a call."""
-        stage, now, before = min(p.stage for p in progress), time.monotonic(), self._last
-        self._last = stage, now
-        call = 0.0 if before is None or before[0] != stage else now - before[1]
-        return self._deadline.remaining < call

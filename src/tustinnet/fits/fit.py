@@ -1,14 +1,13 @@
 """Fits in memory: a model from records and a recipe, by training or by identification."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fitting.fit import fit_task
-from tustinnet.fitting.listener import SILENT, Iteration, Listener
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import AnyRecipe, Member
 from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.systems.files import AnySystem
@@ -57,8 +56,7 @@ def identify(
     *,
     begin: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
-    on_iteration: Callable[[Iteration], None] = lambda _: None,
-    should_stop: ShouldStopSearch = never_stop_search,
+    listener: Listener = SILENT,
 ) -> Identification:
     """Identifies a system's parameters by the simulation error over all training records at once.
 
@@ -75,9 +73,9 @@ def identify(
         begin: values where the search starts, by name, besides those of the recipe; the nominal
             values for all others.
         fixed: parameters to fix at a value, besides those that the recipe and the system fix.
-        on_iteration: called with every iteration.
-        should_stop: asked before every step of the search, as for a time limit. A search that it
-            stops returns the model of its last finished stage, and says so in `outcome`.
+        listener: functions that are called while the search goes on. A search that its
+            `should_stop` ends returns the model of its last finished stage, and says so in
+            `outcome`.
 
     Returns:
         The model, its parameters with errors and correlations, and findings.
@@ -94,21 +92,17 @@ def identify(
     }
     recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
     request = FitRequest(data, recipe, system=system)
-    (result,) = fit_request(request, Listener(on_iteration=on_iteration), should_stop)
+    (result,) = fit_request(request, listener)
     assert result.identification is not None
     return result.identification
 
 
-def fit_request(
-    request: FitRequest, listener: Listener, should_stop: ShouldStopSearch = never_stop_search
-) -> list[FitResult]:
+def fit_request(request: FitRequest, listener: Listener) -> list[FitResult]:
     """Prepares the records of a request and fits its members.
 
     Args:
         request: all that the fits are of.
         listener: functions that are called while they go on.
-        should_stop: asked before every step of a search.
     """
-    prepared = prepare(request, should_stop, listener.on_message)
-    results = fit_task(prepared.task, lambda _: listener, should_stop_search=should_stop)
-    return prepared.with_findings(results)
+    prepared = prepare(request, listener)
+    return prepared.with_findings(fit_task(prepared.task, listener))

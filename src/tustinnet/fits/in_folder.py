@@ -1,18 +1,17 @@
 """Fits in folders: models are returned, logs and checkpoints of every member are written."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tustinnet.fitting.fit import MakeListener, MakeStopCheck, fit_task
-from tustinnet.fitting.gradient.loop import ResumePoint, never_stop
+from tustinnet.fitting.fit import fit_task
+from tustinnet.fitting.gradient.loop import ResumePoint
 from tustinnet.fitting.gradient.plan import TrainingPlan
 from tustinnet.fitting.gradient.state import Progress, TrainingState
-from tustinnet.fitting.listener import EpochReport, Iteration, Listener, StageResult
+from tustinnet.fitting.listener import SILENT, EpochReport, Iteration, Listener, StageResult
 from tustinnet.fitting.report import FitResult
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Member, Task
 from tustinnet.store.checkpoint import Checkpointer, read_checkpoint
 from tustinnet.store.files import require_writable_folder
@@ -20,25 +19,14 @@ from tustinnet.store.log import SearchLog, TrainingLog
 from tustinnet.store.run_folder import CHECKPOINT
 
 
-def fit_in_folder(
-    folder: Path,
-    task: Task,
-    make_listener: MakeListener,
-    *,
-    resume: bool,
-    make_stop_check: MakeStopCheck = lambda plan: never_stop,
-    should_stop_search: ShouldStopSearch = never_stop_search,
-) -> list[FitResult]:
+def fit_in_folder(folder: Path, task: Task, listener: Listener, *, resume: bool) -> list[FitResult]:
     """Fits all members of a task with logs and checkpoints in a folder, a folder each.
 
     Args:
         folder: where they go.
         task: recipe, records and members.
-        make_listener: see `run_fit`.
+        listener: functions that are called while they go on.
         resume: whether to go on from the checkpoints that are there; an identification has none.
-        make_stop_check: given the plan of trainings that run together, returns the `should_stop`
-            of `train_plan`.
-        should_stop_search: the `should_stop` of `identify_task`.
     """
     resumed = _find_resume_points(task, folder) if resume else []
     before = {
@@ -46,42 +34,61 @@ def fit_in_folder(
         for members, (_, all_progress) in resumed
         for member, progress in zip(members, all_progress, strict=True)
     }
+    log = SILENT  # of the fits that run at present
     with ExitStack() as stack:
 
-        def listen(prepared: TrainingPlan | Task) -> Listener:
-            listener = make_listener(prepared)
-            if isinstance(prepared, TrainingPlan):
-                return _log_training(prepared, folder, before, listener, stack)
-            return _log_search(folder, listener, stack)
+        def on_begin(prepared: TrainingPlan | Task) -> None:
+            nonlocal log
+            listener.on_begin(prepared)
+            log = (
+                _log_training(prepared, folder, before, listener.on_message, stack)
+                if isinstance(prepared, TrainingPlan)
+                else _log_search(folder, stack)
+            )
 
-        return fit_task(task, listen, resumed, make_stop_check, should_stop_search)
+        def on_epoch(report: EpochReport) -> None:
+            log.on_epoch(report)
+            listener.on_epoch(report)
+
+        def on_state(state: TrainingState, progress: tuple[Progress, ...]) -> None:
+            log.on_state(state, progress)
+            listener.on_state(state, progress)
+
+        def on_iteration(report: Iteration) -> None:
+            log.on_iteration(report)
+            listener.on_iteration(report)
+
+        def on_stage(result: StageResult) -> None:
+            log.on_stage(result)
+            listener.on_stage(result)
+
+        both = replace(
+            listener,
+            on_begin=on_begin,
+            on_epoch=on_epoch,
+            on_state=on_state,
+            on_iteration=on_iteration,
+            on_stage=on_stage,
+        )
+        return fit_task(task, both, resumed)
 
 
-def _log_search(folder: Path, listener: Listener, stack: ExitStack) -> Listener:
-    """A listener of an identification that also writes every iteration and stage to a log."""
+def _log_search(folder: Path, stack: ExitStack) -> Listener:
+    """A listener that writes every iteration and stage of an identification to a log."""
     require_writable_folder(folder)
     log = SearchLog(folder)
     stack.callback(log.close)
-
-    def on_iteration(report: Iteration) -> None:
-        log.write_iteration(report)
-        listener.on_iteration(report)
-
-    def on_stage(result: StageResult) -> None:
-        log.write_stage(result)
-        listener.on_stage(result)
-
-    return replace(listener, on_iteration=on_iteration, on_stage=on_stage)
+    return Listener(on_iteration=log.write_iteration, on_stage=log.write_stage)
 
 
 def _log_training(
     plan: TrainingPlan,
     folder: Path,
     before: Mapping[Member, Progress],
-    listener: Listener,
+    on_message: Callable[[str], None],
     stack: ExitStack,
 ) -> Listener:
-    """A listener of trainings that also writes logs and checkpoints, a folder each.
+    """A listener that writes logs and checkpoints of trainings, a folder each.
 
     The stack closes the files and writes the last state, so that a training that was interrupted
     or stopped can go on from there.
@@ -90,7 +97,7 @@ def _log_training(
     for place in folders:
         require_writable_folder(place)
     logs = [
-        TrainingLog(place, before.get(member), listener.on_message)
+        TrainingLog(place, before.get(member), on_message)
         for member, place in zip(plan.members, folders, strict=True)
     ]
     for log in logs:
@@ -103,15 +110,9 @@ def _log_training(
         if kind is None or issubclass(kind, KeyboardInterrupt):
             checkpointer.flush()
 
-    def on_epoch(report: EpochReport) -> None:
-        logs[report.member].write(report)
-        listener.on_epoch(report)
-
-    def on_state(state: TrainingState, progress: tuple[Progress, ...]) -> None:
-        checkpointer(state, progress)
-        listener.on_state(state, progress)
-
-    return replace(listener, on_epoch=on_epoch, on_state=on_state)
+    return Listener(
+        on_epoch=lambda report: logs[report.member].write(report), on_state=checkpointer
+    )
 
 
 def _find_resume_points(task: Task, folder: Path) -> list[tuple[Sequence[Member], ResumePoint]]:

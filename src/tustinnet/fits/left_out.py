@@ -4,8 +4,6 @@ What spoils one fit spoils all: folds, scores, committees and bands. So the part
 by the cheapest model that can tell: the system that is given, or a mechanism.
 """
 
-from collections.abc import Callable
-
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
@@ -13,10 +11,9 @@ from tustinnet.errors import error_message
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.roles import Roles, records_without_test
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import Fold, Member, Task, resolve_system
 from tustinnet.systems.files import AnySystem
 
@@ -30,24 +27,23 @@ def leave_out_visible(data: DataSet) -> tuple[DataSet, tuple[Finding, ...]]:
 def leave_out_unexplained(
     data: DataSet,
     system: AnySystem | None = None,
-    should_stop: ShouldStopSearch = never_stop_search,
-    on_message: Callable[[str], None] = lambda sentence: None,
+    listener: Listener = SILENT,
 ) -> tuple[DataSet, tuple[Finding, ...]]:
     """Leaves out the parts of records that a model does not explain, with a finding on each.
 
     Args:
         data: the records, whose holds and delays are known.
         system: the system that is given, or None for a mechanism.
-        should_stop: asked often: whether the search for them ends.
-        on_message: called with what is being done.
+        listener: gets a sentence on what is being done; asked often whether the search for them
+            ends.
     """
     by = "a mechanism" if system is None else "the system"
-    on_message(f"parts of records that spoil fits: searched for by {by}")
+    listener.on_message(f"parts of records that spoil fits: searched for by {by}")
     recipe = read_recipe("mechanism" if system is None else "best-grey", ("search.refine=none",))
     roles = Roles(tuple(records_without_test(data)), ())
     task = Task(recipe, (Fold(roles),), (Member(),), resolve_system(recipe, system))
     try:
-        fit = identify_task(task, Member(), SILENT, should_stop)
+        fit = identify_task(task, Member(), Listener(should_stop=listener.should_stop))
     except UnfinishedSearchError:
         return data, (make_finding("spoiled no time"),)
     except Exception as error:  # of any kind: all records are fitted to

@@ -8,7 +8,7 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.left_out import leave_out_unexplained, leave_out_visible
 from tustinnet.fits.timing import determine_timing
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.systems.files import AnySystem, SystemTemplate
 
 _SHARE = 0.2  # of the budget of a selection, for what no model explains
@@ -49,8 +49,8 @@ class PreparationOptions:
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
         selection_budget: how long the whole selection may take [s], of which the search for parts
             that no model explains takes a fifth at most; None for no limit.
-        should_stop: asked often in that search: whether it ends early.
-        on_message: called with sentences on what is being done, and on what was found.
+        listener: gets sentences on what is being done, and on what was found; asked often in that
+            search whether it ends early.
         on_step: called with the name of each step at its end.
     """
 
@@ -59,8 +59,7 @@ class PreparationOptions:
     keeps_unknown_delays: bool = False
     leaves_out_spoiled: bool = False
     selection_budget: float | None = None
-    should_stop: ShouldStopSearch = never_stop_search
-    on_message: Callable[[str], None] = field(default=lambda sentence: None)
+    listener: Listener = SILENT
     on_step: Callable[[str], None] = field(default=lambda name: None)
 
 
@@ -79,7 +78,7 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
 
     def report(name: str, findings: tuple[Finding, ...]) -> None:
         for finding in findings:
-            options.on_message(finding.text)
+            options.listener.on_message(finding.text)
         options.on_step(name)
 
     if options.leaves_out_spoiled:
@@ -95,11 +94,13 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
     if options.leaves_out_spoiled:
         budget = options.selection_budget
         deadline = NEVER if budget is None else Deadline.after(_SHARE * budget)
+        listener = options.listener
+
+        def should_stop(seconds: float) -> bool:
+            return deadline.comes_within(seconds) or listener.should_stop(seconds)
+
         data, unexplained = leave_out_unexplained(
-            records.data,
-            system,
-            lambda: deadline.has_passed() or options.should_stop(),
-            options.on_message,
+            records.data, system, replace(listener, should_stop=should_stop)
         )
         if not unexplained and not records.left_out:
             unexplained = (make_finding("spoiled none"),)

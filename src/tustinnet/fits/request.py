@@ -1,16 +1,16 @@
 """Requests of fits: all that a fit is of, and the task that comes of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
 from tustinnet.fitting.inverse_dynamics.along import require_possible
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import is_published
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import assign_roles
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.task import AnyRecipe, Member, Origin, Task, make_task
 from tustinnet.models.contract import Model
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -66,19 +66,14 @@ class PreparedFit:
         return completed
 
 
-def prepare(
-    request: FitRequest,
-    should_stop: ShouldStopSearch = never_stop_search,
-    on_message: Callable[[str], None] = lambda sentence: None,
-) -> PreparedFit:
+def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     """Checks that the parts of a request fit together, and prepares its records.
 
     Holds and delays of a fit that begins with a model, or corrects one, are those of the model.
 
     Args:
         request: what is fitted.
-        should_stop: see `PreparationOptions`.
-        on_message: likewise.
+        listener: see `PreparationOptions`.
 
     Raises:
         InputError: an argument that is not applicable to the recipe, or one that is missing; see
@@ -101,8 +96,7 @@ def prepare(
         finds_timing=model is None and not (recipe.is_by_forces or is_published(recipe)),
         keeps_unknown_delays=isinstance(recipe, IdentificationRecipe),
         leaves_out_spoiled=request.leaves_out_spoiled,
-        should_stop=should_stop,
-        on_message=on_message,
+        listener=listener,
     )
     data = request.data
     if model is not None and any(i.hold == "unknown" for i in data.channels.inputs):

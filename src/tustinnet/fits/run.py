@@ -24,9 +24,8 @@ from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.finding import Finding
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fits.request import PreparedFit
-from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.gradient.plan import TrainingPlan
-from tustinnet.fitting.listener import Listener
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FitResult, Identification, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Task
@@ -217,7 +216,7 @@ def run_fit(
     fit: PreparedFit,
     folder: Path,
     earlier: Earlier = "refuse",
-    make_listener: MakeListener = lambda prepared: Listener(),
+    listener: Listener = SILENT,
     system: SystemFile | None = None,
     *,
     searches_spoiled: bool = False,
@@ -229,8 +228,7 @@ def run_fit(
         folder: where the files go.
         earlier: what to do with a run that the folder holds: `refuse`, `discard`, or `resume`: go
             on from the checkpoints that are there; members without one start.
-        make_listener: given the plan of trainings that run together, or the task of an
-            identification, returns the listener of its progress.
+        listener: functions that are called while they go on.
         system: the file of the system that the fits are of; a copy is kept with the models.
         searches_spoiled: whether parts of records that spoil the fit are looked for with any
             model; with one that was identified by simulations they always are.
@@ -248,13 +246,14 @@ def run_fit(
         specification, family = make_specification(task, system), task.recipe.family
         prepare_run_folder(folder, earlier, specification, resumable=family.resumable)
 
-        def listen(prepared: TrainingPlan | Task) -> Listener:
+        def on_begin(prepared: TrainingPlan | Task) -> None:
             # the records of a training are known to fit the recipe now
             if isinstance(prepared, TrainingPlan):
                 write_specification(folder, specification)
-            return make_listener(prepared)
+            listener.on_begin(prepared)
 
-        results = fit_in_folder(folder, task, listen, resume=earlier == "resume")
+        listener_here = replace(listener, on_begin=on_begin)
+        results = fit_in_folder(folder, task, listener_here, resume=earlier == "resume")
         fits = fit.with_findings(results)
         (fold,) = task.folds
         roles = fold.roles.with_long_validation(fits[0].fewest_samples)

@@ -32,7 +32,6 @@ from tustinnet.fitting.shooting.equation_error import (
     find_reversed_signs,
 )
 from tustinnet.fitting.shooting.groups import expand_values
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.optional_terms import drop_unneeded_terms
 from tustinnet.fitting.shooting.problem import Problem, SearchState
 from tustinnet.fitting.shooting.refit import refit_to_free_runs
@@ -54,19 +53,13 @@ class UnfinishedSearchError(InputError):
     """A search was stopped before any of its stages was finished: there is no model."""
 
 
-def identify_task(
-    task: Task,
-    member: Member,
-    listener: Listener,
-    should_stop: ShouldStopSearch = never_stop_search,
-) -> FitResult:
+def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     """Identifies the system of a task from the records of a member's fold.
 
     Args:
         task: what is to be fitted.
         member: one of its members.
         listener: functions that are called while the search goes on.
-        should_stop: see `tustinnet.identify`.
 
     Raises:
         UnfinishedSearchError: it was stopped before a stage was finished.
@@ -74,7 +67,7 @@ def identify_task(
     """
     require_float64("identify")
     start_time = time.perf_counter()
-    problem = _make_problem(task, member, listener, should_stop)
+    problem = _make_problem(task, member, listener)
     initial_state = _make_initial_state(problem, task.identification_recipe)
     origin = task.folds[member.fold].origin
     if origin is not None and origin.fits_records:
@@ -127,9 +120,7 @@ def _make_fit_result(
     )
 
 
-def _make_problem(
-    task: Task, member: Member, listener: Listener, should_stop: ShouldStopSearch
-) -> Problem:
+def _make_problem(task: Task, member: Member, listener: Listener) -> Problem:
     """The problem of a task: its system with what the recipe adds, and the records to use.
 
     Raises:
@@ -188,7 +179,6 @@ def _make_problem(
         validation=tuple(e.with_timing(inputs) for e in validation),
         search=recipe.search,
         listener=listener,
-        should_stop=should_stop,
         remarks=(*of_file, *beyond_limits, *gains.remarks),
     )
 

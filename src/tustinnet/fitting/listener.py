@@ -98,6 +98,8 @@ class Listener:
     """Functions that are called while a fit goes on; each call may be slow.
 
     Attributes:
+        on_begin: before fits that run together begin, with the plan of a training, whose records
+            are then known to fit the recipe, or with the task of an identification.
         on_epoch: with every epoch of every member.
         on_state: with a training's state and the members' progress, after every compiled call,
             which does several epochs, and at the ends of stages: all that a resumed run needs.
@@ -105,14 +107,18 @@ class Listener:
         on_message: with a sentence on what is unusual.
         on_stage: with every stage of an identification, at its end.
         on_progress: with the progress of an identification, several times an iteration.
+        should_stop: before every step, with the seconds that it will take as far as the one before
+            says, else 0: whether the fit ends, as at a time limit.
     """
 
+    on_begin: Callable[[Any], None] = field(default=lambda prepared: None)
     on_epoch: Callable[[EpochReport], None] = field(default=lambda report: None)
     on_state: Callable[[Any, Any], None] = field(default=lambda state, progress: None)
     on_iteration: Callable[[Iteration], None] = field(default=lambda iteration: None)
     on_message: Callable[[str], None] = field(default=lambda message: None)
     on_stage: Callable[[StageResult], None] = field(default=lambda result: None)
     on_progress: Callable[[SearchProgress], None] = field(default=lambda progress: None)
+    should_stop: Callable[[float], bool] = field(default=lambda seconds: False)
 
 
 SILENT = Listener()  # does nothing

@@ -1,7 +1,6 @@
 """Fits of models that least squares find: from the task of a fit to its result."""
 
 import time
-from collections.abc import Callable
 
 from tustinnet.families.family import SolvedRecords
 from tustinnet.fitting.listener import Listener
@@ -18,7 +17,6 @@ def solve_task(
     recipe: SolvedRecipe,
     member: Member,
     listener: Listener,
-    should_stop: Callable[[], bool],
 ) -> FitResult:
     """Finds the model of a member's fold.
 
@@ -26,8 +24,7 @@ def solve_task(
         task: what is to be fitted.
         recipe: its recipe.
         member: one of its members.
-        listener: gets sentences on what is unusual.
-        should_stop: asked often: whether the search ends early, with what it has by then.
+        listener: gets sentences on what is unusual, and ends the search early.
 
     Raises:
         InputError: records that the kind of model cannot be fitted to.
@@ -42,7 +39,9 @@ def solve_task(
     horizon_samples(recipe.horizon, roles.all, start, f"recipe '{recipe.name}', horizon")
     records = SolvedRecords(roles.train, roles.validation, recipe.velocity, recipe.horizon)
     origin = None if fold.origin is None else fold.origin.model
-    model, is_complete = recipe.family.solve(recipe.model, records, origin, should_stop)
+    model, is_complete = recipe.family.solve(
+        recipe.model, records, origin, lambda: listener.should_stop(0.0)
+    )
     outcome = FINISHED if is_complete else f"{OUT_OF_TIME}: its best stage so far was taken"
     return FitResult(
         model=model,

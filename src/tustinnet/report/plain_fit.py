@@ -18,7 +18,6 @@ from tustinnet.fitting.task import AnyRecipe, Member
 from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.report.progress import FitProgress
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.jobs import Job
 from tustinnet.selection.select import USUAL_BUDGET, Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import AnySystem
 
@@ -121,11 +120,7 @@ def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bo
 
 def make_reporter(progress: FitProgress, on_message: Callable[[str], None]) -> Reporter:
     """Makes the reporter of a selection: bars or lines for fits, sentences for rounds."""
-
-    def follow_job(job: Job) -> Callable[..., Listener]:
-        return lambda prepared: progress.follow(prepared, label=job.label)
-
-    return Reporter(on_message, follow_job)
+    return Reporter(on_message, lambda job: progress.listener(job.label))
 
 
 def _refuse(given: dict[str, object], case: str, expected: str) -> None:

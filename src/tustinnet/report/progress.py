@@ -2,10 +2,11 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
@@ -60,27 +61,32 @@ class FitProgress(AbstractContextManager["FitProgress"]):
         if self._bars:
             self._bars.stop()
 
-    def follow(self, prepared: TrainingPlan | Task, label: str = "") -> Listener:
-        """Makes a listener that shows fits which run together.
+    def listener(self, label: str = "") -> Listener:
+        """Makes a listener that shows fits, one after the other.
 
         Args:
-            prepared: the plan of a training, or the task of an identification.
-            label: name of the fits; by default that of the recipe.
+            label: name of the fits; by default that of their recipe.
         """
-        if isinstance(prepared, TrainingPlan):
-            return Listener(
-                on_epoch=_Trainings(self._console, self._bars, prepared, label, self._quiet),
-                on_message=self._print_once,
-            )
-        name = label or prepared.recipe.name
+        shown: Callable[[Any], None]
+
+        def on_begin(prepared: TrainingPlan | Task) -> None:
+            nonlocal shown
+            if isinstance(prepared, TrainingPlan):
+                shown = _Trainings(self._console, self._bars, prepared, label, self._quiet)
+            else:
+                name = label or prepared.recipe.name
+                shown = _Identification(self._console, self._bars, name, self._quiet)
+
         return Listener(
-            on_progress=_Identification(self._console, self._bars, name, self._quiet),
+            on_begin=on_begin,
+            on_epoch=lambda report: shown(report),
+            on_progress=lambda progress: shown(progress),
             on_message=self._print_once,
         )
 
     def _print_once(self, message: str) -> None:
         """Prints a message of a fit, unless another fit had the same: folds have records alike."""
-        if message not in self._messages:
+        if not self._quiet and message not in self._messages:
             self._messages.add(message)
             self._console.print(message)
 

@@ -12,7 +12,7 @@ from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import Run, run_fit
-from tustinnet.fitting.fit import MakeListener
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import Criterion, TrainingRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.task import Member
@@ -135,7 +135,7 @@ def build_rows(
     folder: Path,
     options: ReproductionOptions,
     runs_folder: Path,
-    make_listener: Callable[[str], MakeListener],
+    make_listener: Callable[[str], Listener],
 ) -> list[Row]:
     """Fits the models and scores each of them on the split.
 

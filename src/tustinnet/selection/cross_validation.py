@@ -1,6 +1,6 @@
 """Cross-validation: every record scored by models that never saw it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +12,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
-from tustinnet.fitting.fit import MakeListener
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.recipe_reading import is_published, read_recipe
 from tustinnet.fitting.roles import records_without_test
@@ -199,12 +198,11 @@ def make_cross_validation_options(
 def cross_validate(
     data: DataSet,
     options: CrossValidationOptions,
-    make_listener: MakeListener = lambda prepared: SILENT,
+    listener: Listener = SILENT,
     *,
     folder: Path | None = None,
     executor: Executor | None = None,
     system: AnySystem | None = None,
-    on_message: Callable[[str], None] = lambda sentence: None,
 ) -> CrossValidationResult:
     """Fits a recipe to every choice of folds and scores the records that were left out.
 
@@ -215,14 +213,13 @@ def cross_validate(
     Args:
         data: the records; the folds do not respect splits, but `test` stays out.
         options: the recipe, the number of folds and seeds.
-        make_listener: given what is fitted together in this process, the plan of trainings or the
-            task of an identification, returns the listener of its progress.
+        listener: functions that are called while fits of this process go on; gets sentences on the
+            holds and delays of inputs, which are searched for once where the data card does not
+            declare them.
         folder: where an executor's jobs write models and logs, below `candidates`.
         executor: where the jobs are done, as for `select_model`; by default in this process, and
             nothing is written.
         system: the system of the options as it was named, for workers to load.
-        on_message: called with sentences on the holds and delays of inputs, which are searched for
-            once where the data card does not declare them.
 
     Returns:
         The score of every record for every seed; `summary` has means and standard errors.
@@ -232,7 +229,7 @@ def cross_validate(
             long; see also `fit`.
     """
     require_float64("cross_validate")
-    data = prepare_for_validation(data, options, on_message)
+    data = prepare_for_validation(data, options, listener)
     records = records_without_test(data)
     folds = len(split_into_folds(data, options.folds))
     starts = options.starts or default_and_fitted_starts(records)
@@ -246,7 +243,7 @@ def cross_validate(
         # in this process the system is loaded already; a worker loads its file
         system=options.system if executor is None else system or options.system,
     )
-    workplace = Workplace(executor, lambda job: make_listener, on_message, raises=True)
+    workplace = Workplace(executor, lambda job: listener, listener.on_message, raises=True)
     jobs = [Job(RECIPE, options.recipe, fold, options.own_seeds) for fold in range(folds)]
     results = fit_splits(options, jobs, context, workplace)
     fits = sorted((r for r in results if r.candidate == RECIPE), key=lambda r: r.fold)
@@ -265,7 +262,7 @@ def cross_validate(
 
 
 def prepare_for_validation(
-    data: DataSet, options: CrossValidationOptions, on_message: Callable[[str], None]
+    data: DataSet, options: CrossValidationOptions, listener: Listener
 ) -> DataSet:
     """Records as all fits of a validation take them.
 
@@ -274,11 +271,11 @@ def prepare_for_validation(
     Args:
         data: the records.
         options: the recipe, the system.
-        on_message: called with sentences on the holds and delays of inputs.
+        listener: gets sentences on the holds and delays of inputs.
     """
     require_feedback(options.physics or options.recipe, data)
     preparation = PreparationOptions(
-        system=options.system, finds_timing=not is_published(options.recipe), on_message=on_message
+        system=options.system, finds_timing=not is_published(options.recipe), listener=listener
     )
     return prepare_records(data, preparation).data
 

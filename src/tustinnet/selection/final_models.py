@@ -13,13 +13,13 @@ from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.in_folder import fit_in_folder
-from tustinnet.fitting.fit import MakeListener
 from tustinnet.fitting.identify import UnfinishedSearchError
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.models.contract import Model
 from tustinnet.selection.committees import CommitteeResult, combine, member_weights
 from tustinnet.selection.folds import FoldSplit
-from tustinnet.selection.jobs import FitScore, Job, MakeJobListener, RunContext, make_job_task
+from tustinnet.selection.jobs import FitScore, Job, MakeListener, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.kept_system import CANDIDATES
@@ -93,7 +93,7 @@ def make_final_models(
     best: CandidateResult,
     simplest: CandidateResult,
     context: RunContext,
-    make_job_listener: MakeJobListener,
+    make_listener: MakeListener,
     deadline: Deadline = NEVER,
 ) -> dict[str, FinalModel]:
     """Makes the models of what can be chosen, by name.
@@ -106,8 +106,8 @@ def make_final_models(
         best: the chosen one.
         simplest: the simplest that is as good.
         context: where the models are, and how they were scored.
-        make_job_listener: given the job of an identification from all records, returns its
-            `make_listener`.
+        make_listener: given the job of an identification from all records, returns its
+            listener.
         deadline: after it nothing is identified from all records.
     """
     models = {}
@@ -116,7 +116,7 @@ def make_final_models(
             ways = _possible_models(candidates, result, context, None, deadline)
             models[result.name] = next(ways)
             continue
-        ways = _possible_models(candidates, result, context, make_job_listener, deadline)
+        ways = _possible_models(candidates, result, context, make_listener, deadline)
         promised = mean_and_error(result.rmse().values())[0]
         models[result.name] = _first_as_promised(ways, promised, context, deadline)
     return models
@@ -126,12 +126,12 @@ def _possible_models(
     candidates: SelectionResults,
     result: CandidateResult,
     context: RunContext,
-    make_job_listener: MakeJobListener | None,
+    make_listener: MakeListener | None,
     deadline: Deadline,
 ) -> Iterator[FinalModel]:
     """The ways to make the model of a candidate or committee, those to be preferred first.
 
-    Parameters are identified from all records (unless there is no `make_job_listener`). Weights of
+    Parameters are identified from all records (unless there is no `make_listener`). Weights of
     all folds are averaged. Models of single folds come last, the one with the lowest error first.
     """
     members = candidates.members(result.name)
@@ -140,9 +140,9 @@ def _possible_models(
     single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
     recipe = context.recipe_of(candidates.plan.candidate(members[0][0].name))
     averages, why = len(members) > 1 or recipe.family.averages_folds, ""
-    if not averages and make_job_listener is not None:
+    if not averages and make_listener is not None:
         job = Job(result.name, recipe, fold=0, origin=single[0].model, is_final=True)
-        made = _identify_from_all(job, context, make_job_listener(job), deadline)
+        made = _identify_from_all(job, context, make_listener(job), deadline)
         if isinstance(made, FinalModel):
             yield made
         else:
@@ -197,7 +197,7 @@ def _first_as_promised(
 
 
 def _identify_from_all(
-    job: Job, context: RunContext, make_listener: MakeListener, deadline: Deadline
+    job: Job, context: RunContext, listener: Listener, deadline: Deadline
 ) -> FinalModel | str:
     """The system identified from all records, from the values of a fold on; or why it was not."""
     records = tuple(records_without_test(context.data))
@@ -207,9 +207,9 @@ def _identify_from_all(
     folder = context.folder / CANDIDATES / job.candidate / WHOLE
     why = "no time was left to identify it from all records"
     try:
-        fit = fit_in_folder(
-            folder, task, make_listener, resume=False, should_stop_search=deadline.has_passed
-        )[0]
+        (fit,) = fit_in_folder(
+            folder, task, replace(listener, should_stop=deadline.comes_within), resume=False
+        )
     except UnfinishedSearchError:
         return why
     except Exception as error:  # of any kind: the models of the folds are there

@@ -24,14 +24,14 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.scores import Score, evaluate, scores_header
 from tustinnet.families.family import family_of
-from tustinnet.fits.deadline import Deadline, StopCheck
+from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
-from tustinnet.fitting.fit import MakeListener, fit_task
+from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.column_mistakes import COLUMN_MISTAKES
 from tustinnet.fitting.inverse_dynamics.of_model import unexplained_forces
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
@@ -104,7 +104,7 @@ class Job:
         return f"{CANDIDATES}/{self.candidate}/{self.name}"
 
 
-MakeJobListener = Callable[[Job], MakeListener]  # from a job to the `make_listener` of its fit
+MakeListener = Callable[[Job], Listener]  # from a job to the listener of its fit
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ class RunContext:
 def perform_jobs(
     jobs: Sequence[Job],
     context: RunContext,
-    make_listener: MakeListener,
+    listener: Listener,
     *,
     raises: bool = False,
 ) -> list[JobResult]:
@@ -322,8 +322,7 @@ def perform_jobs(
     Args:
         jobs: a job; or, of a run in memory, several of one candidate, which train together.
         context: records, folder, system, scoring.
-        make_listener: given the plan of a training, or the task of an identification, returns the
-            listener of its progress.
+        listener: functions that are called while they go on.
         raises: whether errors are raised; otherwise they are results.
 
     Returns:
@@ -331,6 +330,7 @@ def perform_jobs(
     """
     started = time.monotonic()
     deadline = Deadline.after(min(job.limit for job in jobs))
+    listener = replace(listener, should_stop=deadline.comes_within)
 
     def spent() -> float:
         return (time.monotonic() - started) / len(jobs)
@@ -338,12 +338,7 @@ def perform_jobs(
     try:
         task = make_job_task(jobs, context)
         if context.models is not None:
-            fits = fit_task(
-                task,
-                make_listener,
-                make_stop_check=lambda plan: StopCheck(deadline),
-                should_stop_search=deadline.has_passed,
-            )
+            fits = fit_task(task, listener)
             return [_score_fits(job, context, fits, spent) for job in jobs]
         (job,) = jobs
         digest = _fit_digest(task, context)
@@ -355,14 +350,7 @@ def perform_jobs(
             require_writable_folder(folder)
             remove_partial_files(folder)
             resume = context.resume or job.continues
-            fits = fit_in_folder(
-                folder,
-                task,
-                make_listener,
-                resume=resume,
-                make_stop_check=lambda plan: StopCheck(deadline),
-                should_stop_search=deadline.has_passed,
-            )
+            fits = fit_in_folder(folder, task, listener, resume=resume)
             result = _score_fits(job, context, fits, spent)
     except UnfinishedSearchError:
         return [JobResult(j.candidate, j.fold, spent(), "out of time", why=NO_STAGE) for j in jobs]
@@ -380,7 +368,7 @@ def perform_jobs(
 
 def perform_job(context: RunContext, job: Job) -> JobResult:
     """Does a job in silence, as a worker does it; see `perform_jobs`."""
-    return perform_jobs([job], context, lambda prepared: SILENT)[0]
+    return perform_jobs([job], context, SILENT)[0]
 
 
 def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:

@@ -6,7 +6,7 @@ corrects.
 """
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +14,7 @@ import numpy as np
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.fitting.fit import MakeListener
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.models.contract import require_float64
 from tustinnet.selection.cross_validation import (
@@ -207,8 +206,7 @@ def learning_curve(
     options: CrossValidationOptions,
     sizes: Sequence[int] = (),
     draws: int = DRAWS,
-    make_listener: MakeListener = lambda prepared: SILENT,
-    on_message: Callable[[str], None] = lambda sentence: None,
+    listener: Listener = SILENT,
 ) -> LearningCurve:
     """Fits a recipe to more and more records and scores records that no model has seen.
 
@@ -219,10 +217,7 @@ def learning_curve(
         options: the recipe, the folds of which one is left out, and where free runs start.
         sizes: numbers of records; by default 2, 4, 8, ... and all there are.
         draws: how often records are drawn.
-        make_listener: given the plan of trainings that run together, or the task of an
-            identification, returns the listener of its progress.
-        on_message: called with sentences on the holds and delays of inputs, which are searched for
-            once where the data card does not declare them.
+        listener: as for `cross_validate`.
 
     Raises:
         InputError: too few records, or no fit has a model. A single one that cannot be done with
@@ -230,7 +225,7 @@ def learning_curve(
     """
     require_float64("learning_curve")
     draw_records(data, sizes, draws, options.folds)  # raises before time is spent
-    data = prepare_for_validation(data, options, on_message)
+    data = prepare_for_validation(data, options, listener)
     start = next(iter(options.starts), None) or default_start(list(data))
     recipe, points = options.recipe, list[LearningPoint]()
     drawn = draw_records(data, sizes, draws, options.folds)
@@ -246,7 +241,7 @@ def learning_curve(
             Job(RECIPE, recipe, i, recipe.family.select_seeds([draw.number]))
             for i, draw in enumerate(of_size)
         ]
-        results = fit_splits(options, jobs, context, Workplace(None, lambda job: make_listener))
+        results = fit_splits(options, jobs, context, Workplace(None, lambda job: listener))
         for i, draw in enumerate(of_size):
             result = [r for r in results if r.fold == i][-1]  # of the physics where that failed
             rmse, outcome = np.inf, result.why

@@ -9,7 +9,7 @@ from tustinnet.fitting.listener import SILENT
 from tustinnet.selection.jobs import (
     Job,
     JobResult,
-    MakeJobListener,
+    MakeListener,
     RunContext,
     perform_job,
     perform_jobs,
@@ -23,13 +23,13 @@ class Workplace:
     Attributes:
         executor: any executor, of threads, processes or machines, that share the run's folder
             under one path; None for this process.
-        make_job_listener: given a job, the `make_listener` of `perform_jobs` in this process.
+        make_listener: given a job, the listener of its fit in this process.
         on_message: called with a sentence on every job that an executor has done.
         raises: whether an error in a job is raised in this process; otherwise it is its result.
     """
 
     executor: Executor | None = None
-    make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT
+    make_listener: MakeListener = lambda job: SILENT
     on_message: Callable[[str], None] = lambda sentence: None
     raises: bool = False
 
@@ -64,7 +64,7 @@ def run_jobs(
                         context = find_context()
                         running[workplace.executor.submit(perform_job, context, job)] = job
                     continue
-                listener = workplace.make_job_listener(jobs[0])
+                listener = workplace.make_listener(jobs[0])
                 for result in perform_jobs(jobs, find_context(), listener, raises=workplace.raises):
                     on_result(result)
             if not running:

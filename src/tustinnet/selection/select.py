@@ -17,7 +17,7 @@ from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
-from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import require_float64
 from tustinnet.selection.applicability import adds_lag, applicable_candidates, force_cutoff
@@ -26,7 +26,7 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import score_committees
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
-from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeJobListener, RunContext
+from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.queue import NO_TIME, CandidateQueue
 from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
@@ -91,11 +91,11 @@ class Reporter:
 
     Attributes:
         on_message: with sentences on what happens.
-        make_job_listener: given a job, the `make_listener` of its fit.
+        make_listener: given a job, the listener of its fit.
     """
 
     on_message: Callable[[str], None] = lambda sentence: None
-    make_job_listener: MakeJobListener = lambda job: lambda prepared: SILENT
+    make_listener: MakeListener = lambda job: SILENT
 
 
 def select_model(
@@ -173,7 +173,7 @@ def select_model(
             system=context.loaded_system,
             leaves_out_spoiled=options.leave_out_spoiled,
             selection_budget=budget,
-            on_message=reporter.on_message,
+            listener=Listener(on_message=reporter.on_message),
             on_step=stopwatch.end,
         ),
     )
@@ -189,7 +189,7 @@ def select_model(
         queue = CandidateQueue(
             plan, candidates, context, reporter.on_message, rounds_end, ending, promising
         )
-        workplace = Workplace(executor, reporter.make_job_listener, reporter.on_message)
+        workplace = Workplace(executor, reporter.make_listener, reporter.on_message)
 
         def take(result: JobResult) -> None:
             queue.add(result)
@@ -284,7 +284,7 @@ def _choose(
     if candidates.are_alike(simplest.name, best.name):
         simplest = best
     models = make_final_models(
-        candidates, best, simplest, context, reporter.make_job_listener, deadline
+        candidates, best, simplest, context, reporter.make_listener, deadline
     )
     final = models[best.name]
     stopwatch.end("final model")

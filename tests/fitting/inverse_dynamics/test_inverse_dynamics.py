@@ -13,7 +13,7 @@ import tustinnet as tn
 from tustinnet.errors import InputError
 from tustinnet.fitting.inverse_dynamics import identification
 from tustinnet.fitting.inverse_dynamics.along import filter_record
-from tustinnet.fitting.listener import Iteration
+from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.forces import LAWS
@@ -129,8 +129,7 @@ def test_a_model_that_was_stopped_on_its_way_is_none(system, twin):
             twin,
             system,
             "inverse-dynamics",
-            on_iteration=steps.append,
-            should_stop=lambda: True,
+            listener=Listener(on_iteration=steps.append, should_stop=lambda seconds: True),
         )
     assert not steps
 

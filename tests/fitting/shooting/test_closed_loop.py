@@ -11,6 +11,7 @@ from swinging import DT, SWING, data_set, falls, records, simulated, swing_model
 from test_identify import grey, worst
 
 import tustinnet as tn
+from tustinnet.fitting.listener import Listener
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,10 @@ def test_records_that_swing_stay_whole_beside_one_that_is_held():
 def test_a_horizon_can_be_asked_for():
     iterations = []
     result = tn.identify(
-        data_set(records()), SWING, grey("horizon=1.2"), on_iteration=iterations.append
+        data_set(records()),
+        SWING,
+        grey("horizon=1.2"),
+        listener=Listener(on_iteration=iterations.append),
     )
     assert worst(result) < 1e-4
     assert set(result.horizons.values()) == {1.2}

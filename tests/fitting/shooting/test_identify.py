@@ -131,7 +131,7 @@ def test_intervals_contain_the_truth_as_an_encoder_reads():
 
 def test_every_stage_is_told():
     iterations: list[Iteration] = []
-    tn.identify(data_set(records()), SWING, on_iteration=iterations.append)
+    tn.identify(data_set(records()), SWING, listener=Listener(on_iteration=iterations.append))
     stages = list(dict.fromkeys(i.stage for i in iterations))
     assert stages[0] == "equation-error estimate"
     assert stages[1].startswith("segments of ")

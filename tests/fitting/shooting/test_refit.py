@@ -61,7 +61,9 @@ def values_of(identification: Identification) -> dict[str, float]:
 def test_where_physics_is_missing_free_runs_get_better():
     data, steps = data_set(creeping()), list[Iteration]()
     usual = tn.identify(data, SYSTEM, recipe(refine=None))
-    identification = tn.identify(data, SYSTEM, recipe(), on_iteration=steps.append)
+    identification = tn.identify(
+        data, SYSTEM, recipe(), listener=Listener(on_iteration=steps.append)
+    )
     refitted = identification.refit
     assert usual.refit is None
     assert refitted is not None
@@ -188,7 +190,10 @@ def test_a_start_that_records_do_not_have_is_refused_before_the_search():
     without = [replace(e, v=None) for e in records()]
     with pytest.raises(tn.InputError, match="velocities"):
         tn.identify(
-            data_set(without), SYSTEM, recipe(refine="file"), on_iteration=iterations.append
+            data_set(without),
+            SYSTEM,
+            recipe(refine="file"),
+            listener=Listener(on_iteration=iterations.append),
         )
     assert not iterations
 

@@ -26,8 +26,12 @@ class Search:
     progress: list[SearchProgress] = field(default_factory=list)
 
     def run(self) -> FitResult:
-        listener = Listener(on_stage=self.stages.append, on_progress=self.progress.append)
-        return identify_task(self.task, Member(), listener, lambda: self.is_over(self))
+        listener = Listener(
+            on_stage=self.stages.append,
+            on_progress=self.progress.append,
+            should_stop=lambda seconds: self.is_over(self),
+        )
+        return identify_task(self.task, Member(), listener)
 
 
 def swing_task(*, validation: bool = False) -> Task:
@@ -86,8 +90,10 @@ def test_identify_takes_a_condition_to_stop():
         data_set(records()),
         SWING,
         begin=FAR,
-        on_iteration=iterations.append,
-        should_stop=lambda: bool(iterations) and iterations[-1].stage.startswith("whole"),
+        listener=Listener(
+            on_iteration=iterations.append,
+            should_stop=lambda _: bool(iterations) and iterations[-1].stage.startswith("whole"),
+        ),
     )
     assert result.outcome.startswith("out of time: stopped at its time limit after stage ")
     assert not result.sound

@@ -1,7 +1,7 @@
 """The training loop: one for all recipes, blind to the model's family."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -30,19 +30,12 @@ from tustinnet.simulate.rollout import LONG_ROLLOUT
 _CALL = 1.0  # s, compiled calls of several epochs take at most: between two a training can stop
 
 ResumePoint = tuple[TrainingState, tuple[Progress, ...]]
-ShouldStop = Callable[[Sequence[Progress]], bool]
-
-
-def never_stop(progress: Sequence[Progress]) -> bool:
-    """A `should_stop` without a deadline."""
-    return False
 
 
 def train(
     plan: TrainingPlan,
     listener: Listener = SILENT,
     resume: ResumePoint | None = None,
-    should_stop: ShouldStop = never_stop,
 ) -> tuple[Model, tuple[Progress, ...]]:
     """Folds the epochs of all members over the stages.
 
@@ -51,10 +44,10 @@ def train(
 
     Args:
         plan: models, stages, records.
-        listener: its `on_epoch` and `on_state` are called.
+        listener: its `on_epoch` and `on_state` are called, and `should_stop` after every compiled
+            call; what it was given is not changed by a stop, so that the training can go on from
+            there.
         resume: a state that a listener was given, to go on from there.
-        should_stop: asked after every compiled call, with the members' progress; what the listener
-            was given is not changed by a stop, so that the training can go on from there.
 
     Returns:
         The best models of the last stage that was reached, and where training ended.
@@ -63,9 +56,7 @@ def train(
     state, progress = resume or (plan.begin(0), (Progress(),) * members)
     unfinished = [p.stage for p in progress if not p.outcome]
     for index in range(unfinished[0] if unfinished else len(stages), len(stages)):
-        state, progress, is_stopped = _run_stage(
-            plan, index, state, progress, listener, should_stop
-        )
+        state, progress, is_stopped = _run_stage(plan, index, state, progress, listener)
         if is_stopped:
             progress = tuple(replace(p, outcome=p.outcome or OUT_OF_TIME) for p in progress)
             break
@@ -94,12 +85,11 @@ def _run_stage(
     state: TrainingState,
     progress: tuple[Progress, ...],
     listener: Listener,
-    should_stop: ShouldStop,
 ) -> tuple[TrainingState, tuple[Progress, ...], bool]:
     """The state and progress of all members after a stage, and whether it was stopped before."""
     stage = plan.stages[index]
-    # the first call says how long an epoch takes
-    run, count = compile_epochs(plan, stage), 1
+    # the first call says how long an epoch takes; as it compiles, it does not say how long a call
+    run, count, is_first = compile_epochs(plan, stage), 1, True
     while any(_is_due(stage, p) for p in progress):
         begin = time.perf_counter()
         state, figures = run(state, count)
@@ -132,8 +122,10 @@ def _run_stage(
         listener.on_state(state, progress)
         is_last = index + 1 == len(plan.stages)
         is_complete = all(p.outcome or (is_last and not _is_due(stage, p)) for p in progress)
-        if not is_complete and should_stop(progress):
+        call = 0.0 if is_first else time.perf_counter() - begin
+        if not is_complete and listener.should_stop(call):
             return state, progress, True
+        is_first = False
     return state, progress, False
 
 

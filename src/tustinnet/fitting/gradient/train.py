@@ -6,7 +6,7 @@ import numpy as np
 
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.gradient.epoch import compute_validation_rmse
-from tustinnet.fitting.gradient.loop import ResumePoint, ShouldStop, never_stop, train
+from tustinnet.fitting.gradient.loop import ResumePoint, train
 from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
@@ -18,7 +18,6 @@ def train_plan(
     plan: TrainingPlan,
     listener: Listener = SILENT,
     resume: ResumePoint | None = None,
-    should_stop: ShouldStop = never_stop,
 ) -> list[FitResult]:
     """Trains as planned, from the beginning or from a state that a listener was given.
 
@@ -26,7 +25,6 @@ def train_plan(
         plan: models, stages, records.
         listener: functions that are called while training goes on.
         resume: a state that a listener was given, to go on from there.
-        should_stop: asked after every compiled call whether to stop, as for a deadline.
 
     Returns:
         The members' models and how they came about. A training that diverged or was stopped
@@ -34,7 +32,7 @@ def train_plan(
     """
     for message in plan.messages:
         listener.on_message(message)
-    best, progress = train(plan, listener, resume, should_stop)
+    best, progress = train(plan, listener, resume)
     results = []
     for m, p in enumerate(progress):
         # off the devices that trained it: what comes now is one model's business

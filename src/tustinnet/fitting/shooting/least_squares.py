@@ -14,9 +14,7 @@ from jaxtyping import Float
 from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.levenberg_marquardt import (
     DampingRule,
-    ShouldStopSearch,
     iterate,
-    never_stop_search,
 )
 from tustinnet.fitting.shooting.normal import (
     NormalProducts,
@@ -153,7 +151,7 @@ def minimise(
     vector: ParameterVector,
     stopping: StoppingRule,
     on_step: OnStep = lambda iterations, cost, damping, is_accepted: None,
-    should_stop: ShouldStopSearch = never_stop_search,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> LeastSquaresResult:
     """Minimises the simulation error over parameters and initial states.
 

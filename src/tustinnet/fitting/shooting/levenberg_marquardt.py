@@ -24,13 +24,6 @@ class IterationPoint(Protocol):
 
 P = TypeVar("P", bound=IterationPoint)
 
-ShouldStopSearch = Callable[[], bool]
-
-
-def never_stop_search() -> bool:
-    """A `should_stop` without a time limit."""
-    return False
-
 
 @dataclass(frozen=True)
 class DampingRule:
@@ -74,7 +67,7 @@ def iterate(
     damping_rule: DampingRule,
     max_iterations: int,
     on_step: Callable[[int, P, float, bool], None],
-    should_stop: ShouldStopSearch,
+    should_stop: Callable[[], bool],
 ) -> IterationResult[P]:
     """Takes damped steps until the iteration has converged, has stalled or reaches its limit.
 

@@ -22,7 +22,6 @@ from tustinnet.fitting.shooting.equation_error import MeasuredMotion, collect_mo
 from tustinnet.fitting.shooting.groups import expand_parameters, group_indices
 from tustinnet.fitting.shooting.identifiability import ConfoundedParameters
 from tustinnet.fitting.shooting.least_squares import CostFunction, LeastSquaresResult, Prior
-from tustinnet.fitting.shooting.levenberg_marquardt import ShouldStopSearch, never_stop_search
 from tustinnet.fitting.shooting.normal import NormalProducts, compute_products
 from tustinnet.fitting.shooting.segments import CutOptions, Segments, cut_records
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
@@ -46,8 +45,7 @@ class Problem:
         records: the training records.
         validation: the validation records, whose free runs choose how initial states are treated.
         search: the options of the search, as the recipe has them.
-        listener: gets every iteration and every stage.
-        should_stop: asked before every stage and every step of one, as for a time limit.
+        listener: gets every iteration and every stage; asked before each whether to stop.
         remarks: findings about the records, before the search.
     """
 
@@ -56,8 +54,11 @@ class Problem:
     validation: tuple[Experiment, ...]
     search: SearchRecipe
     listener: Listener = SILENT
-    should_stop: ShouldStopSearch = never_stop_search
     remarks: tuple[Finding, ...] = ()
+
+    def should_stop(self) -> bool:
+        """Whether the search ends before its next step."""
+        return self.listener.should_stop(0.0)
 
     @cached_property
     def plant(self) -> "Problem":
