@@ -17,6 +17,7 @@ from .evaluate.next_record import Proposal as Proposal
 from .evaluate.next_record import rank_proposals as rank_proposals
 from .evaluate.record_design import DesignOptions as DesignOptions
 from .evaluate.record_design import design_record as design_record
+from .evaluate.residuals import residual_reports as residual_reports
 from .evaluate.scores import evaluate as evaluate
 from .evaluate.scores import free_run as free_run
 from .evaluate.scores import mean_rmse as mean_rmse
@@ -33,6 +34,7 @@ from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
 from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
 from .fitting.inverse_dynamics.record_forces import RecordForces as RecordForces
+from .fitting.listener import Listener as Listener
 from .fitting.recipe import Recipe as Recipe
 from .fitting.recipe_reading import read_recipe as read_recipe
 from .fitting.report import Estimate as Estimate

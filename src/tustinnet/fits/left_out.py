@@ -4,6 +4,8 @@ What spoils one fit spoils all: folds, scores, committees and bands. So the part
 by the cheapest model that can tell: the system that is given, or a mechanism.
 """
 
+from dataclasses import replace
+
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.inspection import held_equilibrium
 from tustinnet.data.spoiled import find_without_model, leave_out
@@ -13,8 +15,8 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.identify import UnfinishedSearchError, identify_task
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.roles import Roles, records_without_test
-from tustinnet.fitting.task import Fold, Member, Task, resolve_system
+from tustinnet.fitting.roles import records_without_test
+from tustinnet.fitting.task import Member, make_task
 from tustinnet.systems.files import AnySystem
 
 
@@ -40,12 +42,13 @@ def leave_out_unexplained(
     by = "a mechanism" if system is None else "the system"
     listener.on_message(f"parts of records that spoil fits: searched for by {by}")
     recipe = read_recipe("mechanism" if system is None else "best-grey", ("search.refine=none",))
-    roles = Roles(tuple(records_without_test(data)), ())
-    task = Task(recipe, (Fold(roles),), (Member(),), resolve_system(recipe, system))
+    records = records_without_test(data)
+    unsplit = replace(data, experiments=tuple(replace(e, split=None) for e in records))
     try:
+        task = make_task(unsplit, recipe, system=system)
         fit = identify_task(task, Member(), Listener(should_stop=listener.should_stop))
     except UnfinishedSearchError:
         return data, (make_finding("spoiled no time"),)
     except Exception as error:  # of any kind: all records are fitted to
         return data, (make_finding("spoiled not searched", why=error_message(error)),)
-    return leave_out(data, find_spoiled(fit.model, roles.all))
+    return leave_out(data, find_spoiled(fit.model, records))

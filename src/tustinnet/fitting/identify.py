@@ -9,16 +9,16 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
-from tustinnet.channels import Channels, Input
+from tustinnet.channels import Channels
 from tustinnet.data.inspection import transient_end
 from tustinnet.errors import InputError
 from tustinnet.finding import make_finding
+from tustinnet.fitting.arrangement import arrange_system
 from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_beyond_limits
 from tustinnet.fitting.inverse_dynamics.identification import identify_by_inverse_dynamics
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.report import FitResult, Identification, SignAlternatives
-from tustinnet.fitting.roles import describe_left_out
 from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.checks import (
     require_finite_terms,
@@ -42,7 +42,6 @@ from tustinnet.fitting.shooting.stages import search
 from tustinnet.fitting.task import Member, Task
 from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.contract import require_float64
-from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.models.sensors import with_delays, with_sensor_errors
 from tustinnet.simulate.batches import batches
 from tustinnet.simulate.start_rules import FIT_SAMPLES
@@ -128,10 +127,7 @@ def _make_problem(task: Task, member: Member, listener: Listener) -> Problem:
     """
     recipe, roles = task.identification_recipe, task.folds[member.fold].roles
     # free runs over horizons, and of a refit, start in states fitted to so many samples
-    validation = roles.with_long_validation(FIT_SAMPLES).validation
-    left_out = [e for e in roles.validation if e not in validation]
-    for message in describe_left_out(left_out, FIT_SAMPLES):
-        listener.on_message(message)
+    roles = roles.with_long_validation(FIT_SAMPLES, listener.on_message)
     system = task.system
     assert system is not None
     records = list(roles.train)
@@ -146,14 +142,10 @@ def _make_problem(task: Task, member: Member, listener: Listener) -> Problem:
                 "or take [controller] out of the card",
             )
         system = system.for_records(records)
-    first = records[0].without_controller()
-    alone = [e.without_controller() for e in records]
-    system = system.plant.for_records(alone, f"record '{first.name}'")
+    system = arrange_system(system, records)
     of_file = () if system.source is None else system.source.remarks
     of_file = tuple(make_finding("of file", remark=remark) for remark in of_file)
-    beyond_limits = describe_beyond_limits(system, alone)
-    system = _with_open_holds(system, first.inputs)
-    system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
+    beyond_limits = describe_beyond_limits(system, [e.without_controller() for e in records])
     if recipe.search.part == "transients":
         # records that hardly move, in fewer than 10 samples, are left out
         records = [e[:end] for e in records if (end := transient_end(e)) >= 10]
@@ -176,7 +168,7 @@ def _make_problem(task: Task, member: Member, listener: Listener) -> Problem:
     return Problem(
         system=with_controller(system, channels, gains.parameters),
         records=tuple(e.with_timing(inputs) for e in records),
-        validation=tuple(e.with_timing(inputs) for e in validation),
+        validation=tuple(e.with_timing(inputs) for e in roles.validation),
         search=recipe.search,
         listener=listener,
         remarks=(*of_file, *beyond_limits, *gains.remarks),
@@ -249,13 +241,3 @@ def _find_suspect_signs(
     if unexplained is None or unexplained <= WELL_EXPLAINED:
         return ()
     return find_reversed_signs(problem.system, state.space, vector, problem.motion)
-
-
-def _with_open_holds(system: LagrangianSystem, inputs: Sequence[Input]) -> LagrangianSystem:
-    """The system without the holds that records declare otherwise: those of the records count."""
-    declared = {i.name: i.hold for i in inputs if i.hold not in (None, "unknown")}
-    opened = tuple(
-        replace(i, hold=None) if i.hold != declared.get(i.name, i.hold) else i
-        for i in system.inputs
-    )
-    return system if opened == system.inputs else replace(system, inputs=opened)

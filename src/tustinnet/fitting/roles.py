@@ -1,6 +1,6 @@
 """Roles of records: which train, which choose and rank; one rule for everything that fits."""
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
@@ -38,26 +38,32 @@ class Roles:
         """All records, training records first."""
         return (*self.train, *self.validation)
 
-    def with_long_validation(self, fewest: int) -> "Roles":
+    def with_long_validation(
+        self, fewest: int, on_message: Callable[[str], None] = lambda sentence: None
+    ) -> "Roles":
         """The roles without validation records of fewer samples, unless all are that short.
 
         A free run cannot start in them; the rest still chooses.
+
+        Args:
+            fewest: samples that a free run needs.
+            on_message: called with a sentence on each record that is left out.
         """
         kept = tuple(e for e in self.validation if len(e) >= fewest)
-        return replace(self, validation=kept) if kept else self
+        if not kept:
+            return self
+        for e in self.validation:
+            if len(e) < fewest:
+                on_message(
+                    f"left out of validation: {e.name}: {counted(len(e), 'sample')}; "
+                    f"expected at least {fewest}"
+                )
+        return replace(self, validation=kept)
 
 
 def records_without_test(data: DataSet) -> list[Experiment]:
     """The records that may take part in a fit: all but those of the split `test`."""
     return [e for e in data if e.split != "test"]
-
-
-def describe_left_out(records: Iterable[Experiment], fewest: int) -> list[str]:
-    """Sentences on validation records that are left out for having fewer samples."""
-    return [
-        f"left out of validation: {e.name}: {counted(len(e), 'sample')}; expected at least {fewest}"
-        for e in records
-    ]
 
 
 def assign_roles(data: DataSet) -> Roles:

@@ -6,7 +6,6 @@ from tustinnet.families.family import SolvedRecords
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe import SolvedRecipe
 from tustinnet.fitting.report import FINISHED, OUT_OF_TIME, FitResult
-from tustinnet.fitting.roles import describe_left_out
 from tustinnet.fitting.task import Member, Task
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_start, start_named
@@ -32,10 +31,7 @@ def solve_task(
     began, fold = time.perf_counter(), task.folds[member.fold]
     start_name = recipe.start or default_start(list(fold.roles.all))
     start = start_named(start_name)
-    roles = fold.roles.with_long_validation(start.samples)
-    left_out = [e for e in fold.roles.validation if e not in roles.validation]
-    for message in describe_left_out(left_out, start.samples):
-        listener.on_message(message)
+    roles = fold.roles.with_long_validation(start.samples, listener.on_message)
     horizon_samples(recipe.horizon, roles.all, start, f"recipe '{recipe.name}', horizon")
     records = SolvedRecords(roles.train, roles.validation, recipe.velocity, recipe.horizon)
     origin = None if fold.origin is None else fold.origin.model

@@ -3,18 +3,17 @@
 import math
 from collections.abc import Sequence
 
-from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import coordinate_timescales, rotating_coordinates
 from tustinnet.errors import InputError
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.timing import LAG
+from tustinnet.fitting.arrangement import arrange_system
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import resolve_system
 from tustinnet.models.forces import LAWS
-from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.systems.files import SystemTemplate
@@ -123,7 +122,7 @@ def _inverse_dynamics_problem(context: RunContext) -> str:
     if system is None or isinstance(system, SystemTemplate):
         return "without equations of motion"
     try:
-        system = _arranged(system, records)
+        system = arrange_system(system, records)
     except InputError:
         return ""  # what does not fit together is said by every candidate of the system
     if (obstacle := find_obstacle(system, records)) is not None:
@@ -142,16 +141,4 @@ def force_cutoff(context: RunContext, candidates: Sequence[Candidate]) -> float 
     if system is None or isinstance(system, SystemTemplate):
         return None
     alone = [e.without_controller() for e in records]
-    return choose_cutoff(_arranged(system, records), alone)
-
-
-def _arranged(system: LagrangianSystem, records: Sequence[Experiment]) -> LagrangianSystem:
-    """The system alone in the channels of records.
-
-    Raises:
-        InputError: records of another system.
-    """
-    first = records[0].without_controller()
-    system = system.plant.for_channels(first.coordinates, first.inputs, f"record '{first.name}'")
-    system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
-    return system
+    return choose_cutoff(arrange_system(system, records), alone)

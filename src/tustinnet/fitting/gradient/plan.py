@@ -26,7 +26,7 @@ from tustinnet.fitting.gradient.windows import (
 )
 from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.fitting.residual import make_residual
-from tustinnet.fitting.roles import Roles, describe_left_out
+from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Fold, Member, Task
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import batches
@@ -132,18 +132,14 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
     every_record = {id(e): e for f in peer_numbers for e in folds[f].roles.all}
     start_name = recipe.start or default_start([*every_record.values()], single[0])
     start = start_named(start_name)
-    task = replace(
-        task,
-        folds=tuple(
-            replace(fold, roles=fold.roles.with_long_validation(start.samples)) for fold in folds
-        ),
-    )
-    left_out = {
-        e.name: e
-        for f in fold_numbers
-        for e in folds[f].roles.validation
-        if all(e is not other for other in task.folds[f].roles.validation)
-    }
+    messages, ignored = list[str](), list[str]()
+    kept = [
+        fold.roles.with_long_validation(
+            start.samples, (messages if f in fold_numbers else ignored).append
+        )
+        for f, fold in enumerate(folds)
+    ]
+    task = replace(task, folds=tuple(replace(f, roles=r) for f, r in zip(folds, kept, strict=True)))
     peers = [task.folds[f].roles for f in peer_numbers]
     pool = RecordPool([e for roles in peers for e in roles.all])
     stages = tuple(
@@ -169,7 +165,7 @@ def make_plan(task: Task, devices: Sequence[Any] | None = None) -> TrainingPlan:
         run_indices=run_indices,
         run_counts=run_counts,
         start=start_name,
-        messages=tuple(describe_left_out(left_out.values(), start.samples)),
+        messages=tuple(dict.fromkeys(messages)),
         keys=jnp.stack([shuffling for _, shuffling in keys]),
         mesh=lay_out_devices(len(members), min(s.batch for s in recipe.stages), devices),
     )
