@@ -149,6 +149,11 @@ class Input(Described):
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
+    @property
+    def has_hold(self) -> bool:
+        """Whether its course between samples is known."""
+        return self.hold not in (None, "unknown")
+
 
 MOST_DELAY = 100  # samples between what a controller computes and what acts
 
@@ -253,7 +258,7 @@ def merge_timing(inputs: Sequence[Input], others: Sequence[Input]) -> tuple[Inpu
     return tuple(
         replace(
             i,
-            hold=(other.hold or i.hold) if i.hold in (None, "unknown") else i.hold,
+            hold=i.hold if i.has_hold else other.hold or i.hold,
             delay=other.delay,
         )
         for i, other in zip(inputs, others, strict=True)
@@ -483,7 +488,7 @@ def _describe_inputs(
     Where holds may be open, only those that both declare.
     """
     pairs = zip(first.inputs, second.inputs, strict=False)
-    compared = [not (open_holds and {i.hold for i in pair} & {None, "unknown"}) for pair in pairs]
+    compared = [not open_holds or all(i.has_hold for i in pair) for pair in pairs]
     return [
         [
             (

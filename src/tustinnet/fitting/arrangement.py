@@ -22,7 +22,7 @@ def arrange_system(system: LagrangianSystem, records: Sequence[Experiment]) -> L
     alone = [e.without_controller() for e in records]
     first = alone[0]
     system = system.plant.for_records(alone, f"record '{first.name}'")
-    declared = {i.name: i.hold for i in first.inputs if i.hold not in (None, "unknown")}
+    declared = {i.name: i.hold for i in first.inputs if i.has_hold}
     inputs = tuple(
         replace(i, hold=None) if i.hold != declared.get(i.name, i.hold) else i
         for i in system.inputs
