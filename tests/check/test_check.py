@@ -182,6 +182,29 @@ def test_a_slower_machine_is_no_other_period_for_sure(late: float) -> None:
     assert {f.severity for f in found} == {"warning"}
 
 
+def test_another_load_of_a_slide_is_no_fault_of_its_log_for_sure(tmp_path: Path) -> None:
+    for k, load in enumerate((0.0, 0.0, 5.0, 5.0, 10.0, 10.0)):
+        rng, x, v, positions = np.random.default_rng(k), 0.0, 0.0, []
+        force = 20.0 * np.repeat(rng.uniform(-1, 1, 30), 40)
+        for f in force.tolist():
+            positions.append(x)
+            for _ in range(5):
+                v += DT / 5 * (f - 6.0 * v - 3.0 * math.tanh(v / 0.01) - 40.0 * x) / (4.0 + load)
+                x += DT / 5 * v
+        table = np.column_stack([DT * np.arange(len(force)), np.round(positions, 5), force])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.9g", ",", header="t,x,f", comments="")
+    (tmp_path / "dataset.toml").write_text(
+        f'name = "slide"\ndt = {DT}\n[time]\ncolumn = "t"\n[[coordinates]]\nname = "x"\n'
+        'kind = "linear"\ncolumn = "x"\nunit = "m"\n'
+        '[[inputs]]\nname = "f"\ncolumn = "f"\nunit = "N"\n'
+    )
+    found = [f for f in check_folder(tmp_path) if f.is_serious]
+    assert {"r1"} <= {record for f in found for record in f.records} <= {"r0", "r1"}
+    assert {f.severity for f in found} == {"warning"}
+    assert {f.code for f in found} <= {"gain", "other machine"}
+    assert all('{ "machine" = "other" }' in str(f.mend) for f in found)
+
+
 # --- velocity columns ---
 
 

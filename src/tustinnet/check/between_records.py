@@ -35,6 +35,7 @@ from tustinnet.check.motion_model import (
     split_into_blocks,
 )
 from tustinnet.check.view import RecordView
+from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import card_entry
 from tustinnet.finding import Finding
 
@@ -42,6 +43,7 @@ _OFFSETS = np.array([-1, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])  # of the rang
 _LAGS = np.array([-8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 16.0])  # samples
 _FACTORS = np.log([0.1, 0.5, 0.8, 1.25, 2.0, 10.0])
 _UNITS = np.log([np.pi / 180, 180 / np.pi, 1e3, 1e-3])
+_USUAL_GAINS = np.abs([np.log(2), np.log(4), np.log(10), *_UNITS])  # of units, and of counted edges
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,15 @@ class _Verdict:
     after: float
 
 
-def list_suspicions(channels: Channels, ranges: Float[np.ndarray, " n_q"]) -> list[Suspicion]:
+def list_suspicions(
+    channels: Channels, ranges: Float[np.ndarray, " n_q"], *, has_times: bool
+) -> list[Suspicion]:
     """Faults that a record with some channels may have.
 
     Args:
         channels: coordinates and inputs.
         ranges: range of each coordinate over all records, (n_q,).
+        has_times: whether records have times, so that a slower one is of a slower machine.
     """
     suspicions = []
     for side, listed in enumerate((channels.coordinates, channels.inputs)):
@@ -113,10 +118,13 @@ def list_suspicions(channels: Channels, ranges: Float[np.ndarray, " n_q"]) -> li
         for j, i in combinations(range(len(listed)), 2):
             undo = _change(side, [j, i], lambda x, _: x[:, ::-1])
             suspicions.append(Suspicion("swap", (listed[i].name, listed[j].name), undo, np.ones(1)))
-    return [
-        *suspicions,
-        Suspicion("record period", (), lambda q, u, _: (q, u), _FACTORS, LEVELS.period_by_motion),
-    ]
+    if not has_times:
+        suspicions.append(
+            Suspicion(
+                "record period", (), lambda q, u, _: (q, u), _FACTORS, LEVELS.period_by_motion
+            )
+        )
+    return suspicions
 
 
 def _change(
@@ -148,7 +156,10 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
     if len(files) < LEVELS.fewest_files or regressors is None:
         return
     ranges = np.median([np.ptp(v.experiment.q, axis=0) for v in views], axis=0)
-    suspicions = list_suspicions(views[0].experiment.channels, ranges)
+    card = views[0].card
+    suspicions = list_suspicions(
+        views[0].experiment.channels, ranges, has_times=card is not None and card.time is not None
+    )
     parts = [*files.values()]
     samples = [
         [b for v in file for b in split_into_blocks(v.experiment.q, v.experiment.u)]
@@ -288,7 +299,8 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         key = f"exchange `column` with that of {names[1]}"
         values.update(channels=names)
     elif check == "gain":
-        values.update(gain=1 / factor)
+        is_usual = np.abs(_USUAL_GAINS - abs(size)).min() < LEVELS.gain_of_coordinate
+        values.update(gain=1 / factor, may_be_machine=not is_usual)
         key = f"scale = {factor:.4g}" if is_input else _gain_key(view, name, factor)
     elif check == "offset" and channel is not None:
         values.update(offset=-size, unit=channel.unit)
@@ -303,10 +315,16 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
     else:
         values.update(milliseconds=1e3 * factor * dt, declared=1e3 * dt)
         key = f"dt = {factor * dt:.4g}"
-    line = (input_line if is_input else coordinate_line)(name, key) if name else top_line(key)
+    if values.get("may_be_machine"):
+        mend = _of_other_machine(e)
+    elif key:
+        line = (input_line if is_input else coordinate_line)(name, key) if name else top_line(key)
+        mend = f"in a card of its own, {line}"
+    else:
+        mend = without_record(e)
     return view.finding(
         check,
-        f"in a card of its own, {line}" if key else without_record(e),
+        mend,
         name,
         residual=verdict.after / verdict.before,
         **values,
@@ -326,6 +344,11 @@ def _gain_key(view: RecordView, name: str, factor: float) -> str:
     return f"scale = {factor * (block.scale if block else 1.0):.4g}"
 
 
+def _of_other_machine(e: Experiment) -> str:
+    """The line of the card by which a record has parameters of its own."""
+    return file_line(e, card_entry(e, 0, len(e), {"machine": "other"}))
+
+
 def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -> Iterator[Finding]:
     """Files that parameters of their own explain, and those of the others do not."""
     cost = model.costs()
@@ -338,10 +361,9 @@ def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -
             and model.novelty(model.equations[r], r) < LEVELS.novel_machine
         ):
             for view in views:
-                e = view.experiment
                 yield view.finding(
                     "other machine",
-                    file_line(e, card_entry(e, 0, len(e), {"machine": "other"})),
+                    _of_other_machine(view.experiment),
                     of_others=cost[r] / usual,
                     of_own=own / usual,
                 )

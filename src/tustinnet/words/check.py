@@ -97,7 +97,8 @@ CHECK = {
     "sign": severe("{channel} has the opposite sign in this record", size=_LEFT),
     "swap": severe("{channels:and} are swapped in this record", size=_LEFT),
     "gain": warning(
-        "{channel} has another gain in this record",
+        "{channel} has another gain in this record[[{may_be_machine}, or the record is of another "
+        "machine or payload]]",
         size="{gain:.4g} times that in the others; " + _LEFT,
     ),
     "offset": warning(
