@@ -288,7 +288,7 @@ class Choice(Shown):
         code = "not clearly better"
         if mean < 0:
             code = "other better"
-        elif mean > max(CLEAR * error, level):
+        elif mean > level and (count < FEW or mean > CLEAR * error):
             code = "clearly better" if count >= FEW else "not clearly better few"
         return make_finding(
             code, other=name, difference=abs(mean), error=error, unit=self.unit, records=count

@@ -1,10 +1,11 @@
 """The queue of a selection: which job is next, and what is known of the candidates by then.
 
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
-more folds and with more seeds. Next is what could change the ranking soonest: first fits of every
-kind, the quickest first; then what takes least of further fits of those that are among the best,
-and of first fits of second ones of a kind. What is ahead of the best on the records that both have,
-and was scored on too few of them to be sure, is one fit from changing the ranking.
+more folds and with more seeds. Next is what could change the ranking soonest, which is what takes
+least: first fits of every kind, and further ones of the best by then; after these, further fits of
+others that are among the best, and first fits of second ones of a kind. What is ahead of the best
+on the records that both have, and was scored on too few of them to be sure, is one fit from
+changing the ranking.
 """
 
 import math
@@ -144,8 +145,10 @@ class CandidateQueue:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
                     if c.name in names:
-                        behind = 0 if c.name in ahead else number + places.get(c.name, 0)
-                        weight = self._weight(c, jobs[0], behind)
+                        place = places.get(c.name, 0)
+                        behind = 0 if c.name in ahead else number + place
+                        is_best = place == 0 and len({*places.values()}) > 1
+                        weight = self._weight(c, jobs[0], behind, is_best=is_best)
                         steps.append((weight, c, jobs))
                     break
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
@@ -256,16 +259,20 @@ class CandidateQueue:
 
     # --- what it costs ---
 
-    def _weight(self, candidate: Candidate, job: Job, behind: int) -> tuple[bool, float]:
+    def _weight(
+        self, candidate: Candidate, job: Job, behind: int, *, is_best: bool
+    ) -> tuple[bool, float]:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
-        First fits are first, but for second ones of a kind and of what the plan calls `last`. The
-        cost is the expected seconds, which count more the rarer that is, and for every fold before.
+        First fits and further ones of the best are first, but for first fits of second ones of a
+        kind and of what the plan calls `last`. The cost is the expected seconds, which count more
+        the rarer that is, and for every fold before.
 
         Args:
             candidate: the candidate.
             job: its next job.
             behind: rounds that it has behind it, and kinds that are better; 0 of what is ahead.
+            is_best: whether it is better than another kind, and none is better.
         """
         power, is_further = behind, candidate.name in self._seconds
         if not is_further and candidate.name not in self._promising:
@@ -273,25 +280,23 @@ class CandidateQueue:
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = max(len(self.results[candidate.name].fits_by_fold), 1)
         cost = folds * self._expected(job) * self._options.rarely**power
-        return is_further or power > 0, cost
+        return (not is_best if is_further else power > 0), cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
 
-        More where the equations that it corrects or begins with took longer than usual. Nothing
-        where it is done already.
+        More where the equations that it corrects or begins with took longer than usual, or all
+        fits did, as on a machine that others use. Nothing where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
         usual, candidate = job.recipe.usual_seconds, self.plan.candidate(job.candidate)
-        slower = min(
-            (
-                self._seconds[name] / self.plan.candidate(name).content.usual_seconds
-                for name in (*candidate.corrects, *candidate.begins_with)
-                if name in self._seconds
-            ),
-            default=1.0,
-        )
+        ratios = {
+            name: seconds / self.plan.candidate(name).content.usual_seconds
+            for name, seconds in self._seconds.items()
+        }
+        related = {*candidate.corrects, *candidate.begins_with} & ratios.keys()
+        slower = min((ratios[name] for name in related or ratios), default=1.0)
         here = max(self._seconds_of_usual.get(usual, usual), slower * usual)
         return self._seconds.get(job.candidate, here) * len(job.seeds)
 
