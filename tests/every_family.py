@@ -97,7 +97,7 @@ _FAMILIES = (
     "network taps",
 )
 # a structure twice, not beside one another; what one more member adds, its own case tries
-_MEMBERS = ("network memory", "hybrid", "linear", "network memory 2")
+_MEMBERS = ("network memory", "physics", "network taps", "network memory 2")
 _OTHERS = {
     "committee": lambda: tn.committee([example(name) for name in _MEMBERS]),
     "qube": lambda: nominal(SYSTEM, 1),

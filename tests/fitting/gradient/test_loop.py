@@ -320,8 +320,8 @@ def test_members_together_are_what_they_are_alone(longer, longer_whole):
 def test_windows_shared_among_devices_train_like_windows_on_one(longer):
     assert len(jax.devices()) == 2, "the tests' set-up makes two devices"
     recipe = longer.recipe
-    shared = plan_of(recipe, [Member(0)])
-    single = plan_of(recipe, [Member(0)], jax.devices()[:1])
+    shared = first_stage(plan_of(recipe, [Member(0)]))
+    single = first_stage(plan_of(recipe, [Member(0)], jax.devices()[:1]))
     assert dict(shared.mesh.shape) == {"members": 1, "windows": 2}
     assert dict(single.mesh.shape) == {"members": 1, "windows": 1}
     pairs = zip(jax.tree.leaves(run(shared)[0]), jax.tree.leaves(run(single)[0]), strict=True)
