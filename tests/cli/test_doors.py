@@ -147,6 +147,7 @@ def test_another_system_file_beside_the_output_is_never_replaced(
     out.mkdir()
     (out / "system.py").write_text("mine = True")
     identification = ("--recipe", "grey", "--system", system, "--set", "search.iterations=2")
+    identification += ("--set", "search.initial=anchored", "--set", "search.substeps=1")
     command = ("fit", folder, *identification, "--no-report", "--out", out)
     for more in ((), ("--overwrite",)):
         refused(*command, *more, names=("system.py", "another file than"))

@@ -45,8 +45,7 @@ candidates = [
   { name = "grey", recipe = "grey.toml" },
   { name = "network", recipe = "small.toml" },
 ]
-committees = [{ name = "both", of = ["grey", "network"] }]
-rounds = [{ folds = 2, keep = 1.0 }]
+rounds = [{ folds = 1 }]
 """
 
 
@@ -64,8 +63,8 @@ def test_the_command_chooses_and_judges_on_them(tmp_path, capsys):
     assert code == 0, err
     assert "* chosen: " in printed
     found = json.loads((out / "summary.json").read_text())["candidates"]
-    assert {c["name"] for c in found} == {"grey", "network", "both"}
-    assert all(len(c["folds"]) == 2 for c in found), err
+    assert {c["name"] for c in found} == {"grey", "network"}
+    assert all(len(c["folds"]) == 1 for c in found), err
     model = out / "model.safetensors"
     for more in (
         ("evaluate", model, logs, "--ahead", "3", "--residuals"),

@@ -24,6 +24,11 @@ from tustinnet.systems import qube_servo2_twin, twin
 
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
 QUIET = ("--quiet", "--no-report")
+BRIEF = tuple(
+    word
+    for change in ("initial=anchored", "substeps=1", "iterations=4")
+    for word in ("--set", f"search.{change}")
+)
 
 
 def test_fit_finds_the_parameters_and_keeps_model_summary_and_figures(identified):
@@ -62,7 +67,9 @@ def test_residuals_show_the_stretches_that_weighed_little(
         replace(e, q=e.q + spike[: len(e)], v=None, v_measured=False) if e.split == "train" else e
         for e in pendulum
     ]
-    recipe = read_recipe("grey", ["search.robust=student"])
+    recipe = read_recipe(
+        "grey", ["search.robust=student", "search.initial=anchored", "search.substeps=1"]
+    )
     request = FitRequest(tn.DataSet("spoilt", tuple(spoilt)), recipe, system=system)
     model = run_fit(prepare(request), tmp_path / "run").folder / "model.safetensors"
     told = read_header(model)["identification"]["downweighted"]
@@ -450,7 +457,7 @@ def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
     for arguments in (
         ["evaluate", model, folder],
         ["evaluate", model, model, folder],
-        ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", *QUIET],
+        ["fit", folder, "--recipe", "grey", "--out", tmp_path / "again", *QUIET, *BRIEF],
     ):
         code, out, err = tustinnet(capsys, *arguments, "--system", system)
         assert code == 0, err
@@ -546,7 +553,7 @@ def test_variants_of_a_system_are_compared(identified, folder, system, tmp_path,
         files.append(tmp_path / f"{name}.py")
         files[-1].write_text(text)
         models.append(tmp_path / name / "model.safetensors")
-        arguments = ["fit", folder, "--recipe", "grey", "--system", files[-1], *QUIET]
+        arguments = ["fit", folder, "--recipe", "grey", "--system", files[-1], *QUIET, *BRIEF]
         assert tustinnet(capsys, *arguments, "--out", models[-1].parent)[0] == 0
 
     def compare(models, files):
@@ -598,6 +605,7 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
         "--out",
         tmp_path / "out",
         *QUIET,
+        *BRIEF,
     )
     assert code == 0
     assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}
@@ -617,6 +625,8 @@ def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, cap
         'model.forces=["coulomb", "maxwell"]',
         "--set",
         "model.fixed.angle.relaxation=2.0",
+        *BRIEF,
+        "--no-report",
         "--out",
         out,
     )

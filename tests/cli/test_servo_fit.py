@@ -45,7 +45,7 @@ def fit(capsys, logs: Path) -> str:
     assert code == 0, err
     assert f"--recipe grey --system {system} --out RUN" in err
     assert "not matched" not in err
-    command = ["fit", logs, "--recipe", "grey", "--system", system, "--out", run]
+    command = ["fit", logs, "--recipe", "grey", "--system", system, "--out", run, "--no-report"]
     code, out, err = tustinnet(capsys, *command)
     assert code == 0, err
     return out + err

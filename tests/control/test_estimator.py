@@ -99,7 +99,7 @@ def test_a_delay_of_the_inputs_is_known():
 
 
 def test_noise_of_a_right_model_is_that_of_its_encoder():
-    records = [quantised(f"run{i}", voltage(400, i)) for i in range(4)]
+    records = [quantised(f"run{i}", voltage(250, i)) for i in range(4)]
     right = tn.discretise(swing_model(), DT, 4)
     found = find_noise(right, records[:2])
     np.testing.assert_allclose(found.measured, COUNT / np.sqrt(12))

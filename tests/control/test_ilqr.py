@@ -108,7 +108,7 @@ def test_policies_of_machine_code_are_those_of_numpy(monkeypatch):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("limit", [15.0, 5.0, 3.0])
+@pytest.mark.parametrize("limit", [15.0, 3.0])
 def test_the_pendulum_swings_up(limit):
     model = example("qube")
     plan = ilqr(model, HANGING, UPRIGHT, 450, limits={"voltage": (-limit, limit)})

@@ -102,7 +102,15 @@ def test_a_reader_that_would_do_more_than_read_ends(
     names = ["beside.py", "log.evil", "log.npz"]
     assert sorted(p.name for p in path.parent.iterdir()) == names
     assert path.read_text() == "data"
-    assert read_columns(path.with_name("log.npz"))["x"].tolist() == [0, 1, 2]  # by the next process
+
+
+def test_after_a_reader_that_was_ended_the_next_process_reads(
+    plant: Callable[[str], Path],
+) -> None:
+    path = plant("os.remove(path)")
+    with pytest.raises(InputError, match="reading it would change files"):
+        read_columns(path)
+    assert read_columns(path.with_name("log.npz"))["x"].tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

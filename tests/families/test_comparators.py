@@ -71,12 +71,9 @@ def test_every_kind_has_a_packaged_recipe():
 
 
 def test_it_is_cross_validated(pendulum):
-    for kind in KINDS:
-        asked = tn.make_cross_validation_options(
-            recipe(kind, epochs=2), folds=3, starts=["derived-6"]
-        )
-        found = tn.cross_validate(pendulum, asked)
-        assert {s.record for s in found.scores} == {e.name for e in pendulum}
+    asked = tn.make_cross_validation_options(recipe("gru", epochs=2), folds=3, starts=["derived-6"])
+    found = tn.cross_validate(pendulum, asked)
+    assert {s.record for s in found.scores} == {e.name for e in pendulum}
 
 
 def test_a_gru_that_says_nothing_keeps_its_velocity_and_forgets(pendulum):

@@ -13,9 +13,9 @@ from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
-from tustinnet.fitting.gradient.plan import groups_alike
+from tustinnet.fitting.gradient.plan import groups_alike, make_plan
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.fitting.task import Fold, Member, Task, make_task
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.integrate import Discretised
@@ -243,11 +243,10 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
 
 def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):
     fine = tn.discretise(swing_model(), DT, 8)
-    quick = {**RECIPE, "stages": [{**RECIPE["stages"][0], "epochs": 1}]}
 
     def steps(**model: object) -> int:
-        recipe = {**quick, "model": {**RECIPE["model"], **model}}
-        found = tn.fit(records, recipe, physics=fine).model
+        recipe = {**RECIPE, "model": {**RECIPE["model"], **model}}
+        found = make_plan(make_task(records, recipe, physics=fine)).models
         assert isinstance(found, HybridModel)
         assert isinstance(found.physics, Discretised)
         return found.physics.substeps

@@ -13,7 +13,6 @@ from tustinnet.evaluate.residuals import residual_reports
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.recipe_reading import read_recipe
-from tustinnet.fitting.task import Member
 from tustinnet.selection.cross_validation import cross_validate, make_cross_validation_options
 from tustinnet.simulate import rollout as simulator
 from tustinnet.simulate.horizon import effective_horizon
@@ -53,16 +52,20 @@ WITH_VALIDATION = ("train", "train", "validation", "validation")
 @pytest.mark.parametrize(
     ("of", "keys", "splits"),
     [
-        *((name, {}, WITH_VALIDATION) for name in TRAINED if name != "tustin-net"),
-        ("tustin-net", {"horizon": 0.8, "start": "model-10"}, WITH_VALIDATION),
-        ("tustin-net", {}, ("train",)),
+        ("gru", {}, WITH_VALIDATION),
+        ("hybrid", {}, WITH_VALIDATION),
+        (
+            "with memory, taps and a linear map",
+            {"horizon": 0.8, "start": "model-10"},
+            WITH_VALIDATION,
+        ),
+        ("neural-ode", {}, ("train",)),
     ],
     ids=str,
 )
 def test_every_family_trains_on_them_and_is_judged(of, keys, splits, tmp_path):
     data, physics = free_swings(splits), free() if of == "hybrid" else None
-    members = [Member(0), Member(1)]
-    request = FitRequest(data, recipe(TRAINED[of], **keys), members, physics=physics)
+    request = FitRequest(data, recipe(TRAINED[of], **keys), physics=physics)
     run = run_fit(prepare(request), tmp_path / "run")
     assert all(member.result.finished for member in run.members)
     assert np.isfinite(run.best.mean)

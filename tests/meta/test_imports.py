@@ -124,6 +124,7 @@ def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tm
             "--out",
             tmp_path / "f",
             "--quiet",
+            "--no-report",
         ),
     }[verb]
     told = python(TELLING + command(verb, *given))

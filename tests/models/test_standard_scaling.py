@@ -67,10 +67,11 @@ def test_a_coordinate_that_never_moves_has_a_unit_of_1():
 
 
 def test_a_trained_network_with_pairs_is_read_as_it_was_written(tmp_path):
-    recipe = tn.read_recipe(
-        "network", ["stages.0.epochs=1", "stages.0.windows.count=20", "model.hidden=[5]"]
-    )
-    model = tn.fit(shaft(), recipe).model
+    stage = {"name": "one", "epochs": 1, "batch": 16, "rate": 1e-3}
+    stage["windows"] = {"draw": "strided", "length": 8, "count": 16}
+    known = {"kind": "tustin-net", "hidden": [3], "scaling": "standard"}
+    recipe = {"name": "short", "model": known, "stages": [stage]}
+    model = tn.fit(shaft().split("train"), recipe).model
     tn.save(model, tmp_path / "model.safetensors")
     again = tn.load_model(tmp_path / "model.safetensors")
     assert isinstance(again, TustinNet)

@@ -15,7 +15,7 @@ from tustinnet.store.checkpoint import model_digest
 
 
 def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypatch, capsys):
-    text = NETWORK_ONLY.replace("model-10", "derived-6")
+    text = NETWORK_ONLY.replace("model-10", "derived-6").replace("small.toml", "linear")
     plan = read_plan(plan_in(tmp_path, text))
     monkeypatch.setattr("tustinnet.selection.select.read_plan", lambda _: plan)
     out = tmp_path / "command"
@@ -26,7 +26,7 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     choice = tn.fit(tn.load(folder), budget=math.inf, folder=tmp_path / "python")
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert "network, fold 0" in printed.err
+    assert "best so far: network" in printed.err
     starts = [c["starts"] for c in by_command["candidates"]]
     assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
     files = [place / "model.safetensors" for place in (out, tmp_path / "python")]

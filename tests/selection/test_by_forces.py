@@ -145,9 +145,10 @@ def test_columns_that_forces_show_to_be_mistaken_end_the_search(tmp_path):
     """Torques that are exchanged: no candidate that follows could be worth its time."""
     (arm := tmp_path / "arm.urdf").write_text(ARM)
     system = tn.load_system(arm)
-    data = record_in_loop(system, true_values(system, seed=3), count=3, seconds=4.0)
+    data = record_in_loop(system, true_values(system, seed=3), count=3, seconds=3.0)
     exchanged = replace(data, experiments=tuple(replace(e, u=e.u[:, ::-1]) for e in data))
-    options = SelectionOptions(plan_in(tmp_path, PLAN), system)
+    plan = PLAN.replace("[[candidates]]", '[[candidates]]\nset = ["search.candidates=[]"]', 1)
+    options = SelectionOptions(plan_in(tmp_path, plan), system)
     with pytest.raises(tn.InputError, match=r"forces of .* are probably exchanged"):
         select_model(exchanged, tmp_path / "run", options)
     assert not (tmp_path / "run/candidates/grey").exists()

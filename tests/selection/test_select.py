@@ -50,7 +50,17 @@ def _rough_models():
         yield
 
 
-def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
+# solved, not trained: for what has nothing to do with training
+SOLVED = NETWORK_ONLY.replace("small.toml", "linear")
+ONE_FOLD = ("rounds = [{ folds = 3 }]", "rounds = [{ folds = 1 }]")
+GREY_ONCE = (
+    NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml").replace(*ONE_FOLD)
+)
+
+
+def selected(
+    folder: Path, earlier: Earlier = "refuse", data=None, text: str = NETWORK_ONLY, **changes
+):
     """A selection of the network alone, and the jobs that were done in it."""
     done: list[Job] = []
 
@@ -58,7 +68,7 @@ def selected(folder: Path, earlier: Earlier = "refuse", data=None, **changes):
         done.append(job)
         return Reporter().make_listener(job)
 
-    options = SelectionOptions(plan_in(folder, NETWORK_ONLY), **changes)
+    options = SelectionOptions(plan_in(folder, text), **changes)
     choice = select_model(
         data or swings(), folder / "run", options, earlier, Reporter(make_listener=tell)
     )
@@ -183,11 +193,12 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
     both = NETWORK_ONLY.replace(
         "candidates = [", 'candidates = [{ name = "fast", recipe = "small.toml", when = "fast" }, '
     )
-    said: list[str] = []
-    options = SelectionOptions(plan_in(tmp_path, both))
-    select_model(swings(), tmp_path / "slow", options, reporter=Reporter(said.append))
-    assert said[0] == "left out, only for fast records: fast"
     plan = read_plan(plan_in(tmp_path, both))
+    candidates, left_out = applicable_candidates(
+        plan, RunContext(swings(), Scorer(3, "model-10")), None
+    )
+    assert [c.name for c in candidates] == ["network"]
+    assert "left out, only for fast records: fast" in map(str, left_out)
     t = np.arange(200)
     fast = tn.DataSet(
         "fast",
@@ -369,7 +380,7 @@ def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_
             fit_in_folder(folder, *more, **named),
         )[1],
     )
-    choice, _ = selected(tmp_path)
+    choice, _ = selected(tmp_path, text=SOLVED)
     horizon = choice.context.scoring.horizon
     assert horizon == pytest.approx(0.1 * 200 * 0.02, abs=0.25)
     assert f"judged over pieces of {horizon:.3g} s instead" in choice.findings[-1].text
@@ -398,18 +409,18 @@ def test_resumed_it_does_no_job_twice_and_comes_to_the_same(alone):
 
 def test_a_job_of_other_records_is_done_again(tmp_path):
     data = swings()
-    first, _ = selected(tmp_path)
+    first, _ = selected(tmp_path, text=SOLVED)
     last = data[4]
     other = replace(data, experiments=(*data[:4], replace(last, q=last.q + 0.01)))
     with pytest.raises(InputError, match=r"another data \(noise3\)"):
-        selected(tmp_path, "resume", other)
+        selected(tmp_path, "resume", other, SOLVED)
     (first.context.folder / "question.json").unlink()  # as of a folder that does not say it
-    again, _ = selected(tmp_path, "resume", other)
+    again, _ = selected(tmp_path, "resume", other, SOLVED)
     assert again.result("network").rmse() != first.result("network").rmse()
 
 
 def test_a_damaged_account_of_a_job_is_not_believed(tmp_path, monkeypatch):
-    first, _ = selected(tmp_path)
+    first, _ = selected(tmp_path, text=SOLVED)
     paths = sorted(first.context.folder.glob("candidates/*/*/scores.json"))
     sound = [path.read_text() for path in paths]
     for path, text in zip(paths, ("{", "[]", sound[2].replace('"done"', '"fine"')), strict=True):
@@ -421,7 +432,7 @@ def test_a_damaged_account_of_a_job_is_not_believed(tmp_path, monkeypatch):
         return fit_in_folder(folder, *more, **named)
 
     monkeypatch.setattr(jobs, "fit_in_folder", fit)
-    again, _ = selected(tmp_path, "resume")
+    again, _ = selected(tmp_path, "resume", text=SOLVED)
     assert len(fitted) == 3
     assert again.result("network").rmse() == first.result("network").rmse()
 
@@ -490,7 +501,7 @@ def test_an_identification_from_all_records_that_raises_leaves_the_models_of_fol
         raise FloatingPointError("overflow")
 
     monkeypatch.setattr(final_models, "fit_in_folder", fails)
-    plan = plan_in(tmp_path, TWO.replace(', { name = "network", recipe = "small.toml" }', ""))
+    plan = plan_in(tmp_path, GREY_ONCE)
     choice = select_model(swings(), tmp_path / "run", SelectionOptions(plan, SWING))
     assert choice.origins["grey"].endswith(
         "; not identified from all records: FloatingPointError: overflow"
@@ -562,7 +573,7 @@ def test_an_interruption_of_what_comes_after_the_candidates_ends_with_the_best(
         return {}
 
     monkeypatch.setattr("tustinnet.selection.select.score_committees", committees)
-    choice, _ = selected(tmp_path)
+    choice, _ = selected(tmp_path, text=SOLVED)
     assert choice.best == "network"
     assert choice.findings[-1].text.startswith("interrupted: ")
 
@@ -628,8 +639,7 @@ def stop_searches(monkeypatch, asked: int) -> None:
 def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_it(
     tmp_path, monkeypatch
 ):
-    text = NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml")
-    options = SelectionOptions(plan_in(tmp_path, text), SWING)
+    options = SelectionOptions(plan_in(tmp_path, GREY_ONCE), SWING)
     said: list[str] = []
 
     def select(earlier: Earlier) -> tuple[Choice, list[tuple[str, str]]]:
@@ -644,15 +654,15 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
             select("refuse")
         stop_searches(patch, 4)
         stopped, ended = select("resume")
-    assert [e for e, _ in ended] == ["out of time"] * 3
+    assert [e for e, _ in ended] == ["out of time"]
     assert all("stopped at its time limit after stage 1 of " in outcome for _, outcome in ended)
     assert np.isfinite(list(stopped.result("grey").rmse().values())).all()
     assert (
         "grey, fold 0: its share of the budget was spent: its last finished stage is scored" in said
     )
-    assert any("identifications stopped by the budget: 3 of 3" in s.text for s in stopped.findings)
+    assert any("identifications stopped by the budget: 1 of 1" in s.text for s in stopped.findings)
     resumed, ended = select("resume")
-    assert [e for e, _ in ended] == ["done"] * 3
+    assert [e for e, _ in ended] == ["done"]
     assert all(outcome.startswith("converged") for _, outcome in ended)
     assert not any("stopped by the budget" in s.text for s in resumed.findings)
 
@@ -660,7 +670,6 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
 def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones(
     tmp_path, monkeypatch
 ):
-    text = NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml")
     questions = itertools.count()
 
     def fit(folder, task, listener, **named):
@@ -669,7 +678,7 @@ def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones
 
     monkeypatch.setattr("tustinnet.selection.final_models.fit_in_folder", fit)
     choice = select_model(
-        swings(), tmp_path / "run", SelectionOptions(plan_in(tmp_path, text), SWING)
+        swings(), tmp_path / "run", SelectionOptions(plan_in(tmp_path, GREY_ONCE), SWING)
     )
     assert choice.origins["grey"].startswith("the model of one fold")
     assert choice.origins["grey"].endswith("no time was left to identify it from all records")
@@ -686,7 +695,7 @@ def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has
 def test_one_record_is_cut_and_told(tmp_path):
     one = replace(swings(), experiments=(swings()[0],))
     with pytest.raises(InputError, match=r"fall1.*200 samples: cut into 6.*at least 100"):
-        selected(tmp_path, data=one)
+        selected(tmp_path, data=one, text=SOLVED)
     long = replace(
         one,
         experiments=(
@@ -700,7 +709,7 @@ def test_one_record_is_cut_and_told(tmp_path):
             ),
         ),
     )
-    choice, _ = selected(tmp_path, data=long)
+    choice, _ = selected(tmp_path, data=long, text=SOLVED)
     assert "cut into 6 pieces in time" in choice.findings[-1].text
     assert len(choice.result("network").rmse()) == 6
 
@@ -708,7 +717,7 @@ def test_one_record_is_cut_and_told(tmp_path):
 def test_test_records_take_part_in_nothing(tmp_path):
     data = swings()
     kept = replace(data[0], split="test")
-    choice, _ = selected(tmp_path, data=replace(data, experiments=(kept, *data[1:])))
+    choice, _ = selected(tmp_path, data=replace(data, experiments=(kept, *data[1:])), text=SOLVED)
     assert kept.name not in choice.result("network").rmse()
     told = read_header(choice.context.folder / "model.safetensors")["data"]["records"]
     assert kept.name not in [r["name"] for r in told]
@@ -723,8 +732,8 @@ def test_what_means_nothing_is_refused(tmp_path):
 
 def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     said: list[str] = []
-    plan = plan_in(tmp_path).read_text().replace("folds = 3\nseeds = 2", "folds = 3\nseeds = 1")
-    plan = plan[: plan.rindex("[[rounds]]")]
+    plan = plan_in(tmp_path).read_text().replace("small.toml", "linear")
+    plan = plan[: plan.index("[[rounds]]")] + "[[rounds]]\nfolds = 1\n"
     options = SelectionOptions(plan_in(tmp_path, plan))
     choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
     assert said[0] == "left out, requires a system (`system=`): grey, hybrid"
@@ -771,9 +780,13 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
 
 
 def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
-    content = MECHANISM.replace('when = "no-system"\n', "").replace(
-        'name = "hybrid"\nrecipe = "hybrid.toml"\ncorrects = ["mechanism"]',
-        'name = "grey"\nrecipe = "grey.toml"',
+    content = (
+        MECHANISM.replace('when = "no-system"\n', "")
+        .replace(
+            'name = "hybrid"\nrecipe = "hybrid.toml"\ncorrects = ["mechanism"]',
+            'name = "grey"\nrecipe = "grey.toml"',
+        )
+        .replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
     )
     (file := tmp_path / "swing.py").write_text("from swinging import SWING as SYSTEM\n")
     plan = plan_in(tmp_path, content)
@@ -804,7 +817,7 @@ def test_the_file_of_a_system_is_run_once(tmp_path):
         f"with open({str(runs)!r}, 'a') as log:\n    log.write('run\\n')\n"
         "from swinging import SWING as SYSTEM\n"
     )
-    plan = plan_in(tmp_path, TWO.replace(', { name = "network", recipe = "small.toml" }', ""))
+    plan = plan_in(tmp_path, GREY_ONCE)
     options = SelectionOptions(plan, find_system(file))
     choice = select_model(swings(), tmp_path / "run", options)
     assert choice.origins["grey"] == "identified from all 5 records"

@@ -385,7 +385,7 @@ def test_the_stiffness_of_a_gear_is_identified(hanging):
     system = tn.load_robot(hanging, elastic={"hip": 60.0})
     true = system.nominal() | {"hip.gear_stiffness": 100.0, "hip.armature": 0.01}
     model = system.model({name: jnp.asarray(value) for name, value in true.items()})
-    dt, count, rng = 0.002, 1000, np.random.default_rng(0)
+    dt, count, rng = 0.002, 600, np.random.default_rng(0)
     step, t = (
         tn.compiled_step(tn.discretise(model, dt, 4, inputs=system.inputs)),
         dt * np.arange(count),

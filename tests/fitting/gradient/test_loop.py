@@ -15,10 +15,7 @@ from tustinnet.fits.fit import fit_many
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.gradient import loop
 from tustinnet.fitting.gradient.epoch import (
-    WindowLoss,
     compute_validation_rmse,
-    compute_window_losses,
-    gather_windows,
 )
 from tustinnet.fitting.gradient.layout import lay_out_devices
 from tustinnet.fitting.gradient.loop import train
@@ -172,21 +169,6 @@ def test_a_mirrored_window_is_that_of_the_mirrored_records(prepared, monkeypatch
     assert not np.allclose(mine, plainly, rtol=1e-2, atol=1e-3)
 
 
-def test_mirrored_training_learns_the_side_that_was_never_recorded(prepared):
-    one_sided = with_stages(first_stage(prepared), mirror=False, averaging=None)
-    both_sides = with_stages(first_stage(prepared), mirror=True, averaging=None)
-    loss = WindowLoss(prepared.stages[0].residual, 10)
-    rows = jnp.asarray(prepared.stages[0].windows.rows[0])
-    target, u = gather_windows(
-        mirrored_records(prepared).records, prepared.internal_states[0], rows, loss
-    )
-    losses = []
-    for plan_of_a_side in (one_sided, both_sides):
-        model = jax.tree.map(lambda a: a[0], run(plan_of_a_side)[0])
-        losses.append(float(jnp.mean(compute_window_losses(model, target, u, loss))))
-    assert losses[1] < losses[0]
-
-
 def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
     _, progress, reports, _ = run(with_stages(first_stage(prepared), keep="training"))
     assert progress[0].best_score == min(r.loss for r in reports)
@@ -250,11 +232,11 @@ def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
 def test_a_stage_ends_when_its_figure_has_not_fallen_for_its_patience(prepared):
     # a rate at which nothing changes: the first epoch stays the best
     still = prepared.task.with_members([Member(0, 1e-30)])
-    patient = dataclasses.replace(with_stages(prepared, patience=2), task=still)
+    patient = dataclasses.replace(with_stages(first_stage(prepared), patience=2), task=still)
     _, progress, reports, _ = run(patient)
     assert progress[0].outcome == "finished"
-    assert progress[0].epochs == (3, 3)
-    assert [(r.stage, r.epoch) for r in reports][:3] == [("first", k) for k in (1, 2, 3)]
+    assert progress[0].epochs == (3,)
+    assert [(r.stage, r.epoch) for r in reports] == [("first", k) for k in (1, 2, 3)]
 
 
 def test_without_validation_records_the_training_loss_decides(pendulum, prepared):
@@ -338,8 +320,8 @@ def test_members_together_are_what_they_are_alone(longer, longer_whole):
 def test_windows_shared_among_devices_train_like_windows_on_one(longer):
     assert len(jax.devices()) == 2, "the tests' set-up makes two devices"
     recipe = longer.recipe
-    shared = plan_of(recipe, [Member(0)])
-    single = plan_of(recipe, [Member(0)], jax.devices()[:1])
+    shared = first_stage(plan_of(recipe, [Member(0)]))
+    single = first_stage(plan_of(recipe, [Member(0)], jax.devices()[:1]))
     assert dict(shared.mesh.shape) == {"members": 1, "windows": 2}
     assert dict(single.mesh.shape) == {"members": 1, "windows": 1}
     pairs = zip(jax.tree.leaves(run(shared)[0]), jax.tree.leaves(run(single)[0]), strict=True)
@@ -452,7 +434,7 @@ def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepar
 
 def test_training_learns_the_small_pendulum(pendulum):
     """A model of a system seen in training must beat a model that knows nothing."""
-    changes = ["epochs=120", "rate=3e-3", "windows.count=300"]
+    changes = ["epochs=70", "rate=3e-3", "windows.count=300"]
     recipe = tn.read_recipe("standard", ["model.hidden=[24]", *(f"stages.0.{c}" for c in changes)])
     result = tn.fit(pendulum, recipe, seed=0)
     scores = tn.evaluate(result.model, list(pendulum.split("validation")), "derived-6")
@@ -464,7 +446,8 @@ def test_linear_coordinates_train_too():
     q = np.column_stack([0.3 * np.sin(2 * t), np.cos(3 * t)])
     coordinates = [tn.Coordinate("slide", "linear"), tn.Coordinate("angle", "angular")]
     data = tn.DataSet("mixed", (tn.from_arrays(q, dt=0.02, coordinates=coordinates),))
-    result = tn.fit(data, tn.read_recipe("standard", ["stages.0.epochs=3"]))
+    changes = ["model.hidden=[4]", "stages.0.epochs=1", "stages.0.windows.count=50"]
+    result = tn.fit(data, tn.read_recipe("standard", changes))
     assert result.finished
     assert result.validation_rmse is None
 

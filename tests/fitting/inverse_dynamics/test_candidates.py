@@ -32,11 +32,24 @@ def twin(system: tn.LagrangianSystem, *names: str, **values: float) -> tn.DataSe
         name: richer.nominal()[name] for name in richer.nominal() if name not in system.nominal()
     }
     truth |= {name: values.get(name.rpartition(".")[2], x) for name, x in truth.items()}
-    return record_in_loop(richer, truth, 4, 5.0)
+    return record_in_loop(richer, truth, 3, 4.0)
 
 
-def test_dry_friction_with_a_memory_is_found_and_simulated(system):
-    data = twin(system, "slip:shoulder", slip_2=1.0, slip_4=1.5)
+@pytest.fixture(scope="module")
+def slipping(system) -> tn.DataSet:
+    """Records with a dry friction that has a memory."""
+    return twin(system, "slip:shoulder", slip_2=1.0, slip_4=1.5)
+
+
+@pytest.fixture(scope="module")
+def without(system, slipping):
+    """What is found in them by the forces of the file alone."""
+    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    return tn.identify(slipping, system, recipe)
+
+
+def test_dry_friction_with_a_memory_is_found_and_simulated(system, slipping, without):
+    data = slipping
     result = tn.identify(data, system, "inverse-dynamics")
     assert "slip:shoulder" in result.system.added
     (sentence,) = [s.text for s in result.findings if s.code == "holds at rest"]
@@ -44,9 +57,6 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system):
     levels = sum(result.values[f"shoulder.slip_{i}"] for i in range(1, 6))
     assert levels + result.values["shoulder.coulomb"] == pytest.approx(
         2.5 + true_values(system, 4)["shoulder.coulomb"], rel=0.1
-    )
-    without = tn.identify(
-        data, system, tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
     )
     with_it, alone = (
         next(e.share for e in r.force_errors if e.split == "validation") for r in (result, without)
@@ -122,10 +132,8 @@ def test_the_wrist_of_a_measured_arm_is_found(real_data):
     assert np.mean(held_out) < 0.15
 
 
-def test_forces_of_a_record_are_those_that_a_fit_names(system):
-    data = twin(system)
-    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
-    result = tn.identify(data, system, recipe)
+def test_forces_of_a_record_are_those_that_a_fit_names(slipping, without):
+    data, result = slipping, without
     (record,) = data.split("validation")
     forces = tn.inverse_dynamics(result.model, record, training=list(data.split("train")))
     named = [e for e in result.force_errors if e.split == "validation"]

@@ -82,9 +82,10 @@ batch = 20
 """
 
 
-@pytest.mark.parametrize("system", [SYSTEM, DECLARED], ids=["open", "declared"])
 @pytest.mark.parametrize(
-    "recipe", [[], ["search.refine=model-20", "search.initial=anchored"]], ids=["plain", "refined"]
+    ("system", "recipe"),
+    [(DECLARED, []), (SYSTEM, ["search.refine=model-20", "search.initial=anchored"])],
+    ids=["declared, plain", "open, refined"],
 )
 def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp_path):
     """Also where the system's file says another one: free runs of records that say none use it."""
