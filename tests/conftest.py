@@ -1,8 +1,6 @@
 """Set-up of all tests: double precision, a small system, the measured data where it is at hand."""
 
-import functools
 import gc
-import itertools
 import os
 import shutil
 from collections.abc import Iterator
@@ -33,7 +31,6 @@ import jaxtyping
 import numpy as np
 import pytest
 import remembered_checks  # noqa: F401 (before tustinnet: replaces the hook's decorator)
-from jax._src.interpreters import mlir
 
 import tustinnet as tn
 from tustinnet.fits.request import FitRequest, prepare
@@ -45,12 +42,6 @@ from tustinnet.simulate.programs import make_room
 # a tenth of the time
 gc.freeze()
 gc.set_threshold(50_000, 20, 50)
-
-# JAX makes what it writes a program down in anew for every program, and forgets it again: longer
-# than writing a small one takes; a hundred programs share it, with the constants that are in them
-_context = functools.lru_cache(1)(lambda _, make=mlir.make_ir_context: make())
-_written = itertools.count()
-mlir.make_ir_context = lambda: _context(next(_written) // 100)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # as the command has on a machine with two cores
