@@ -32,6 +32,8 @@ NAMES = [
     ("Sollposition X [mm]", "position", "mm", True),
     ("Istposition", "position", "", False),
     ("seilwinkel", "position", "", False),
+    ("Geschwindigkeitssollwert [mm/s]", "velocity", "mm/s", True),
+    ("BatteryVoltage_V", "other", "V", False),
     ("Schleppabstand [mm]", "error", "mm", False),
     ("wheelspeed", "velocity", "", False),
     ("uq", "voltage", "", False),

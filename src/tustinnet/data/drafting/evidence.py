@@ -115,6 +115,7 @@ class Weights:
             of a copy, and for one and a half.
         alike: correlation from which on two columns are proportional, nearly.
         circle: deviation of a radius, relative to it.
+        cut: mean square of what is cut from numbers to make them whole, nearly.
     """
 
     letter: float = 2.0
@@ -133,7 +134,7 @@ class Weights:
     follow: float = 4.0
     cause: float = 5.0
     back: float = 0.6
-    no_input: float = 3.0
+    no_input: float = 4.0
     no_position: float = 12.0
     further_input: float = 2.5
     stage: float = 8.0
@@ -148,6 +149,7 @@ class Weights:
     copies: tuple[float, float] = (0.7, 0.9)
     alike: float = 0.95
     circle: float = 0.03
+    cut: float = 0.4
 
 
 WEIGHTS = Weights()
@@ -182,6 +184,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         Evidence(role, -w.against * (2 if is_stated else 1), "")
         for role in ROLES[:-1]
         if spoken and role not in spoken and not (is_command and role == "set point")
+        # an acceleration may be commanded, as of a cart on a stepper
+        and not (role == "input" and spoken == {"acceleration"})
     ]
     if "input" in spoken:
         evidence.append(Evidence("input", -w.later * _STAGES.index(stage_of(reading)), ""))
@@ -275,15 +279,16 @@ class EvidenceTable:
         ]
         self._add_circles(records)
         self._add_errors(records)
+        fit, late = find_followers(records)
+        is_cut = self._add_commands(numbers, records, fit)
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
         slope = self._slope_points(slopes, numbers, has_times)
         self.blocks = find_blocks(self.names, slope)
         self.slope = slope + self._member_points()
-        fit, late = find_followers(records)
         self._set_likeness(records, fit)
-        self.follow = self._follow_points(fit, late)
+        self.follow = np.where(is_cut, -WEIGHTS.no_follow, self._follow_points(fit, late))
         self.cause = self._cause_points(find_causes(records))
         self.family = find_families(self.readings, self.slope)
         for block in self.blocks:
@@ -296,8 +301,9 @@ class EvidenceTable:
         self.joint = [joint if joint in places else None for joint in joints]
 
     def says(self, column: int, role: Role) -> bool:
-        """Whether the name of a column speaks of a role."""
-        return any(_ROLE_OF[q] == role for q in self.readings[column].quantities)
+        """Whether the name of a column speaks of a role, most of all."""
+        quantity = self.readings[column].quantity
+        return quantity is not None and _ROLE_OF[quantity] == role
 
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
@@ -333,6 +339,22 @@ class EvidenceTable:
             if goal is not None:
                 text = f"the sum of '{self.names[controlled]}' and its error"
                 self.own[goal].append(Evidence("set point", w.useless, text))
+
+    def _add_commands(
+        self, numbers: Mapping[str, Numbers], records: Sequence[Table], fit: Pairs
+    ) -> Bool[np.ndarray, "c c"]:
+        """Evidence on what a program cuts to whole numbers before it sends it: a command."""
+        w, whole = WEIGHTS, np.array([numbers[name].whole for name in self.names])
+        lost = (1 - fit) * np.concatenate(records).var(axis=0)
+        is_cut = ~whole[:, None] & whole & (lost < w.cut)
+        for pair in np.argwhere(is_cut).tolist():
+            for column, other in (pair, pair[::-1]):
+                text = f"with '{self.names[other]}' the same number, cut to a whole one"
+                self.own[column] += [
+                    Evidence("input", w.held, text),
+                    *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity")),
+                ]
+        return is_cut
 
     def _slope_points(
         self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool

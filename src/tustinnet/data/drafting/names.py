@@ -37,6 +37,7 @@ INPUTS: tuple[Quantity, ...] = (
 _LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
 _SURE_UNITS: tuple[Quantity, ...] = ("velocity", "acceleration")
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
+_DECISIVE = 8.0  # of one that no other word or unit changes: `position error [mm]`, `battery [V]`
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
 _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
@@ -80,13 +81,25 @@ _PURE = POSITION_WORDS.union(
     ["rpm"],
 )
 """Words that say which quantity, but not of what."""
+_MEANINGS: dict[str, list[tuple[Quantity, float]]] = {}
+"""The quantities of which a word speaks, and its weight for each."""
+for _quantity, _words in STRONG.items():
+    for _word in _words:
+        _weight = _DECISIVE if _quantity in ("error", "other") else _STATED
+        _MEANINGS.setdefault(_word, []).append((_quantity, _weight))
+for _quantity, _words in WEAK.items():
+    for _word in _words:
+        _MEANINGS.setdefault(_word, []).append((_quantity, 1.0))
 _FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
 _VOCABULARY = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
 _LAST_PARTS = sorted(
     (
         w
-        for q in ("position", "velocity", "acceleration", *INPUTS, "error")
-        for w in STRONG[q]
+        for ws in (
+            *(STRONG[q] for q in ("position", "velocity", "acceleration", *INPUTS, "error")),
+            *QUALIFIERS.values(),
+        )
+        for w in ws
         if len(w) >= 5 and w.isascii()
     ),
     key=len,
@@ -195,10 +208,8 @@ def _read_quantities(
             quantities[quantity], word[quantity] = weight, because
 
     for text in words:
-        for table, weight in ((STRONG, _STATED), (WEAK, 1.0)):
-            for quantity, texts in table.items():
-                if text in texts:
-                    add(quantity, weight, text)
+        for quantity, weight in _MEANINGS.get(text, ()):
+            add(quantity, weight, text)
         symbol = _SYMBOL.fullmatch(text)
         if symbol and (symbol["before"] or symbol["behind"]):
             order = len(symbol["before"]) or _ORDERS.get(symbol["behind"], 1)
@@ -210,8 +221,6 @@ def _read_quantities(
         add("velocity", 3.5, "d/dt")
     if {("dot", "dot"), ("d", "dot")} & {*pairwise(words)}:
         add("acceleration", 4.0, "dot dot")
-    if quantities.get("error", 0.0) >= 3:
-        quantities["error"] += 5.0  # `position error [mm]` is an error
     return quantities, word
 
 
@@ -301,13 +310,14 @@ def _split_words(name: str) -> list[str]:
 
 
 def _split_compound(word: str) -> list[str]:
-    """The parts of a word of German and its neighbours: `istposition`, `seilwinkel`."""
+    """The parts of a word of German: `istposition`, `seilwinkel`, `geschwindigkeitssollwert`."""
     if word in _VOCABULARY:
         return [word]
     end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w) + 1), None)
     if end is None:
         return [word]
     rest = word.removesuffix(end)
+    rest = rest[:-1] if rest[:-1] in _VOCABULARY else rest  # without the s that joins them
     # a part of three letters must be a word
     return [rest, end] if len(rest) > 3 or rest in _VOCABULARY else [word]
 

@@ -62,7 +62,7 @@ _STRONG: dict[Quantity, str] = {
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed "
     "etat estado stato loop",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
-    "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
+    "battery batt fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
     "temperatura frottement 温度 reward energy energie",
 }
 # the weight is lower for words that also mean something else
