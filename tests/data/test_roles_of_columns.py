@@ -178,6 +178,16 @@ def test_directions_of_a_circle_are_no_positions_beside_its_angle(tmp_path: Path
     }
 
 
+def test_without_another_input_an_acceleration_is_a_command(tmp_path: Path) -> None:
+    a = levels(3) - 0.5 * moved_by(levels(3))[1]
+    v = np.cumsum(a) * DT
+    columns = {"x": np.cumsum(v) * DT, "theta": moved_by(-a)[0], "accel": a}
+    expected = {"x": "coordinate", "theta": "coordinate"}
+    assert uses(draft(tmp_path, columns)) == {**expected, "accel": "input"}
+    driven = draft(tmp_path, {**columns, "u": levels(3)})
+    assert uses(driven) == {**expected, "accel": "", "u": "input"}
+
+
 # --- constraints ---
 
 

@@ -115,7 +115,6 @@ class Weights:
             of a copy, and for one and a half.
         alike: correlation from which on two columns are proportional, nearly.
         circle: deviation of a radius, relative to it.
-        cut: mean square of what is cut from numbers to make them whole, nearly.
     """
 
     letter: float = 2.0
@@ -149,7 +148,6 @@ class Weights:
     copies: tuple[float, float] = (0.7, 0.9)
     alike: float = 0.95
     circle: float = 0.03
-    cut: float = 0.4
 
 
 WEIGHTS = Weights()
@@ -183,7 +181,9 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     evidence += [
         Evidence(role, -w.against * (2 if is_stated else 1), "")
         for role in ROLES[:-1]
-        if spoken and role not in spoken and not (is_command and role == "set point")
+        if spoken
+        and role not in spoken
+        and not (is_command and role == "set point")
         # an acceleration may be commanded, as of a cart on a stepper
         and not (role == "input" and spoken == {"acceleration"})
     ]
@@ -279,16 +279,15 @@ class EvidenceTable:
         ]
         self._add_circles(records)
         self._add_errors(records)
-        fit, late = find_followers(records)
-        is_cut = self._add_commands(numbers, records, fit)
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
         slope = self._slope_points(slopes, numbers, has_times)
         self.blocks = find_blocks(self.names, slope)
         self.slope = slope + self._member_points()
+        fit, late = find_followers(records)
         self._set_likeness(records, fit)
-        self.follow = np.where(is_cut, -WEIGHTS.no_follow, self._follow_points(fit, late))
+        self.follow = self._follow_points(fit, late)
         self.cause = self._cause_points(find_causes(records))
         self.family = find_families(self.readings, self.slope)
         for block in self.blocks:
@@ -339,22 +338,6 @@ class EvidenceTable:
             if goal is not None:
                 text = f"the sum of '{self.names[controlled]}' and its error"
                 self.own[goal].append(Evidence("set point", w.useless, text))
-
-    def _add_commands(
-        self, numbers: Mapping[str, Numbers], records: Sequence[Table], fit: Pairs
-    ) -> Bool[np.ndarray, "c c"]:
-        """Evidence on what a program cuts to whole numbers before it sends it: a command."""
-        w, whole = WEIGHTS, np.array([numbers[name].whole for name in self.names])
-        lost = (1 - fit) * np.concatenate(records).var(axis=0)
-        is_cut = ~whole[:, None] & whole & (lost < w.cut)
-        for pair in np.argwhere(is_cut).tolist():
-            for column, other in (pair, pair[::-1]):
-                text = f"with '{self.names[other]}' the same number, cut to a whole one"
-                self.own[column] += [
-                    Evidence("input", w.held, text),
-                    *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity")),
-                ]
-        return is_cut
 
     def _slope_points(
         self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool
