@@ -273,7 +273,49 @@ def test_a_draft_from_python_has_margins_and_writes_nothing(tmp_path: Path) -> N
         tn.draft(tmp_path / "nowhere")
 
 
+# --- units ---
+
+
+def test_angles_of_one_machine_are_in_one_unit(tmp_path: Path) -> None:
+    roll, _ = moved_by(levels(15))
+    yaw, _ = moved_by(levels(16), stiffness=0.5)
+    columns = {
+        "roll": 8 * roll / np.ptp(roll),
+        "yaw": 70 * yaw / np.ptp(yaw),
+        "motor_V": levels(15),
+    }
+    made = draft(tmp_path, columns)
+    assert [c.unit for c in made.choice.coordinates] == ["deg", "deg"]
+
+
+def test_an_output_y_is_no_length_and_y_beside_x_is(tmp_path: Path) -> None:
+    u = levels(17)
+    x, _ = moved_by(u)
+    (output,) = draft(tmp_path, {"y": x, "u": u}).choice.coordinates
+    assert "if it is an angle" in output.doubts[0]
+    plane = draft(
+        tmp_path, {"x": 0.1 * moved_by(levels(18))[0], "y": 0.1 * x, "u": u}
+    ).choice.coordinates
+    assert [(c.kind, c.doubts) for c in plane] == [("linear", ())] * 2
+
+
 # --- times ---
+
+
+def test_times_in_ticks_say_the_period(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(19))
+    table = np.column_stack([500 * np.arange(N), x, levels(19)])
+    header = "stamp [10us],angle_rad,u"
+    np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header=header, comments="")
+    card = tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)
+    assert (card["dt"], "time" in card) == (0.005, False)
+
+
+def test_whole_times_that_fit_two_units_are_assumed(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(20))
+    table = np.column_stack([1000 * np.arange(N), x, levels(20)])
+    np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header="time,angle_rad,u", comments="")
+    assert tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)["time"]["assumed"] == ["unit"]
 
 
 def test_times_of_few_digits_say_the_period(tmp_path: Path) -> None:

@@ -283,7 +283,10 @@ def _unit_by_size(
 ) -> str:
     """The unit of a position by its range, with a question where that is not clear."""
     numbers = findings.numbers[column]
-    unit, is_clear = _usual_unit(numbers, kind or "angular")
+    # positions of one kind, of one machine, are in one unit
+    of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
+    largest = max(findings.numbers[n].largest for n in (column, *of_kind))
+    unit, is_clear = _usual_unit(numbers, largest, kind or "angular")
     reason = f"in {unit} by its range {range_text(numbers)}"
     # controllers of drives give the position of an encoder in turns, or in units of the machine
     is_of_encoder = bool(_ENCODERS & {*findings.readings[column].words})
@@ -296,17 +299,23 @@ def _unit_by_size(
     return unit
 
 
-def _usual_unit(numbers: Numbers, kind: Kind) -> tuple[str, bool]:
+def _is_of_kind(column: str, kind: Kind, findings: Findings) -> bool:
+    """Whether a position is of a kind by its name, and in a unit that nothing but its size says."""
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    return reading.kind == kind and not (reading.unit or numbers.whole or numbers.wrap)
+
+
+def _usual_unit(numbers: Numbers, largest: float, kind: Kind) -> tuple[str, bool]:
     """The usual unit of positions of some size, and whether the size is clear."""
     if numbers.whole and numbers.distinct > 2:
         return "counts", True
     if kind == "linear":
-        if numbers.largest <= _MOST_METRES:
-            return "m", numbers.largest <= 3
-        return "mm", numbers.largest > 30
-    if numbers.largest <= _MOST_RADIANS:
-        return "rad", numbers.largest <= 2.5 * np.pi
-    return "deg", 30 < numbers.largest <= 400
+        if largest <= _MOST_METRES:
+            return "m", largest <= 3
+        return "mm", largest > 30
+    if largest <= _MOST_RADIANS:
+        return "rad", largest <= 2.5 * np.pi
+    return "deg", 30 < largest <= 400
 
 
 def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
