@@ -140,9 +140,10 @@ class Assignment:
 
     def _score(self, roles: Roles) -> float:
         t, w = self.table, WEIGHTS
-        positions, velocities, accelerations, inputs, set_points, others = (
-            _columns(roles, role) for role in range(len(ROLES))
-        )
+        by_role: list[list[int]] = [[] for _ in ROLES]
+        for column, role in enumerate(roles.tolist()):
+            by_role[role].append(column)
+        positions, velocities, accelerations, inputs, set_points, others = by_role
         total = float(t.points[np.arange(len(roles)), roles].sum())
         pairs = self.pair_rates(positions, velocities)
         total += sum(float(t.slope[p, v]) for v, p in pairs.items())
@@ -166,7 +167,9 @@ class Assignment:
 
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
         """The column of which each rate is the derivative, the best pairs first."""
-        slope = self.table.slope[np.ix_(columns, rates)]
+        if not columns or not rates:
+            return {}
+        slope = self.table.slope[columns][:, rates]
         possible = np.argwhere(slope > -0.75 * WEIGHTS.no_slope).tolist()
         pairs: dict[int, int] = {}
         for i, j in sorted(possible, key=lambda pair: -slope[pair[0], pair[1]]):
@@ -181,21 +184,21 @@ class Assignment:
         if not inputs:
             return 0.0
         t, w = self.table, WEIGHTS
-        causes = t.cause[np.ix_(inputs, moved)].max(axis=1, initial=-9.0 if moved else -1.0)
+        causes = t.cause[inputs][:, moved].max(axis=1, initial=-9.0 if moved else -1.0)
         # what is named a command may also move a later stage of its drive, as a current
         effects = [k for k in others if t.stage[k] != "command"]
-        later = t.cause[np.ix_(inputs, effects)].max(axis=1, initial=-9.0)
+        later = t.cause[inputs][:, effects].max(axis=1, initial=-9.0)
         causes = np.maximum(causes, np.where(self.is_command[inputs], later, -9.0))
         order = np.argsort(-causes, kind="stable")
         ranked = [inputs[k] for k in order]
-        again = self.prices.inputs[np.ix_(ranked, ranked)]
+        again = self.prices.inputs[ranked][:, ranked]
         is_copy = np.tril(again > 0).any(axis=1)  # of one that moves more
         total = float(np.minimum(causes[order], np.where(is_copy, 0.0, np.inf)).sum())
         total -= float(again.sum()) / 2
         families = {t.family[u] for u in inputs if not t.is_disturbance[u]}
         total -= w.further_input * max(0, len(families) - 1)
-        stages = np.argwhere(np.triu(self.prices.are_stages[np.ix_(inputs, inputs)]))
-        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages.tolist()}
+        stages = np.argwhere(self.prices.are_stages[inputs][:, inputs]).tolist()
+        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages if i < j}
         return total - w.stage * len(drives)
 
     # --- the search ---
@@ -331,4 +334,4 @@ def _columns(roles: Roles, role: int) -> list[int]:
 
 def _sum(prices: Pairs, rows: Sequence[int], columns: Sequence[int]) -> float:
     """The sum of the prices of some pairs."""
-    return float(prices[np.ix_(rows, columns)].sum())
+    return float(prices[rows][:, columns].sum()) if rows and columns else 0.0
