@@ -1,4 +1,4 @@
-"""What names of columns say, in several languages, and how labels and conventions are read."""
+"""What names of columns say, and how labels and conventions are read."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,15 +14,7 @@ from tustinnet.data.readers import read_columns
 
 # a name, its quantity, its unit and whether it is a command
 NAMES = [
-    ("Vitesse (mm/s)", "velocity", "mm/s", False),
-    ("Tension moteur (V)", "voltage", "V", False),
-    ("angulo_grados", "position", "deg", False),
-    ("voltaje", "voltage", "", False),
-    ("riferimento posizione", "position", "", True),
-    ("kąt [°]", "position", "deg", False),
-    ("目標位置[mm]", "position", "mm", True),
-    ("左輪角速度_rad_s", "velocity", "rad/s", False),
-    ("トルク(Nm)", "torque", "N m", False),
+    ("posición [°]", "position", "deg", False),
     ("i1_cmd_mA", "current", "mA", True),
     ("F_kN", "force", "kN", False),
     ("axis0.controller.input_pos", "position", "", True),

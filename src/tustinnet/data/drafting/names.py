@@ -90,7 +90,6 @@ for _quantity, _words in STRONG.items():
 for _quantity, _words in WEAK.items():
     for _word in _words:
         _MEANINGS.setdefault(_word, []).append((_quantity, 1.0))
-_FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
 _VOCABULARY = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
 _LAST_PARTS = sorted(
     (
@@ -100,13 +99,12 @@ _LAST_PARTS = sorted(
             *QUALIFIERS.values(),
         )
         for w in ws
-        if len(w) >= 5 and w.isascii()
+        if len(w) >= 5
     ),
     key=len,
     reverse=True,
 )
 """Words that are the last part of compounds, the longest first."""
-_CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
 
 
 @dataclass(frozen=True)
@@ -304,9 +302,7 @@ def _split_words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     spaced = re.sub(r"(?<=[^\W\d_])(?=\d)", "_", spaced)  # `q1`, but `s2` of `rad_s2` below
     words = [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
-    words = [part for word in words for part in _split_compound(word)]
-    # Chinese and Japanese put no blanks between words
-    return [part for word in words for part in _CHINESE.split(word) if part]
+    return [part for word in words for part in _split_compound(word)]
 
 
 def _split_compound(word: str) -> list[str]:

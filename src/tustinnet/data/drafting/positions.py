@@ -28,7 +28,7 @@ _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
-_ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
+_ENCODERS = {"encoder", "encoders", "enc", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
