@@ -158,7 +158,9 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
-    if _is_about_axis(words):
+    positions = {w for w in words if w in STRONG["position"]}
+    if any(quantities.get(q, 0.0) >= _STATED for q in INPUTS) and positions and positions <= AXES:
+        # `yaw_torque`, `ctrl.roll`: where an input acts; sensors of other positions give voltages
         del quantities["position"], word["position"]
     pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
@@ -205,7 +207,9 @@ def _read_quantities(
         if weight > quantities.get(quantity, 0.0):
             quantities[quantity], word[quantity] = weight, because
 
-    for text in words:
+    for text, noun in pairwise([*words, ""]):
+        if text == "current" and noun in STRONG["position"] | STRONG["velocity"]:
+            continue  # an adjective
         for quantity, weight in _MEANINGS.get(text, ()):
             add(quantity, weight, text)
         symbol = _SYMBOL.fullmatch(text)
@@ -230,20 +234,6 @@ def _stated_rate(
     symbol = _SYMBOL.fullmatch(word.get(rate, ""))
     is_stated = quantities.get(rate, 0.0) >= _STATED and not (symbol and symbol["before"])
     return rate if is_stated else None
-
-
-def _is_about_axis(words: Sequence[str]) -> bool:
-    """Whether words of a position only say at which axis an input acts, as in `yaw_torque`.
-
-    `torque` and `force` decide for any position where they come last. Sensors of positions give
-    voltages, and `current` is also an adjective, so other inputs decide for axes alone, and
-    currents not at all.
-    """
-    positions = [word for word in words if word in STRONG["position"]]
-    inputs = {w: q for q in INPUTS if q != "current" for w in words if w in STRONG[q]}
-    spoken = [word for word in words if word in {*positions, *inputs}]
-    last = inputs.get(spoken[-1]) if positions else None
-    return last in ("torque", "force") or (last is not None and {*positions} <= AXES)
 
 
 _ORDERS = {"ddot": 2, "pp": 2, "dd": 2}  # of derivatives, by endings of symbols
