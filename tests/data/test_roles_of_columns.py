@@ -10,7 +10,7 @@ from simulated.laboratories import twins
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import Draft, draft_card
-from tustinnet.data.drafting.evidence import WEIGHTS, explains_factor, name_evidence
+from tustinnet.data.drafting.evidence import WEIGHTS, name_evidence
 from tustinnet.data.drafting.names import read_name
 
 DT = 0.01
@@ -107,7 +107,7 @@ def test_held_levels_are_an_input_also_in_degrees(tmp_path: Path) -> None:
     assert uses(made) == {"ball_mm": "coordinate", "servo_deg": "input"}
 
 
-def test_a_slope_is_a_velocity_and_its_factor_needs_units(tmp_path: Path) -> None:
+def test_a_slope_is_a_velocity(tmp_path: Path) -> None:
     u = levels(2)
     x, v = moved_by(u)
     rate = 180 / np.pi * v
@@ -116,9 +116,6 @@ def test_a_slope_is_a_velocity_and_its_factor_needs_units(tmp_path: Path) -> Non
         "two": "coordinate",
         "three": "two",
     }
-    assert explains_factor(180 / np.pi, "", "", 0.02)
-    assert not explains_factor(180 / np.pi, "rad", "rad/s", 0.02)
-    assert not explains_factor(2.0, "", "", 0.02)
 
 
 def test_what_a_position_follows_one_to_one_is_its_set_point(tmp_path: Path) -> None:

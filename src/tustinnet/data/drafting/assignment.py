@@ -70,8 +70,6 @@ class _Prices:
         positions = np.array([t.says(i, "position") for i in columns])
         inputs = np.array([t.says(i, "input") for i in columns])
         plain = np.array([r.qualifier is None for r in t.readings])
-        things = [r.object for r in t.readings]
-        are_one = np.array([[bool(a) and a == b for b in things] for a in things])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
             places = [*block.values()]
@@ -79,7 +77,7 @@ class _Prices:
         is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
-        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T)) + w.member * are_one
+        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
         self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
         self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
@@ -95,7 +93,6 @@ class _Prices:
                 [
                     t.stage[u] != t.stage[v]
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
-                    and not (t.is_disturbance[u] or t.is_disturbance[v])
                     for v in columns
                 ]
                 for u in columns
@@ -195,7 +192,7 @@ class Assignment:
         is_copy = np.tril(again > 0).any(axis=1)  # of one that moves more
         total = float(np.minimum(causes[order], np.where(is_copy, 0.0, np.inf)).sum())
         total -= float(again.sum()) / 2
-        families = {t.family[u] for u in inputs if not t.is_disturbance[u]}
+        families = {t.family[u] for u in inputs}
         total -= w.further_input * max(0, len(families) - 1)
         stages = np.argwhere(self.prices.are_stages[inputs][:, inputs]).tolist()
         drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages if i < j}

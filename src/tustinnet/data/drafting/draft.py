@@ -310,7 +310,6 @@ def _examine(
         samples,
         slopes,
         known,
-        has_times=bool(period_reason),
     )
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
@@ -420,8 +419,6 @@ def _judge(
     samples: Mapping[str, Sequence[Values]],
     slopes: Slopes,
     known: Mapping[str, Role],
-    *,
-    has_times: bool,
 ) -> dict[str, Verdict]:
     """The roles of columns that are neither times nor counters, some of which are known."""
     moving = {n: r for n, r in readings.items() if not numbers[n].constant}
@@ -437,7 +434,7 @@ def _judge(
         np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
         for k, row in first.items()
     ]
-    table = EvidenceTable(moving, numbers, records, slopes.of(moving), has_times=has_times)
+    table = EvidenceTable(moving, numbers, records, slopes.of(moving))
     verdicts = Assignment(table, known).verdicts()
     return {n: verdicts.get(n, constant) for n in readings}
 

@@ -34,7 +34,7 @@ _STRONG: dict[Quantity, str] = {
     "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
     "elevation posicion hoek lage tilt heading",
-    "velocity": "vel velocity velocities speed omega gyro tacho tachometer dot qdot "
+    "velocity": "vel velocity velocities speed omega tacho tachometer dot qdot "
     "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd spanning",
@@ -59,7 +59,7 @@ _WEAK: dict[Quantity, str] = {
     "position": "q x y z s alpha beta gamma distance abstand dist delta joint gelenk pole "
     "pendulum pendel cart wagen laser sensor arm link beam ball disc scheibe th ang observation "
     "obs state",
-    "velocity": "w v n qd xd xp rpm",
+    "velocity": "w v n qd xd xp rpm gyro",
     "acceleration": "a imu",
     "voltage": "u v",
     "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo",
@@ -94,7 +94,6 @@ STRONG: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRON
 WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
-DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what
