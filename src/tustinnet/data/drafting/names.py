@@ -66,6 +66,8 @@ def _read_units() -> dict[str, tuple[str, Quantity]]:
 
 
 _UNITS = _read_units()
+_NO_ENDINGS = {"in", "inc", "turn", "steps", "step", "impulse", "raw", "bit", "hz"}
+"""Units that are words at the end of a name."""
 _UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
 """Columns that are called by their unit alone."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
@@ -334,22 +336,17 @@ def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
 
 
 def _is_unit(ending: str, before: Sequence[str]) -> bool:
-    """Whether a last word is a unit: one letter may be a name's, as in `u_a`, `q_m`, `enc_a`."""
-    if ending in ("in", "grad", "inc", "turn", "steps", "step", "impulse", "raw", "bit", "hz"):
-        return ending == "grad"
+    """Whether a last word is a unit: one letter may be a name's, as in `q_m`, `enc_a`, `gear_s`.
+
+    It is a unit behind a word of its quantity, and one of an input or a length behind a word that
+    says no motion, as in `motor_v`, `rail_m`.
+    """
     if len(ending) > 1:
-        return True
-    last = before[-1]
+        return ending not in _NO_ENDINGS
     symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
-    if (symbol, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
-        return True  # a symbol and the unit of its quantity
-    if ending in ("k", "c", "g", "w", "s"):
-        return ending == "s" and last in STRONG["time"] | WEAK["time"]
-    spoken = {q for q, texts in STRONG.items() if last in texts}
-    spoken |= {q for q, texts in WEAK.items() if last in texts}
-    if ending == "m":
-        return not spoken or ("position" in spoken and last not in ("q", "theta", "phi"))
-    is_position = bool(spoken & {"position"}) and not spoken & {*INPUTS}
-    if ending in "anv" and is_position and last not in ("motor", "drive"):
-        return last not in STRONG["position"] and len(last) > 1
-    return len(last) > 1
+    quantity, spoken = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
+    if quantity in spoken:
+        return symbol not in ("q", *ANGULAR)
+    is_motion = bool(spoken & {"position", "velocity", "acceleration"})
+    is_possible = not spoken if ending == "m" else quantity in INPUTS and not is_motion
+    return is_possible and len(symbol) > 1
