@@ -27,7 +27,7 @@ _SHORTEST_RECORD = 20  # samples of a record
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
 _LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
-_VECTOR = re.compile("d{0,2}[xyz](dot|ddot|p|pp|d|dd)?")  # and its derivatives
+_VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
@@ -627,25 +627,20 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
         )
         for name in logs[0].values
     }
-    # of a vector of states `x[1]`, `x[2]` or outputs `y1`, `y2`, x and y are no directions; nor is
-    # y without x, the output of whatever it is
-    stems = Counter(r.words[0] for r in readings.values() if _is_element(r))
     spoken = {word for r in readings.values() for word in r.words}
     return {
-        name: replace(r, kind=None)
-        if (_is_element(r) and stems[r.words[0]] > 1) or (_is_output(r) and "x" not in spoken)
-        else r
-        for name, r in readings.items()
+        name: replace(r, kind=None) if _is_output(r, spoken) else r for name, r in readings.items()
     }
 
 
-def _is_output(reading: NameReading) -> bool:
-    """Whether only the letter y says that a quantity is linear."""
-    return not reading.unit and {*reading.words} & LINEAR == {"y"}
+def _is_output(reading: NameReading, spoken: Collection[str]) -> bool:
+    """Whether x, y or z in a name is no direction: an element `x[1]` of a vector, or y without x.
 
-
-def _is_element(reading: NameReading) -> bool:
-    """Whether a name is that of an element of a vector x, y or z, or of its derivative."""
-    words = reading.words
-    is_numbered = len(words) == 2 and words[1].isdigit() and not reading.unit
-    return is_numbered and _VECTOR.fullmatch(words[0]) is not None
+    Args:
+        reading: the meaning of the name.
+        spoken: the words of all names.
+    """
+    letters = [m[1] for word in reading.words if (m := _VECTOR.fullmatch(word))]
+    if not letters or reading.unit or {*reading.words} & LINEAR - {"x", "y", "z"}:
+        return False
+    return any(word.isdigit() for word in reading.words) or (letters == ["y"] and "x" not in spoken)
