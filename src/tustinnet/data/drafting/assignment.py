@@ -149,7 +149,6 @@ class Assignment:
         total -= w.alone * (len(orphans) if positions else 0.5)
         second = self.pair_rates([*pairs] if positions else velocities, accelerations)
         total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
-        total -= len(accelerations) - len(second)
         motion = [*positions, *velocities]
         total += sum(
             max(t.follow[r, motion].tolist(), default=-0.5 * w.no_follow) for r in set_points
@@ -186,12 +185,7 @@ class Assignment:
         effects = [k for k in others if t.stage[k] != "command"]
         later = t.cause[inputs][:, effects].max(axis=1, initial=-9.0)
         causes = np.maximum(causes, np.where(self.is_command[inputs], later, -9.0))
-        order = np.argsort(-causes, kind="stable")
-        ranked = [inputs[k] for k in order]
-        again = self.prices.inputs[ranked][:, ranked]
-        is_copy = np.tril(again > 0).any(axis=1)  # of one that moves more
-        total = float(np.minimum(causes[order], np.where(is_copy, 0.0, np.inf)).sum())
-        total -= float(again.sum()) / 2
+        total = float(causes.sum()) - _sum(self.prices.inputs, inputs, inputs) / 2
         families = {t.family[u] for u in inputs}
         total -= w.further_input * max(0, len(families) - 1)
         stages = np.argwhere(self.prices.are_stages[inputs][:, inputs]).tolist()
@@ -207,9 +201,7 @@ class Assignment:
             start[members] = np.argmax(self.table.points[members].sum(axis=0))
         start = self._with(start, self.held)
         free = [f for f in self.families if f not in self.held]
-        likely = sorted(free, key=lambda f: -self.table.points[f, _POSITION])[:_MANY_FAMILIES]
-        starts = [start, *(self._with(start, {f: _POSITION}) for f in likely)]
-        best = max((self._climb(s) for s in starts), key=self.score)
+        best = self._climb(start)
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
         # a rival that turns out to be better takes the place of the best

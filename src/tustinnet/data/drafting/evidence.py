@@ -353,11 +353,8 @@ class EvidenceTable:
         return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
 
     def _cause_points(self, gain: Pairs) -> Pairs:
-        w = WEIGHTS
-        push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
-        net = push - w.back * push.T
-        says = np.array([[self.says(i, "input")] for i in range(len(self.names))])
-        return np.where((self.repeats > 0) & ~says, -1.0, net)
+        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gain))
+        return push - WEIGHTS.back * push.T
 
 
 def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:

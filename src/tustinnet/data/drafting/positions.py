@@ -21,7 +21,6 @@ from tustinnet.data.drafting.numbers import (
     is_decimal,
     is_power_of_ten,
 )
-from tustinnet.data.drafting.relations import find_copy
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
@@ -327,17 +326,6 @@ def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
     return usual or (round(counts) if counts >= 1 else None)
 
 
-def _counts_by_copy(column: str, findings: Findings) -> int | None:
-    """Counts in a turn, by another column that is the position in rad or degrees."""
-    for other, reading in findings.readings.items():
-        if other == column or reading.unit not in ANGLE or other not in findings.samples:
-            continue
-        factor = find_copy(findings.samples[column], findings.samples[other])
-        if factor:
-            return round(2 * np.pi / ANGLE[reading.unit] / abs(factor))
-    return None
-
-
 def _counts(
     column: str,
     speed: str,
@@ -347,14 +335,14 @@ def _counts(
     because: list[str],
     doubts: list[str],
 ) -> tuple[int, bool]:
-    """Counts in a turn, and whether they are assumed: neither answered nor by velocity or copy."""
+    """Counts in a turn, and whether they are assumed: neither answered nor by velocity."""
     turn = findings.numbers[column].wrap
     key = f"counts {column}"
     if (answer := findings.answer(key)) is not None:
         because.append(f"{answer[0]} counts in a turn {answer[1]}")
         return int(float(answer[0])), False
     by_wrap = round(turn) if turn and turn not in _OVERFLOWS else None
-    compared = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
+    compared = _counts_by_velocity(speed, factor)
     if compared is not None and (by_wrap is None or abs(compared / by_wrap - 1) < _SAME_FACTOR):
         because.append(f"{by_wrap or compared} counts in a turn")
         return by_wrap or compared, False
