@@ -20,7 +20,7 @@ from tustinnet.data.drafting.relations import (
     find_errors,
     find_followers,
 )
-from tustinnet.data.drafting.vocabulary import QUALIFIERS, STRONG, WEAK
+from tustinnet.data.drafting.vocabulary import CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
 
 Role = Literal[
@@ -166,8 +166,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     is_stated = bool(reading.stated(reading.quantities))
     for quantity, weight in reading.quantities.items():
         word, role = reading.word[quantity], _ROLE_OF[quantity]
-        if is_stated and len(word) == 1:
-            continue  # `acc_x` is no position x
+        if is_stated and (len(word) == 1 or word in CONTAINERS):
+            continue  # `acc_x` is no position x, `joint_torque` none of a joint
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
         if word == "[us]" and not reading.stated(q for q in reading.quantities if q != "time"):
             role, weight = "input", w.letter  # of pulses that drive a servo, as it is no clock
