@@ -296,6 +296,16 @@ def test_an_output_y_is_no_length_and_y_beside_x_is(tmp_path: Path) -> None:
     assert [(c.kind, c.doubts) for c in plane] == [("linear", ())] * 2
 
 
+def test_loads_in_the_names_of_files_have_a_line(tmp_path: Path) -> None:
+    u = levels(21)
+    table = np.column_stack([DT * np.arange(N), moved_by(u)[0], u])
+    files = [f"load_{mass}kg_{run}.csv" for mass in (0, 5) for run in (1, 2)]
+    for file in files:
+        np.savetxt(tmp_path / file, table, "%.7g", ",", header="t,x_m,u", comments="")
+    assert any("differ by 0kg, 5kg" in note for note in draft_card(tmp_path, files).notes)
+    assert not any("differ by" in note for note in draft_card(tmp_path, files[:2]).notes)
+
+
 # --- times ---
 
 

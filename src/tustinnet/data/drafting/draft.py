@@ -33,7 +33,7 @@ from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Numbers, Values, examine, unwrap
 from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
-from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.data.drafting.splits import Splits, choose_splits, find_conditions
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period
@@ -237,6 +237,9 @@ def draft_examined(
     notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
     if not choice.inputs:
         notes.append("no input was found: the records are taken for free motion")
+    if conditions := find_conditions(found):
+        differences = f"{', '.join(conditions[:4])}{', ...' if len(conditions) > 4 else ''}"
+        notes.append(f"names of files differ by {differences}: give such loads as `groups`")
     pieces = usable or find_pieces(examination.logs, clock, findings.readings)
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
