@@ -18,7 +18,6 @@ NAMES = [
     ("i1_cmd_mA", "current", "mA", True),
     ("F_kN", "force", "kN", False),
     ("axis0.controller.input_pos", "position", "", True),
-    ("pid.x.output", "control", "", False),
     ("input torque", "control", "", False),
     ("rpm", "velocity", "rpm", False),
     ("Sollposition X [mm]", "position", "mm", True),

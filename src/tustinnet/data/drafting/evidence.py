@@ -195,10 +195,7 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
             Evidence("velocity", -2 * w.command, ""),
         ]
     elif reading.qualifier in ("filtered", "model"):
-        evidence += [
-            Evidence("other", w.derived, f"named {reading.qualifier}"),
-            *(Evidence(role, -0.5 * w.derived, "") for role in ("position", "velocity", "input")),
-        ]
+        evidence.append(Evidence("other", w.derived, f"named {reading.qualifier}"))
     elif reading.qualifier == "measured" and "input" in spoken:
         evidence.append(Evidence("other", 0.5 * w.derived, "a measured value of an input"))
     return evidence

@@ -167,8 +167,6 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
         quantities["control"], word["control"] = 8.0, "action"
-    if {"output", "ausgang"} & {*words} and {"pid", "controller", "regler"} & {*words}:
-        quantities["control"], word["control"] = 4.0, "output of a controller"
     if unit_quantity == "position" and (rate := _stated_rate(quantities, word)):
         unit_quantity = rate  # `x_dot_cm` has the unit of its position, per second
         unit += "/s" if rate == "velocity" else "/s^2"
