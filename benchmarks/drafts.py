@@ -2,7 +2,7 @@
 
 Four sets of twelve: each was written with its truths before any of its folders was drafted, and
 drafts were improved with it afterwards. `python benchmarks/drafts.py` prints how many are right;
-docs/log/2026-11-25-folders-of-logs.md has the counts.
+notes/2026-11-25-folders-of-logs.md has the counts.
 """
 
 import datetime

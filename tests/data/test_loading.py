@@ -102,13 +102,18 @@ def test_a_card_without_a_period_of_files_without_times_says_what_is_missing(tmp
 
 
 @pytest.mark.parametrize(
-    "name", ["README.txt", "readme_first.txt", "LICENSE.txt", "Notes.txt", "read.md"]
+    "name", ["README.txt", "readme_first.txt", "LICENSE.txt", "Notes.txt", "read.md", "build.log"]
 )
 def test_texts_for_people_beside_a_card_are_no_logs(tmp_path, name) -> None:
     write(tmp_path / "notes2.csv")
     write(tmp_path / "log.csv")
     (tmp_path / name).write_text("Measured on Monday.\n")
     assert [e.name for e in load_folder(tmp_path, card())] == ["log", "notes2"]
+
+
+def test_logs_that_end_in_log_are_read_where_nothing_else_is(tmp_path: Path) -> None:
+    write(tmp_path / "putty.log")
+    assert [e.name for e in load_folder(tmp_path, card())] == ["putty"]
 
 
 # --- folders ---

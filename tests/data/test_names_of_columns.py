@@ -1,4 +1,4 @@
-"""What names of columns say, in several languages, and how labels and conventions are read."""
+"""What names of columns say, and how labels and conventions are read."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,32 +14,27 @@ from tustinnet.data.readers import read_columns
 
 # a name, its quantity, its unit and whether it is a command
 NAMES = [
-    ("Vitesse (mm/s)", "velocity", "mm/s", False),
-    ("Tension moteur (V)", "voltage", "V", False),
-    ("angulo_grados", "position", "deg", False),
-    ("voltaje", "voltage", "", False),
-    ("riferimento posizione", "position", "", True),
-    ("kąt [°]", "position", "deg", False),
-    ("目標位置[mm]", "position", "mm", True),
-    ("左輪角速度_rad_s", "velocity", "rad/s", False),
-    ("トルク(Nm)", "torque", "N m", False),
+    ("posición [°]", "position", "deg", False),
     ("i1_cmd_mA", "current", "mA", True),
     ("F_kN", "force", "kN", False),
     ("axis0.controller.input_pos", "position", "", True),
-    ("pid.x.output", "control", "", False),
     ("input torque", "control", "", False),
     ("rpm", "velocity", "rpm", False),
     ("Sollposition X [mm]", "position", "mm", True),
     ("Istposition", "position", "", False),
     ("seilwinkel", "position", "", False),
+    ("Geschwindigkeitssollwert [mm/s]", "velocity", "mm/s", True),
+    ("BatteryVoltage_V", "other", "V", False),
     ("Schleppabstand [mm]", "error", "mm", False),
     ("wheelspeed", "velocity", "", False),
     ("uq", "voltage", "", False),
     ("deg", "position", "deg", False),
     ("yaw_torque", "torque", "", False),
     ("tau_theta", "torque", "", False),
+    ("ctrl.roll", "control", "", False),
+    ("yaw_current", "current", "", False),
+    ("current_yaw", "position", "", False),
     ("pitch_voltage", "voltage", "", False),
-    ("encoder_force", "force", "", False),
     ("pot_voltage", "position", "", False),
     ("angle_current", "position", "", False),
     ("i2_A", "current", "A", False),

@@ -10,7 +10,7 @@ from simulated.laboratories import twins
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import Draft, draft_card
-from tustinnet.data.drafting.evidence import WEIGHTS, explains_factor, name_evidence
+from tustinnet.data.drafting.evidence import WEIGHTS, name_evidence
 from tustinnet.data.drafting.names import read_name
 
 DT = 0.01
@@ -107,7 +107,7 @@ def test_held_levels_are_an_input_also_in_degrees(tmp_path: Path) -> None:
     assert uses(made) == {"ball_mm": "coordinate", "servo_deg": "input"}
 
 
-def test_a_slope_is_a_velocity_and_its_factor_needs_units(tmp_path: Path) -> None:
+def test_a_slope_is_a_velocity(tmp_path: Path) -> None:
     u = levels(2)
     x, v = moved_by(u)
     rate = 180 / np.pi * v
@@ -116,9 +116,6 @@ def test_a_slope_is_a_velocity_and_its_factor_needs_units(tmp_path: Path) -> Non
         "two": "coordinate",
         "three": "two",
     }
-    assert explains_factor(180 / np.pi, "", "", 0.02)
-    assert not explains_factor(180 / np.pi, "rad", "rad/s", 0.02)
-    assert not explains_factor(2.0, "", "", 0.02)
 
 
 def test_what_a_position_follows_one_to_one_is_its_set_point(tmp_path: Path) -> None:
@@ -176,6 +173,16 @@ def test_directions_of_a_circle_are_no_positions_beside_its_angle(tmp_path: Path
         "y": "",
         "angle": "coordinate",
     }
+
+
+def test_without_another_input_an_acceleration_is_a_command(tmp_path: Path) -> None:
+    a = levels(3) - 0.5 * moved_by(levels(3))[1]
+    v = np.cumsum(a) * DT
+    columns = {"x": np.cumsum(v) * DT, "theta": moved_by(-a)[0], "accel": a}
+    expected = {"x": "coordinate", "theta": "coordinate"}
+    assert uses(draft(tmp_path, columns)) == {**expected, "accel": "input"}
+    driven = draft(tmp_path, {**columns, "u": levels(3)})
+    assert uses(driven) == {**expected, "accel": "", "u": "input"}
 
 
 # --- constraints ---
@@ -263,7 +270,59 @@ def test_a_draft_from_python_has_margins_and_writes_nothing(tmp_path: Path) -> N
         tn.draft(tmp_path / "nowhere")
 
 
+# --- units ---
+
+
+def test_angles_of_one_machine_are_in_one_unit(tmp_path: Path) -> None:
+    roll, _ = moved_by(levels(15))
+    yaw, _ = moved_by(levels(16), stiffness=0.5)
+    columns = {
+        "roll": 8 * roll / np.ptp(roll),
+        "yaw": 70 * yaw / np.ptp(yaw),
+        "motor_V": levels(15),
+    }
+    made = draft(tmp_path, columns)
+    assert [c.unit for c in made.choice.coordinates] == ["deg", "deg"]
+
+
+def test_an_output_y_is_no_length_and_y_beside_x_is(tmp_path: Path) -> None:
+    u = levels(17)
+    x, _ = moved_by(u)
+    (output,) = draft(tmp_path, {"y": x, "u": u}).choice.coordinates
+    assert "if it is an angle" in output.doubts[0]
+    plane = draft(
+        tmp_path, {"x": 0.1 * moved_by(levels(18))[0], "y": 0.1 * x, "u": u}
+    ).choice.coordinates
+    assert [(c.kind, c.doubts) for c in plane] == [("linear", ())] * 2
+
+
+def test_loads_in_the_names_of_files_have_a_line(tmp_path: Path) -> None:
+    u = levels(21)
+    table = np.column_stack([DT * np.arange(N), moved_by(u)[0], u])
+    files = [f"load_{mass}kg_{run}.csv" for mass in (0, 5) for run in (1, 2)]
+    for file in files:
+        np.savetxt(tmp_path / file, table, "%.7g", ",", header="t,x_m,u", comments="")
+    assert any("differ by 0kg, 5kg" in note for note in draft_card(tmp_path, files).notes)
+    assert not any("differ by" in note for note in draft_card(tmp_path, files[:2]).notes)
+
+
 # --- times ---
+
+
+def test_times_in_ticks_say_the_period(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(19))
+    table = np.column_stack([500 * np.arange(N), x, levels(19)])
+    header = "stamp [10us],angle_rad,u"
+    np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header=header, comments="")
+    card = tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)
+    assert (card["dt"], "time" in card) == (0.005, False)
+
+
+def test_whole_times_that_fit_two_units_are_assumed(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(20))
+    table = np.column_stack([1000 * np.arange(N), x, levels(20)])
+    np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header="time,angle_rad,u", comments="")
+    assert tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)["time"]["assumed"] == ["unit"]
 
 
 def test_times_of_few_digits_say_the_period(tmp_path: Path) -> None:

@@ -92,6 +92,14 @@ def test_numbers_of_all_countries_are_read(
             {"t": "s", "motor/pos": "rad", "motor/vel": "rad/s"},
         ),
         ("# a rig\n# t, q\n0,1\n1,2\n", ["t", "q"], {}),
+        ("# 1: t [s]\n# 2: q [rad]\n0 1\n1 2\n", ["t [s]", "q [rad]"], {}),
+        ("# column 0 = t\n# 1-2 of 2026\n# column 1 = q\n0,1\n1,2\n", ["t", "q"], {}),
+        (
+            "%% a rig\n% 1 t\n% 2 3 u left, right\n0 1 2\n1 2 3\n",
+            ["t", "u left, right 2", "u left, right 3"],
+            {},
+        ),
+        ("# 1 of 3 runs\n0 1 2\n1 2 3\n", ["column 1", "column 2", "column 3"], {}),
         ("% a rig\n\n// made by hand\nt,q\n0,1\n% pause\n1,2\n", ["t", "q"], {}),
         ("Rig 7\nmade on a Monday, by hand\n\nt;q\n0;1\n1;2\n2;3\n3;4\n4;5\n", ["t", "q"], {}),
         ("%time,q\n0,1\n1,2\n", ["%time", "q"], {}),  # as rostopic writes it

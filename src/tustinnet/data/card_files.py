@@ -110,9 +110,13 @@ def _resolve_patterns(
 
 
 def list_logs_in(folder: Path) -> list[str]:
-    """Names of the logs in a folder, in natural order."""
+    """Names of the logs in a folder, in natural order.
+
+    Files that end in .log are some only where nothing else is: beside others they are messages.
+    """
     with convert_errors(folder, "cannot be listed", "a folder of logs"):
         paths = _without_folders(p for p in folder.iterdir() if is_log(p))
+    paths = [p for p in paths if p.suffix.lower() != ".log"] or paths
     return in_natural_order(p.name for p in paths)
 
 

@@ -13,7 +13,7 @@ from tustinnet.data.text_file import read_text
 from tustinnet.errors import InputError, convert_errors, require_package
 from tustinnet.registry import READERS
 
-_TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm")
+_TEXT = (".csv", ".txt", ".tsv", ".dat", ".lvm", ".log")
 _PROSE = re.compile(r"(?i)(read[-_ ]?me|licen[cs]e|copying|notes$|change[-_ ]?log)(?![a-z])")
 
 
@@ -29,7 +29,7 @@ def read_columns(
     """Reads the columns of a file, by its ending.
 
     Args:
-        path: a file with one of the endings .csv, .txt, .tsv, .dat, .lvm or of the registry
+        path: a file with one of the endings .csv, .txt, .tsv, .dat, .lvm, .log or of the registry
             `READERS`.
         header: whether the first row of a text file names the columns; by default it does unless
             it holds nothing but numbers. Or the row of the file, from 1 on, that names them.

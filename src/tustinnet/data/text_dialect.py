@@ -20,7 +20,7 @@ _DELIMITERS = (",", ";", "\t", "|", BLANKS)
 HEADER_ROWS = 4  # first rows that may be names, names, units and a sample
 LAST_ROWS = 5  # at the end of a table, which are samples
 SAMPLE_LINES = 60  # lines at the beginning, and as many throughout the file, that are looked at
-_COMMENTS = ("#", "//", "% ", "%\t")
+_COMMENTS = ("#", "//", "% ", "%\t", "%%")
 
 _DIGITS = r"(\d+\.?\d*|\.\d+)"
 HEXADECIMAL = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
@@ -197,7 +197,7 @@ def _utf16(content: bytes) -> str | None:
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line begins with a mark of comments: #, //, or % and a blank; or is of JSON."""
+    """Whether a line begins with a mark of comments: #, //, %% or % and a blank; or is of JSON."""
     return line.startswith(_COMMENTS) or (line.startswith("{") and line.rstrip().endswith("}"))
 
 

@@ -48,6 +48,7 @@ _PREAMBLE = 300  # lines above a table, at most
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
 _OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
+_NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
 _AT_ONCE = 10**5  # lines that are checked at once
 
 
@@ -87,7 +88,7 @@ def read_text(
     elif (not is_sample) if header is None else header:
         rows = [_texts(table, k) for k in range(min(HEADER_ROWS, len(table)))]
         found = read_header(rows, dialect)
-    elif header is None and (names := _names_in(file.comment, dialect, table.width)):
+    elif header is None and (names := _names_in(file.comments, dialect, table.width)):
         found = Header(names, {}, 0)
     if len(all_rows) <= found.rows:
         raise InputError(path, "the file holds no samples", "rows of numbers")
@@ -217,7 +218,7 @@ class _FoundRows:
     Attributes:
         lines: the rows and their text; of plain rows only the first.
         rows: the rows in the file, counted from 1.
-        comment: the last comment with a text before them, without its marks.
+        comments: the comments before them, without their marks.
         dialect: the marks of the file.
         remark: on its encoding.
         skipped: number of rows above a header.
@@ -229,7 +230,7 @@ class _FoundRows:
 
     lines: Lines
     rows: Sequence[int] | Int[np.ndarray, " n"]
-    comment: str
+    comments: Sequence[str]
     dialect: Dialect
     remark: str = ""
     skipped: int = 0
@@ -259,12 +260,12 @@ def _find_rows(
         plain = _plain_rows(path, delimiter)
         if plain is not None:
             return _FoundRows(
-                plain.first_lines, plain.rows, plain.comment, plain.dialect, plain=plain
+                plain.first_lines, plain.rows, plain.comments, plain.dialect, plain=plain
             )
     text, remark = decode(path, encoding)
-    lines, comment = _lines(text)
+    lines, comments = _lines(text)
     if first_row:
-        lines, comment = [(row, line) for row, line in lines if row >= first_row], ""
+        lines, comments = [(row, line) for row, line in lines if row >= first_row], []
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
     if header is None and delimiter is None:
@@ -299,7 +300,7 @@ def _find_rows(
         if not samples:
             raise InputError(path, "no row of numbers", "rows of samples")
     rows = [row for row, _ in lines]
-    return _FoundRows(lines, rows, comment, dialect, remark, skipped, above, damaged, pairs)
+    return _FoundRows(lines, rows, comments, dialect, remark, skipped, above, damaged, pairs)
 
 
 @dataclass(frozen=True)
@@ -309,13 +310,13 @@ class _PlainRows:
     Attributes:
         text: the rows, without blank lines and comments.
         rows: their rows in the file, counted from 1.
-        comment: the last comment with a text before them, without its marks.
+        comments: the comments before them, without their marks.
         dialect: the marks of the file.
     """
 
     text: bytes
     rows: Sequence[int] | Int[np.ndarray, " n"]
-    comment: str
+    comments: Sequence[str]
     dialect: Dialect
 
     @property
@@ -393,27 +394,26 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
         counts = np.add.reduceat(is_mark, starts[some] - origin)
         if (counts[is_row[some]] != cells).any():
             return None
-    comments = np.flatnonzero((starts < ends) & (first == ord("#")))
-    before = (comment_text(line(int(k))) for k in comments[comments < rows[0]][::-1])
-    comment = next(filter(None, before), "")
+    marked = np.flatnonzero((starts < ends) & (first == ord("#")))
+    comments = [comment_text(line(int(k))) for k in marked[marked < rows[0]]]
     if not is_row.all():
         runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         content = b"\n".join(content[starts[run[0]] : ends[run[-1]]] for run in runs)
     is_run = rows[-1] - rows[0] + 1 == len(rows)
     numbered = range(int(rows[0]) + 1, int(rows[-1]) + 2) if is_run else rows + 1
-    return _PlainRows(content, numbered, comment, dialect)
+    return _PlainRows(content, numbered, comments, dialect)
 
 
-def _lines(text: str) -> tuple[Lines, str]:
-    """The lines of a file that are no comments nor blank, and the last comment before them."""
+def _lines(text: str) -> tuple[Lines, list[str]]:
+    """The lines of a file that are no comments nor blank, and the comments before them."""
     lines: Lines = []
-    comment = ""
+    comments: list[str] = []
     for row, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
         if is_comment(line):
-            comment = comment if lines else comment_text(line) or comment
+            comments += [] if lines else [comment_text(line)]
         elif line.strip() or "\t" in line:
             lines.append((row, line))
-    return lines, comment
+    return lines, comments
 
 
 def _without_labels(lines: Lines) -> Lines:
@@ -461,11 +461,12 @@ def _texts(table: "pl.DataFrame", row: int) -> list[str]:
     return [(cell or "").strip() for cell in table.row(row)]
 
 
-def _names_in(comment: str, dialect: Dialect, width: int) -> list[str] | None:
-    """The names of the columns in a comment above the first sample, None where it has none.
+def _names_in(comments: Sequence[str], dialect: Dialect, width: int) -> list[str] | None:
+    """The names of the columns in the last comment above the first sample, None without any.
 
-    Also behind a word for them and a colon, as in `# Columns: t y u`.
+    Also behind a word for them and a colon, as in `# Columns: t y u`, or in a comment for each.
     """
+    comment = next(filter(None, reversed(comments)), "")
     ways = [dialect.split(comment)]
     if said := _COLUMNS_ARE.match(comment):
         ways.append(re.split(r"[\s,;]+", comment[said.end() :].strip()))
@@ -475,7 +476,22 @@ def _names_in(comment: str, dialect: Dialect, width: int) -> list[str] | None:
         is_header = len(names) == width > 1 and all(names) and len({*names}) == width
         if is_header and not any(dialect.is_number(name) for name in names):
             return names
-    return None
+    return _numbered_names(comments, width)
+
+
+def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:
+    """Names behind the numbers of their columns, as in `# 2: angle [rad]`; None of few columns.
+
+    What stands behind several numbers, `# 3 4 speed left, right`, is the name of each.
+    """
+    names: dict[int, str] = {}
+    for said in filter(None, map(_NUMBERED_NAME.fullmatch, comments)):
+        numbers = [int(number) for number in re.findall(r"\d+", said[1])]
+        names |= {n: f"{said[2]} {n}" if len(numbers) > 1 else said[2] for n in numbers}
+    first = 0 if 0 in names else 1
+    found = [names.get(first + k, f"{NUMBERED}{k + 1}") for k in range(width)]
+    said_of = sum(first + k in names for k in range(width))
+    return found if said_of >= max(2, width / 3) and len({*found}) == width else None
 
 
 def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":

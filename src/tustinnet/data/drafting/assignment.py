@@ -70,8 +70,6 @@ class _Prices:
         positions = np.array([t.says(i, "position") for i in columns])
         inputs = np.array([t.says(i, "input") for i in columns])
         plain = np.array([r.qualifier is None for r in t.readings])
-        things = [r.object for r in t.readings]
-        are_one = np.array([[bool(a) and a == b for b in things] for a in things])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
             places = [*block.values()]
@@ -79,7 +77,7 @@ class _Prices:
         is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
-        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T)) + w.member * are_one
+        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
         self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
         self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
@@ -95,7 +93,6 @@ class _Prices:
                 [
                     t.stage[u] != t.stage[v]
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
-                    and not (t.is_disturbance[u] or t.is_disturbance[v])
                     for v in columns
                 ]
                 for u in columns
@@ -140,9 +137,10 @@ class Assignment:
 
     def _score(self, roles: Roles) -> float:
         t, w = self.table, WEIGHTS
-        positions, velocities, accelerations, inputs, set_points, others = (
-            _columns(roles, role) for role in range(len(ROLES))
-        )
+        by_role: list[list[int]] = [[] for _ in ROLES]
+        for column, role in enumerate(roles.tolist()):
+            by_role[role].append(column)
+        positions, velocities, accelerations, inputs, set_points, others = by_role
         total = float(t.points[np.arange(len(roles)), roles].sum())
         pairs = self.pair_rates(positions, velocities)
         total += sum(float(t.slope[p, v]) for v, p in pairs.items())
@@ -151,7 +149,6 @@ class Assignment:
         total -= w.alone * (len(orphans) if positions else 0.5)
         second = self.pair_rates([*pairs] if positions else velocities, accelerations)
         total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
-        total -= len(accelerations) - len(second)
         motion = [*positions, *velocities]
         total += sum(
             max(t.follow[r, motion].tolist(), default=-0.5 * w.no_follow) for r in set_points
@@ -166,7 +163,9 @@ class Assignment:
 
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:
         """The column of which each rate is the derivative, the best pairs first."""
-        slope = self.table.slope[np.ix_(columns, rates)]
+        if not columns or not rates:
+            return {}
+        slope = self.table.slope[columns][:, rates]
         possible = np.argwhere(slope > -0.75 * WEIGHTS.no_slope).tolist()
         pairs: dict[int, int] = {}
         for i, j in sorted(possible, key=lambda pair: -slope[pair[0], pair[1]]):
@@ -181,21 +180,16 @@ class Assignment:
         if not inputs:
             return 0.0
         t, w = self.table, WEIGHTS
-        causes = t.cause[np.ix_(inputs, moved)].max(axis=1, initial=-9.0 if moved else -1.0)
+        causes = t.cause[inputs][:, moved].max(axis=1, initial=-9.0 if moved else -1.0)
         # what is named a command may also move a later stage of its drive, as a current
         effects = [k for k in others if t.stage[k] != "command"]
-        later = t.cause[np.ix_(inputs, effects)].max(axis=1, initial=-9.0)
+        later = t.cause[inputs][:, effects].max(axis=1, initial=-9.0)
         causes = np.maximum(causes, np.where(self.is_command[inputs], later, -9.0))
-        order = np.argsort(-causes, kind="stable")
-        ranked = [inputs[k] for k in order]
-        again = self.prices.inputs[np.ix_(ranked, ranked)]
-        is_copy = np.tril(again > 0).any(axis=1)  # of one that moves more
-        total = float(np.minimum(causes[order], np.where(is_copy, 0.0, np.inf)).sum())
-        total -= float(again.sum()) / 2
-        families = {t.family[u] for u in inputs if not t.is_disturbance[u]}
+        total = float(causes.sum()) - _sum(self.prices.inputs, inputs, inputs) / 2
+        families = {t.family[u] for u in inputs}
         total -= w.further_input * max(0, len(families) - 1)
-        stages = np.argwhere(np.triu(self.prices.are_stages[np.ix_(inputs, inputs)]))
-        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages.tolist()}
+        stages = np.argwhere(self.prices.are_stages[inputs][:, inputs]).tolist()
+        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages if i < j}
         return total - w.stage * len(drives)
 
     # --- the search ---
@@ -207,9 +201,7 @@ class Assignment:
             start[members] = np.argmax(self.table.points[members].sum(axis=0))
         start = self._with(start, self.held)
         free = [f for f in self.families if f not in self.held]
-        likely = sorted(free, key=lambda f: -self.table.points[f, _POSITION])[:_MANY_FAMILIES]
-        starts = [start, *(self._with(start, {f: _POSITION}) for f in likely)]
-        best = max((self._climb(s) for s in starts), key=self.score)
+        best = self._climb(start)
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
         # a rival that turns out to be better takes the place of the best
@@ -331,4 +323,4 @@ def _columns(roles: Roles, role: int) -> list[int]:
 
 def _sum(prices: Pairs, rows: Sequence[int], columns: Sequence[int]) -> float:
     """The sum of the prices of some pairs."""
-    return float(prices[np.ix_(rows, columns)].sum())
+    return float(prices[rows][:, columns].sum()) if rows and columns else 0.0

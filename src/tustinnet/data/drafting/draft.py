@@ -33,7 +33,7 @@ from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Numbers, Values, examine, unwrap
 from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
-from tustinnet.data.drafting.splits import Splits, choose_splits
+from tustinnet.data.drafting.splits import Splits, choose_splits, find_conditions
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period
@@ -237,6 +237,9 @@ def draft_examined(
     notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
     if not choice.inputs:
         notes.append("no input was found: the records are taken for free motion")
+    if conditions := find_conditions(found):
+        differences = f"{', '.join(conditions[:4])}{', ...' if len(conditions) > 4 else ''}"
+        notes.append(f"names of files differ by {differences}: loads are given as `groups`")
     pieces = usable or find_pieces(examination.logs, clock, findings.readings)
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
@@ -310,7 +313,6 @@ def _examine(
         samples,
         slopes,
         known,
-        has_times=bool(period_reason),
     )
     for cosine, sine in sines.items():
         reason = f"'{cosine}' and '{sine}' are cosine and sine of one angle"
@@ -420,8 +422,6 @@ def _judge(
     samples: Mapping[str, Sequence[Values]],
     slopes: Slopes,
     known: Mapping[str, Role],
-    *,
-    has_times: bool,
 ) -> dict[str, Verdict]:
     """The roles of columns that are neither times nor counters, some of which are known."""
     moving = {n: r for n, r in readings.items() if not numbers[n].constant}
@@ -437,7 +437,7 @@ def _judge(
         np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
         for k, row in first.items()
     ]
-    table = EvidenceTable(moving, numbers, records, slopes.of(moving), has_times=has_times)
+    table = EvidenceTable(moving, numbers, records, slopes.of(moving))
     verdicts = Assignment(table, known).verdicts()
     return {n: verdicts.get(n, constant) for n in readings}
 

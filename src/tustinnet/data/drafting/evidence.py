@@ -20,7 +20,7 @@ from tustinnet.data.drafting.relations import (
     find_errors,
     find_followers,
 )
-from tustinnet.data.drafting.vocabulary import DISTURBANCES, QUALIFIERS, STRONG, WEAK
+from tustinnet.data.drafting.vocabulary import CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
 
 Role = Literal[
@@ -90,9 +90,7 @@ class Weights:
         wrap: of values that start again after a turn, for a position.
         count: of steps of one encoder count, for a position.
         derivative: at most, for a velocity whose integral is the change of a position.
-        no_factor: price of a derivative with a factor that no two units explain, as of changes per
-            sample that a program adds up; counts may have any.
-        member: for a pair of one number or one thing by their names.
+        member: for a velocity that has the place of its position in a block.
         follow: at most, for a set point that a position follows one to one, and later, unless a
             name says a command.
         cause: at most, for an input whose past helps to foresee a position.
@@ -128,12 +126,11 @@ class Weights:
     wrap: float = 4.0
     count: float = 1.0
     derivative: float = 6.0
-    no_factor: float = 1.5
     member: float = 1.0
     follow: float = 4.0
     cause: float = 5.0
     back: float = 0.6
-    no_input: float = 3.0
+    no_input: float = 4.0
     no_position: float = 12.0
     further_input: float = 2.5
     stage: float = 8.0
@@ -169,8 +166,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     is_stated = bool(reading.stated(reading.quantities))
     for quantity, weight in reading.quantities.items():
         word, role = reading.word[quantity], _ROLE_OF[quantity]
-        if is_stated and len(word) == 1:
-            continue  # `acc_x` is no position x
+        if is_stated and (len(word) == 1 or word in CONTAINERS):
+            continue  # `acc_x` is no position x, `joint_torque` none of a joint
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
         if word == "[us]" and not reading.stated(q for q in reading.quantities if q != "time"):
             role, weight = "input", w.letter  # of pulses that drive a servo, as it is no clock
@@ -181,7 +178,11 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     evidence += [
         Evidence(role, -w.against * (2 if is_stated else 1), "")
         for role in ROLES[:-1]
-        if spoken and role not in spoken and not (is_command and role == "set point")
+        if spoken
+        and role not in spoken
+        and not (is_command and role == "set point")
+        # an acceleration may be commanded, as of a cart on a stepper
+        and not (role == "input" and spoken == {"acceleration"})
     ]
     if "input" in spoken:
         evidence.append(Evidence("input", -w.later * _STAGES.index(stage_of(reading)), ""))
@@ -194,10 +195,7 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
             Evidence("velocity", -2 * w.command, ""),
         ]
     elif reading.qualifier in ("filtered", "model"):
-        evidence += [
-            Evidence("other", w.derived, f"named {reading.qualifier}"),
-            *(Evidence(role, -0.5 * w.derived, "") for role in ("position", "velocity", "input")),
-        ]
+        evidence.append(Evidence("other", w.derived, f"named {reading.qualifier}"))
     elif reading.qualifier == "measured" and "input" in spoken:
         evidence.append(Evidence("other", 0.5 * w.derived, "a measured value of an input"))
     return evidence
@@ -265,8 +263,6 @@ class EvidenceTable:
         numbers: Mapping[str, Numbers],
         records: Sequence[Table],
         slopes: Slopes,
-        *,
-        has_times: bool,
     ) -> None:
         self.names = tuple(readings)
         self.readings = [*readings.values()]
@@ -278,9 +274,11 @@ class EvidenceTable:
         self.points = np.array(
             [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
         )
-        slope = self._slope_points(slopes, numbers, has_times)
-        self.blocks = find_blocks(self.names, slope)
-        self.slope = slope + self._member_points()
+        self.slope = _slope_points(slopes, self.readings)
+        self.blocks = find_blocks(self.names, self.slope)
+        for one, other in itertools.permutations(self.blocks, 2):
+            for joint in one.keys() & other.keys():
+                self.slope[one[joint], other[joint]] += WEIGHTS.member
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
         self.follow = self._follow_points(fit, late)
@@ -290,14 +288,14 @@ class EvidenceTable:
             for column in block.values():
                 self.family[column] = min(block.values())
         self.stage = [stage_of(r) for r in self.readings]
-        self.is_disturbance = [bool(DISTURBANCES & {*r.words}) for r in self.readings]
         places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
         joints = [_joint_of(r) for r in self.readings]
         self.joint = [joint if joint in places else None for joint in joints]
 
     def says(self, column: int, role: Role) -> bool:
-        """Whether the name of a column speaks of a role."""
-        return any(_ROLE_OF[q] == role for q in self.readings[column].quantities)
+        """Whether the name of a column speaks of a role, most of all."""
+        quantity = self.readings[column].quantity
+        return quantity is not None and _ROLE_OF[quantity] == role
 
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
@@ -334,41 +332,6 @@ class EvidenceTable:
                 text = f"the sum of '{self.names[controlled]}' and its error"
                 self.own[goal].append(Evidence("set point", w.useless, text))
 
-    def _slope_points(
-        self, slopes: Slopes, numbers: Mapping[str, Numbers], has_times: bool
-    ) -> Pairs:
-        w = WEIGHTS
-        fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
-        points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
-        least, clear = w.slopes
-        points = np.where(fit < clear, -0.25 * w.no_slope, points)
-        points = np.where(fit < least, -w.no_slope, points)
-        # too few samples to say anything
-        points = np.where(slopes.factor == 0, -0.25 * w.no_slope, points)
-        for i, j in zip(*np.nonzero(fit >= clear), strict=True):
-            a, b = self.readings[i], self.readings[j]
-            is_rate = (
-                b.unit in ("", *ANGULAR_SPEEDS, *LINEAR_SPEEDS) or "^2" in b.unit or b.unit == "g"
-            )
-            if not is_rate or (None not in (a.kind, b.kind) and a.kind != b.kind):
-                points[i, j] = -w.no_slope
-                continue
-            unsure = 1.02 / float(fit[i, j]) ** 0.5 - 1
-            is_unit = explains_factor(float(slopes.factor[i, j]), a.unit, b.unit, unsure)
-            if has_times and not is_unit and not numbers[self.names[i]].whole:
-                points[i, j] -= w.no_factor
-        np.fill_diagonal(points, -w.no_slope)
-        return points
-
-    def _member_points(self) -> Pairs:
-        """Points of pairs of one joint, by their names or their places in blocks."""
-        pairs = np.array([[_are_of_one(a, b) for b in self.readings] for a in self.readings])
-        for one, other in itertools.permutations(self.blocks, 2):
-            for joint in one.keys() & other.keys():
-                pairs[one[joint], other[joint]] = True
-        np.fill_diagonal(pairs, val=False)
-        return WEIGHTS.member * pairs
-
     def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
         """Sets which columns have the same values."""
         with np.errstate(all="ignore"):
@@ -383,33 +346,31 @@ class EvidenceTable:
         w = WEIGHTS
         points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
         commands = np.array([[r.qualifier == "command"] for r in self.readings])
-        points -= np.where(fit < fit.T, 1.0, 0.0)
         is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
         return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
 
     def _cause_points(self, gain: Pairs) -> Pairs:
-        w = WEIGHTS
-        push = np.minimum(w.cause, 2 * np.log10(1 + 100 * gain))
-        net = push - w.back * push.T - np.maximum(0.0, self.slope.T)
-        says = np.array([[self.says(i, "input")] for i in range(len(self.names))])
-        return np.where((self.repeats > 0) & ~says, -1.0, net)
+        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gain))
+        return push - WEIGHTS.back * push.T
 
 
-def explains_factor(factor: float, unit: str, speed: str, tolerance: float) -> bool:
-    """Whether a velocity may be a factor times the slope of a position in its unit.
-
-    Args:
-        factor: the factor, of numbers.
-        unit: unit of the position, empty where it is unknown.
-        speed: unit of the velocity, empty where it is unknown.
-        tolerance: relative deviation.
-    """
-    for units, speeds in ((ANGLE, ANGULAR_SPEEDS), (LENGTH, LINEAR_SPEEDS)):
-        own = [units[unit]] if unit in units else [] if unit else [*units.values()]
-        others = [speeds[speed]] if speed in speeds else [] if speed else [*speeds.values()]
-        if any(abs(factor * b / a - 1) < tolerance for a in own for b in others):
-            return True
-    return False
+def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
+    """Points for each column j as the derivative of each column i, [i, j]."""
+    w = WEIGHTS
+    fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
+    points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
+    least, clear = w.slopes
+    points = np.where(fit < clear, -0.25 * w.no_slope, points)
+    points = np.where(fit < least, -w.no_slope, points)
+    units = [reading.unit for reading in readings]
+    is_rate = [not unit or "/" in unit or unit in ("rpm", "g") for unit in units]
+    kinds = [reading.kind for reading in readings]
+    is_other = [[None not in (a, b) and a != b for b in kinds] for a in kinds]
+    points = np.where(is_rate & ~np.array(is_other), points, -w.no_slope)
+    # too few samples to say anything
+    points = np.where(slopes.factor == 0, -0.25 * w.no_slope, points)
+    np.fill_diagonal(points, -w.no_slope)
+    return points
 
 
 def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c"]) -> list[int]:
@@ -464,14 +425,6 @@ def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[d
     if {b for _, b in pairs} & {*joints}:
         return []
     return [{k: place[k + d] for k in joints if k + d in place} for d in (0, distance)]
-
-
-def _are_of_one(a: NameReading, b: NameReading) -> bool:
-    """Whether two names have the same number, or are of the same thing."""
-    numbers = [{w for w in r.words if w.isdigit()} for r in (a, b)]
-    if any(numbers):
-        return numbers[0] == numbers[1]
-    return bool(a.object) and a.object == b.object
 
 
 def _joint_of(reading: NameReading) -> frozenset[str]:

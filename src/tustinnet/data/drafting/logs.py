@@ -15,6 +15,7 @@ from tustinnet.data.alignment import find_covered
 from tustinnet.data.columns import NUMBERED, Columns, are_numbers
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
+from tustinnet.data.drafting.vocabulary import LINEAR
 from tustinnet.data.readers import is_text, read_columns
 from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
@@ -26,7 +27,8 @@ _SHORTEST_RECORD = 20  # samples of a record
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
 _LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
-_VECTOR = re.compile("d{0,2}[xyz](dot|ddot|p|pp|d|dd)?")  # and its derivatives
+_VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
+_TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
 
@@ -450,6 +452,11 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
     intervals = _intervals([log.values[best] for log in logs])
     assert intervals is not None
+    if ticks := _TICKS.search(best):  # cards have no such unit
+        unit = "us" if ticks[2][0] not in "mun" else ticks[2]
+        dt, _ = _period(intervals * TIME[unit] * int(ticks[1]))
+        reason = f"times in ticks of {ticks[0]}: their mean interval is the period"
+        return Clock(None, dt=dt, others={**others, best: reason})
     dt, worst = _period(intervals * TIME[unit])
     if not SHORTEST_DT <= dt <= LONGEST_DT:
         return Clock(None, others={**others, best: f"rises, but {dt:.3g} s apart"})
@@ -546,7 +553,7 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     unit = fits[0] if fits else "s" if step < _LOGGED_PERIODS[1] else "ns"
     if step == 1:
         return "ms", "in ms? whole numbers 1 apart", False
-    return unit, f"in {unit}: whole numbers {step:.4g} apart", True
+    return unit, f"in {unit}: whole numbers {step:.4g} apart", len(fits) == 1
 
 
 # --- the records in the logs ---
@@ -620,16 +627,20 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
         )
         for name in logs[0].values
     }
-    # of a vector of states `x[1]`, `x[2]` or outputs `y1`, `y2`, x and y are no directions
-    stems = Counter(r.words[0] for r in readings.values() if _is_element(r))
+    spoken = {word for r in readings.values() for word in r.words}
     return {
-        name: replace(r, kind=None) if _is_element(r) and stems[r.words[0]] > 1 else r
-        for name, r in readings.items()
+        name: replace(r, kind=None) if _is_output(r, spoken) else r for name, r in readings.items()
     }
 
 
-def _is_element(reading: NameReading) -> bool:
-    """Whether a name is that of an element of a vector x, y or z, or of its derivative."""
-    words = reading.words
-    is_numbered = len(words) == 2 and words[1].isdigit() and not reading.unit
-    return is_numbered and _VECTOR.fullmatch(words[0]) is not None
+def _is_output(reading: NameReading, spoken: Collection[str]) -> bool:
+    """Whether x, y or z in a name is no direction: an element `x[1]` of a vector, or y without x.
+
+    Args:
+        reading: the meaning of the name.
+        spoken: the words of all names.
+    """
+    letters = [m[1] for word in reading.words if (m := _VECTOR.fullmatch(word))]
+    if not letters or reading.unit or {*reading.words} & LINEAR - {"x", "y", "z"}:
+        return False
+    return any(word.isdigit() for word in reading.words) or (letters == ["y"] and "x" not in spoken)

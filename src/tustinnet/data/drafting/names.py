@@ -37,6 +37,7 @@ INPUTS: tuple[Quantity, ...] = (
 _LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
 _SURE_UNITS: tuple[Quantity, ...] = ("velocity", "acceleration")
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
+_DECISIVE = 8.0  # of one that no other word or unit changes: `position error [mm]`, `battery [V]`
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
 _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
@@ -65,6 +66,8 @@ def _read_units() -> dict[str, tuple[str, Quantity]]:
 
 
 _UNITS = _read_units()
+_NO_ENDINGS = {"in", "inc", "turn", "steps", "step", "impulse", "raw", "bit", "hz"}
+"""Units that are words at the end of a name."""
 _UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
 """Columns that are called by their unit alone."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
@@ -80,20 +83,30 @@ _PURE = POSITION_WORDS.union(
     ["rpm"],
 )
 """Words that say which quantity, but not of what."""
-_FOREIGN = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws if not w.isascii()}
+_MEANINGS: dict[str, list[tuple[Quantity, float]]] = {}
+"""The quantities of which a word speaks, and its weight for each."""
+for _quantity, _words in STRONG.items():
+    for _word in _words:
+        _weight = _DECISIVE if _quantity in ("error", "other") else _STATED
+        _MEANINGS.setdefault(_word, []).append((_quantity, _weight))
+for _quantity, _words in WEAK.items():
+    for _word in _words:
+        _MEANINGS.setdefault(_word, []).append((_quantity, 1.0))
 _VOCABULARY = {w for ws in (*STRONG.values(), *QUALIFIERS.values()) for w in ws}
 _LAST_PARTS = sorted(
     (
         w
-        for q in ("position", "velocity", "acceleration", *INPUTS, "error")
-        for w in STRONG[q]
-        if len(w) >= 5 and w.isascii()
+        for ws in (
+            *(STRONG[q] for q in ("position", "velocity", "acceleration", *INPUTS, "error")),
+            *QUALIFIERS.values(),
+        )
+        for w in ws
+        if len(w) >= 5
     ),
     key=len,
     reverse=True,
 )
 """Words that are the last part of compounds, the longest first."""
-_CHINESE = re.compile(f"({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})")
 
 
 @dataclass(frozen=True)
@@ -147,13 +160,13 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if not in_brackets:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
-    if _is_about_axis(words):
+    positions = {w for w in words if w in STRONG["position"]}
+    if any(quantities.get(q, 0.0) >= _STATED for q in INPUTS) and positions and positions <= AXES:
+        # `yaw_torque`, `ctrl.roll`: where an input acts; sensors of other positions give voltages
         del quantities["position"], word["position"]
     pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
         quantities["control"], word["control"] = 8.0, "action"
-    if {"output", "ausgang"} & {*words} and {"pid", "controller", "regler"} & {*words}:
-        quantities["control"], word["control"] = 4.0, "output of a controller"
     if unit_quantity == "position" and (rate := _stated_rate(quantities, word)):
         unit_quantity = rate  # `x_dot_cm` has the unit of its position, per second
         unit += "/s" if rate == "velocity" else "/s^2"
@@ -194,11 +207,11 @@ def _read_quantities(
         if weight > quantities.get(quantity, 0.0):
             quantities[quantity], word[quantity] = weight, because
 
-    for text in words:
-        for table, weight in ((STRONG, _STATED), (WEAK, 1.0)):
-            for quantity, texts in table.items():
-                if text in texts:
-                    add(quantity, weight, text)
+    for text, noun in pairwise([*words, ""]):
+        if text == "current" and noun in STRONG["position"] | STRONG["velocity"]:
+            continue  # an adjective
+        for quantity, weight in _MEANINGS.get(text, ()):
+            add(quantity, weight, text)
         symbol = _SYMBOL.fullmatch(text)
         if symbol and (symbol["before"] or symbol["behind"]):
             order = len(symbol["before"]) or _ORDERS.get(symbol["behind"], 1)
@@ -210,8 +223,6 @@ def _read_quantities(
         add("velocity", 3.5, "d/dt")
     if {("dot", "dot"), ("d", "dot")} & {*pairwise(words)}:
         add("acceleration", 4.0, "dot dot")
-    if quantities.get("error", 0.0) >= 3:
-        quantities["error"] += 5.0  # `position error [mm]` is an error
     return quantities, word
 
 
@@ -223,20 +234,6 @@ def _stated_rate(
     symbol = _SYMBOL.fullmatch(word.get(rate, ""))
     is_stated = quantities.get(rate, 0.0) >= _STATED and not (symbol and symbol["before"])
     return rate if is_stated else None
-
-
-def _is_about_axis(words: Sequence[str]) -> bool:
-    """Whether words of a position only say at which axis an input acts, as in `yaw_torque`.
-
-    `torque` and `force` decide for any position where they come last. Sensors of positions give
-    voltages, and `current` is also an adjective, so other inputs decide for axes alone, and
-    currents not at all.
-    """
-    positions = [word for word in words if word in STRONG["position"]]
-    inputs = {w: q for q in INPUTS if q != "current" for w in words if w in STRONG[q]}
-    spoken = [word for word in words if word in {*positions, *inputs}]
-    last = inputs.get(spoken[-1]) if positions else None
-    return last in ("torque", "force") or (last is not None and {*positions} <= AXES)
 
 
 _ORDERS = {"ddot": 2, "pp": 2, "dd": 2}  # of derivatives, by endings of symbols
@@ -295,19 +292,18 @@ def _split_words(name: str) -> list[str]:
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     spaced = re.sub(r"(?<=[^\W\d_])(?=\d)", "_", spaced)  # `q1`, but `s2` of `rad_s2` below
     words = [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
-    words = [part for word in words for part in _split_compound(word)]
-    # Chinese and Japanese put no blanks between words
-    return [part for word in words for part in _CHINESE.split(word) if part]
+    return [part for word in words for part in _split_compound(word)]
 
 
 def _split_compound(word: str) -> list[str]:
-    """The parts of a word of German and its neighbours: `istposition`, `seilwinkel`."""
+    """The parts of a word of German: `istposition`, `seilwinkel`, `geschwindigkeitssollwert`."""
     if word in _VOCABULARY:
         return [word]
     end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w) + 1), None)
     if end is None:
         return [word]
     rest = word.removesuffix(end)
+    rest = rest[:-1] if rest[:-1] in _VOCABULARY else rest  # without the s that joins them
     # a part of three letters must be a word
     return [rest, end] if len(rest) > 3 or rest in _VOCABULARY else [word]
 
@@ -338,22 +334,17 @@ def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:
 
 
 def _is_unit(ending: str, before: Sequence[str]) -> bool:
-    """Whether a last word is a unit: one letter may be a name's, as in `u_a`, `q_m`, `enc_a`."""
-    if ending in ("in", "grad", "inc", "turn", "steps", "step", "impulse", "raw", "bit", "hz"):
-        return ending == "grad"
+    """Whether a last word is a unit: one letter may be a name's, as in `q_m`, `enc_a`, `gear_s`.
+
+    It is a unit behind a word of its quantity, and one of an input or a length behind a word that
+    says no motion, as in `motor_v`, `rail_m`.
+    """
     if len(ending) > 1:
-        return True
-    last = before[-1]
+        return ending not in _NO_ENDINGS
     symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
-    if (symbol, ending) in (("u", "v"), ("i", "a"), ("f", "n"), ("t", "s"), ("x", "m"), ("y", "m")):
-        return True  # a symbol and the unit of its quantity
-    if ending in ("k", "c", "g", "w", "s"):
-        return ending == "s" and last in STRONG["time"] | WEAK["time"]
-    spoken = {q for q, texts in STRONG.items() if last in texts}
-    spoken |= {q for q, texts in WEAK.items() if last in texts}
-    if ending == "m":
-        return not spoken or ("position" in spoken and last not in ("q", "theta", "phi"))
-    is_position = bool(spoken & {"position"}) and not spoken & {*INPUTS}
-    if ending in "anv" and is_position and last not in ("motor", "drive"):
-        return last not in STRONG["position"] and len(last) > 1
-    return len(last) > 1
+    quantity, spoken = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
+    if quantity in spoken:
+        return symbol not in ("q", *ANGULAR)
+    is_motion = bool(spoken & {"position", "velocity", "acceleration"})
+    is_possible = not spoken if ending == "m" else quantity in INPUTS and not is_motion
+    return is_possible and len(symbol) > 1

@@ -21,14 +21,13 @@ from tustinnet.data.drafting.numbers import (
     is_decimal,
     is_power_of_ten,
 )
-from tustinnet.data.drafting.relations import find_copy
 from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
 
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
-_ENCODERS = {"encoder", "encoders", "enc", "codeur", "geber", "drehgeber", "resolver"}
+_ENCODERS = {"encoder", "encoders", "enc", "geber", "drehgeber", "resolver"}
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
@@ -283,7 +282,10 @@ def _unit_by_size(
 ) -> str:
     """The unit of a position by its range, with a question where that is not clear."""
     numbers = findings.numbers[column]
-    unit, is_clear = _usual_unit(numbers, kind or "angular")
+    # positions of one kind, of one machine, are in one unit
+    of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
+    largest = max(findings.numbers[n].largest for n in (column, *of_kind))
+    unit, is_clear = _usual_unit(numbers, largest, kind or "angular")
     reason = f"in {unit} by its range {range_text(numbers)}"
     # controllers of drives give the position of an encoder in turns, or in units of the machine
     is_of_encoder = bool(_ENCODERS & {*findings.readings[column].words})
@@ -296,17 +298,23 @@ def _unit_by_size(
     return unit
 
 
-def _usual_unit(numbers: Numbers, kind: Kind) -> tuple[str, bool]:
+def _is_of_kind(column: str, kind: Kind, findings: Findings) -> bool:
+    """Whether a position is of a kind by its name, and in a unit that nothing but its size says."""
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    return reading.kind == kind and not (reading.unit or numbers.whole or numbers.wrap)
+
+
+def _usual_unit(numbers: Numbers, largest: float, kind: Kind) -> tuple[str, bool]:
     """The usual unit of positions of some size, and whether the size is clear."""
     if numbers.whole and numbers.distinct > 2:
         return "counts", True
     if kind == "linear":
-        if numbers.largest <= _MOST_METRES:
-            return "m", numbers.largest <= 3
-        return "mm", numbers.largest > 30
-    if numbers.largest <= _MOST_RADIANS:
-        return "rad", numbers.largest <= 2.5 * np.pi
-    return "deg", 30 < numbers.largest <= 400
+        if largest <= _MOST_METRES:
+            return "m", largest <= 3
+        return "mm", largest > 30
+    if largest <= _MOST_RADIANS:
+        return "rad", largest <= 2.5 * np.pi
+    return "deg", 30 < largest <= 400
 
 
 def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
@@ -318,17 +326,6 @@ def _counts_by_velocity(velocity_unit: str, factor: float | None) -> int | None:
     return usual or (round(counts) if counts >= 1 else None)
 
 
-def _counts_by_copy(column: str, findings: Findings) -> int | None:
-    """Counts in a turn, by another column that is the position in rad or degrees."""
-    for other, reading in findings.readings.items():
-        if other == column or reading.unit not in ANGLE or other not in findings.samples:
-            continue
-        factor = find_copy(findings.samples[column], findings.samples[other])
-        if factor:
-            return round(2 * np.pi / ANGLE[reading.unit] / abs(factor))
-    return None
-
-
 def _counts(
     column: str,
     speed: str,
@@ -338,14 +335,14 @@ def _counts(
     because: list[str],
     doubts: list[str],
 ) -> tuple[int, bool]:
-    """Counts in a turn, and whether they are assumed: neither answered nor by velocity or copy."""
+    """Counts in a turn, and whether they are assumed: neither answered nor by velocity."""
     turn = findings.numbers[column].wrap
     key = f"counts {column}"
     if (answer := findings.answer(key)) is not None:
         because.append(f"{answer[0]} counts in a turn {answer[1]}")
         return int(float(answer[0])), False
     by_wrap = round(turn) if turn and turn not in _OVERFLOWS else None
-    compared = _counts_by_velocity(speed, factor) or _counts_by_copy(column, findings)
+    compared = _counts_by_velocity(speed, factor)
     if compared is not None and (by_wrap is None or abs(compared / by_wrap - 1) < _SAME_FACTOR):
         because.append(f"{by_wrap or compared} counts in a turn")
         return by_wrap or compared, False

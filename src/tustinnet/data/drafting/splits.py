@@ -17,6 +17,9 @@ _SPLIT_WORDS = {
     "validation": {"val", "valid", "validation", "validierung"},
     "test": {"test", "testing", "holdout", "heldout"},
 }
+_CONDITION = re.compile(
+    r"(?<![^\W_])\d+(?:[.,]\d+)?(?:k?g|[cm]?m|[um]?s|V|A|Nm?|bar|deg|Hz)(?![^\W_])"
+)
 _REPETITIONS = {"rep", "repeat", "repetition", "wdh", "wiederholung", "trial", "take", "r"}
 
 
@@ -125,6 +128,13 @@ def choose_splits(
     if any(len(rs) > 1 for units in sets.values() for rs in units.values()):
         sentences.append("repetitions of an experiment are in one split")
     return Splits(tuple(records), tuple(sentences))
+
+
+def find_conditions(pieces: Sequence[Piece]) -> list[str]:
+    """The numbers with a unit in the names of all files, as `5kg`; empty where they are equal."""
+    said = [tuple(_CONDITION.findall(PurePosixPath(piece.log.file).stem)) for piece in pieces]
+    found = dict.fromkeys(text for texts in said for text in texts)
+    return [*found] if all(said) and len({*said}) > 1 else []
 
 
 def _tokens(text: str) -> list[str]:

@@ -1,5 +1,6 @@
-"""Words in the names of columns and what they mean, in the languages that laboratories use.
+"""Words in the names of columns and what they mean, in English and German.
 
+A word of another language is here where logs were seen that have it.
 Words are in lower case and without accents. German umlauts are spelled out: `hoehe`.
 """
 
@@ -24,54 +25,41 @@ Quantity = Literal[
 ]
 Qualifier = Literal["command", "measured", "filtered", "model"]
 
-# English and German; then French, Spanish and Portuguese, Italian, Dutch and Swedish, Polish and
-# Czech; Chinese and Japanese
 _STRONG: dict[Quantity, str] = {
-    "time": "time times zeit timestamp stamp clock millis micros uptime zeitstempel elapsed "
-    "temps tiempo tempo tijd tid czas cas 時間 时间 時刻",
+    "time": "time times zeit timestamp stamp clock millis micros uptime zeitstempel elapsed temps "
+    "tijd",
     "counter": "index idx frame seq sequence row zeile nr episode iteration iter sample samples "
-    "task lfd messpunkt muestra echantillon campione",
+    "task lfd messpunkt",
     "position": "pos position positions angle angles winkel enc encoder encoders theta phi psi "
     "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
-    "elevation "
-    "deplacement codeur inclinaison posicion angulo desplazamiento altura posicao deslocamento "
-    "posizione angolo spostamento altezza positie hoek lage vinkel laege kat polozenie poloha uhel "
-    "位置 角度 角位移 位移 変位 関節角",
-    "velocity": "vel velocity velocities speed omega gyro tacho tachometer dot qdot "
-    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd "
-    "vitesse velocidad velocidade velocita snelheid hastighet predkosc rychlost "
-    "速度 角速度 转速 回転数",
-    "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl "
-    "aceleracion aceleracao accelerazione versnelling 加速度",
-    "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd "
-    "tension voltaje tensao tensione spanning spaenning napiecie napeti 电压 電圧",
+    "elevation posicion hoek lage tilt heading",
+    "velocity": "vel velocity velocities speed omega tacho tachometer dot qdot "
+    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd",
+    "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
+    "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
-    "stell aktion comando entrada entree ingresso",
-    "torque": "torque torques tau moment drehmoment effort efforts motormoment trq "
-    "couple coppia koppel 转矩 扭矩 トルク 力矩",
-    "force": "force forces kraft thrust schub antriebskraft fuerza forca forza kracht sila "
-    "推力 荷重",
-    "current": "current currents strom motorstrom iq ankerstrom "
-    "courant corriente corrente stroom stroem prad proud 电流 電流",
-    "pressure": "pressure druck pression presion pressao pressione 压力 圧力",
-    "error": "error err fehler regelabweichung schleppfehler schleppabstand deviation regelfehler "
-    "erreur errore erro uchyb 误差 誤差 偏差",
+    "stell aktion",
+    "torque": "torque torques tau moment drehmoment effort efforts motormoment trq",
+    "force": "force forces kraft thrust schub antriebskraft",
+    "current": "current currents strom motorstrom iq ankerstrom corriente",
+    "pressure": "pressure druck",
+    "error": "error err fehler regelabweichung schleppfehler schleppabstand deviation regelfehler",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
-    "freigabe button taster bit done ready trigger trig estop switch homed zustand armed "
-    "etat estado stato loop",
-    "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise "
-    "battery fric friction reibung humidity rssi checksum crc supply versorgung latency erpm "
-    "temperatura frottement 温度 reward energy energie",
+    "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop",
+    "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
+    "batt fric friction reibung humidity rssi checksum crc supply versorgung latency erpm reward "
+    "energy energie",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
-    "time": "t sec secs ts date datetime datum uhrzeit clk fecha heure",
+    "time": "t sec secs ts date datetime datum uhrzeit clk fecha",
     "counter": "k step n id count tick cycle zyklus",
-    "position": "q x y z s alpha beta gamma distance abstand dist delta joint gelenk pole pendulum "
-    "pendel cart wagen laser sensor arm link beam ball disc scheibe th ang observation obs state",
-    "velocity": "w v n qd xd xp rpm",
+    "position": "q x y z s alpha beta gamma distance abstand dist delta joint gelenk pole "
+    "pendulum pendel cart wagen laser sensor arm link beam ball disc scheibe th ang observation "
+    "obs state",
+    "velocity": "w v n qd xd xp rpm gyro",
     "acceleration": "a imu",
     "voltage": "u v",
     "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo",
@@ -84,38 +72,28 @@ _WEAK: dict[Quantity, str] = {
 }
 _QUALIFIERS: dict[Qualifier, str] = {
     "command": "cmd command commanded setpoint sp target desired des ref reference soll sollwert "
-    "vorgabe goal con fuehrungsgroesse request req set demand planned commands "
-    "consigne consigna referencia riferimento setpunkt gewenst zadana 指令 目標 目标 给定 参考",
-    "measured": "meas measured act actual ist istwert mess messwert fb feedback raw roh m sensor "
-    "mesure medido medida misura misurato 实际 実測 反馈",
-    "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman "
-    "filtre filtrado filtrato",
+    "vorgabe goal con fuehrungsgroesse request req set demand planned commands consigna",
+    "measured": "meas measured act actual ist istwert mess messwert fb feedback raw roh m sensor",
+    "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman",
     "model": "sim simulated model predicted pred",
 }
 _OTHERS = {
-    "angle": "angle angles winkel theta phi psi alpha beta gamma pitch roll yaw drehwinkel th "
-    "ang pole pendulum pendel joint gelenk shoulder elbow wrist hip knee schulter ellbogen encoder "
-    "enc disc scheibe link drehgeber resolver azimuth elevation omega gyro tacho drehzahl rpm "
-    "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment "
-    "angulo angolo hoek vinkel kat uhel codeur couple coppia koppel 角度 角位移 関節角 角速度 转速 "
-    "回転数 转矩 扭矩 トルク 力矩",
+    "angle": "angle angles winkel theta phi psi alpha beta gamma pitch roll yaw drehwinkel th ang "
+    "pole pendulum pendel joint gelenk shoulder elbow wrist hip knee schulter ellbogen encoder enc "
+    "disc scheibe link drehgeber resolver azimuth elevation omega gyro tacho drehzahl rpm "
+    "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment hoek",
     "length": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
-    "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben "
-    "sled stage gantry lift ram plunger stroke linear force kraft "
-    "deplacement chariot desplazamiento carro deslocamento spostamento altura altezza fuerza forza "
-    "forca kracht wozek 位移 変位 推力",
+    "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben sled "
+    "stage gantry lift ram plunger stroke linear force kraft chariot",
     "container": "states state joint joints observation msg data value values log logs signals",
     "axis": "theta phi psi pitch roll yaw azimuth elevation",
-    "any position": "pos position positions angle angles winkel lage enc encoder "
-    "deplacement codeur posicion angulo desplazamiento posicao posizione angolo spostamento "
-    "positie hoek vinkel kat polozenie poloha uhel 位置 角度 位移 変位",
+    "any position": "pos position positions angle angles winkel lage enc encoder posicion hoek",
 }
 
 STRONG: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _STRONG.items()}
 WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.items()}
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
-DISTURBANCES = {"disturbance", "stoerung", "wind", "stoermoment", "stoerkraft"}
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what
@@ -128,9 +106,8 @@ LETTERS = (
 # units by quantity, as cards have them, and how else they are spelled
 UNITS = """
 position:rad:radian radians
-position:deg:degree degrees grad grd ° degre degres grado grados gradi graus graden grader stopni \
-stopnie stupne 度
-position:rev:revs turns turn umdr umdrehungen revolutions rotations rot tour tours giri vueltas
+position:deg:degree degrees grad grd ° graden
+position:rev:revs turns turn umdr umdrehungen revolutions rotations rot
 position:mrad:
 position:m:meter metre meters metres
 position:cm:
@@ -139,8 +116,7 @@ position:um:µm μm
 position:in:inch inches
 position:counts:cnt cnts count tick ticks pulses inc incs ink inkr inkremente increments impulse \
 steps lsb
-velocity:rpm:1/min u/min min^-1 min-1 rev/min r/min rev_min u_min upm 1_min tr/min tr_min giri/min \
-ob/min r/m
+velocity:rpm:1/min u/min min^-1 min-1 rev/min r/min rev_min u_min upm 1_min
 velocity:km/h:kmh kph
 velocity:rev/s:rps hz_rev
 velocity:rad/s:rads
@@ -161,7 +137,7 @@ torque:N cm:ncm n*cm
 pressure:bar:
 pressure:Pa:
 pressure:psi:
-time:s:sec secs second seconds sek sekunden 秒
+time:s:sec secs second seconds sek sekunden
 time:ms:msec millis milliseconds millisekunden
 time:us:usec micros microseconds mikrosekunden µs μs
 time:ns:nsec nsecs nanos nanoseconds nanosekunden
