@@ -17,6 +17,7 @@ from swinging import SWING
 
 from tustinnet.data.declaration import parse_toml
 from tustinnet.errors import InputError
+from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection import cluster as room
 from tustinnet.selection.cluster import _call, cluster, versions
@@ -119,7 +120,7 @@ def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path
     here, there = (
         cross_validate(swings(), options),
         cross_validate(
-            swings(), options, folder=tmp_path, executor=machine, on_message=said.append
+            swings(), options, Listener(on_message=said.append), folder=tmp_path, executor=machine
         ),
     )
     assert sorted(there.scores, key=str) == sorted(here.scores, key=str)

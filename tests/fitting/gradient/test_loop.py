@@ -408,14 +408,9 @@ def test_many_seeds_and_rates_are_fitted_at_once(pendulum, prepared):
 def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared, whole):
     model, _, _, states = whole
     plans: list[TrainingPlan | Task] = []
-
-    def listen(plan: TrainingPlan | Task) -> Listener:
-        plans.append(plan)
-        return Listener()
-
     later = Member(5)
     task = prepared.task.with_members([later, *prepared.members])
-    new, resumed = fit_task(task, listen, [(prepared.members, states[0])])
+    new, resumed = fit_task(task, Listener(on_begin=plans.append), [(prepared.members, states[0])])
     assert [p.members for p in plans if isinstance(p, TrainingPlan)] == [(later,), prepared.members]
     assert (new.member, resumed.member) == (later, prepared.members[0])
     assert same_bits(resumed.model, restore_untrained(prepared, 0, one(model)).simplify())

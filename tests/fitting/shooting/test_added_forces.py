@@ -35,9 +35,9 @@ STRIBECK = {"angle.coulomb": 0.06, "angle.breakaway": 0.1, "angle.stribeck_speed
 RELAXING = {"angle.maxwell": 0.3, "angle.relaxation": 2.0}
 
 
-def recipe(*forces: str, initial: str = "anchored", **fixed: float) -> tn.Recipe:
+def recipe(*forces: str, **fixed: float) -> tn.Recipe:
     table = {"kind": "euler-lagrange", "forces": list(forces), "fixed": fixed}
-    return tn.read_recipe({"name": "forces", "model": table, "search": {"initial": initial}})
+    return tn.read_recipe({"name": "forces", "model": table, "search": {"initial": "anchored"}})
 
 
 def rubbed() -> list[tn.Experiment]:
@@ -46,9 +46,8 @@ def rubbed() -> list[tn.Experiment]:
 
 @pytest.fixture(scope="module")
 def result() -> tn.Identification:
-    return tn.identify(
-        data_set(rubbed()), KNOWN_GAIN, recipe("coulomb", "cubic:angle", initial="choose")
-    )
+    usual = tn.read_recipe(recipe("coulomb", "cubic:angle"), ["search.initial=choose"])
+    return tn.identify(data_set(rubbed()), KNOWN_GAIN, usual)
 
 
 def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(result):
