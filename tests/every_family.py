@@ -96,8 +96,8 @@ _FAMILIES = (
     "hybrid 2",
     "network taps",
 )
-# a structure twice, not beside one another; what one more member adds, its own case tries
-_MEMBERS = ("network memory", "physics", "network taps", "network memory 2")
+# two structures twice, not beside one another; what one more member adds, its own case tries
+_MEMBERS = ("network memory", "hybrid", "linear", "network memory 2", "network taps", "hybrid 2")
 _OTHERS = {
     "committee": lambda: tn.committee([example(name) for name in _MEMBERS]),
     "qube": lambda: nominal(SYSTEM, 1),

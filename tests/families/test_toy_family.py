@@ -139,7 +139,6 @@ def place(_registered, pendulum, tmp_path_factory) -> Path:
         "--out",
         place / "run",
         "--quiet",
-        "--no-report",
     )
     return place
 
