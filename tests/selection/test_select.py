@@ -33,6 +33,7 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.committees import combine, score_committee, score_committees
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.plan import read_plan
+from tustinnet.selection.ranking import CandidateResult
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
 from tustinnet.store.header import read_header
@@ -96,6 +97,20 @@ def alone(tmp_path_factory):
 
 
 # --- what is chosen ---
+
+
+def test_a_difference_on_a_single_record_is_said_to_be_on_too_few(made):
+    def on_one(result: CandidateResult) -> CandidateResult:
+        first, *_ = result.fits_by_fold[0]
+        rmse = {start: dict([next(iter(of.items()))]) for start, of in first.rmse.items()}
+        return replace(result, fits_by_fold={0: (replace(first, rmse=rmse),)})
+
+    candidates = made.choice.candidates
+    results = tuple(map(on_one, candidates.results))
+    few = replace(candidates, results=results, committees={})
+    choice = replace(made.choice, candidates=few, best="grey", simplest="grey")
+    (difference,) = [f for f in choice.findings if f.code.startswith("not clearly better")]
+    assert difference.text.endswith("on 1 record, too few records to be sure")
 
 
 def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):
