@@ -41,9 +41,7 @@ def layout(tmp_path):
 
 def authors_rows(layout, split):
     options = table1.ReproductionOptions(["authors"], split)
-    return table1.build_rows(
-        tn.load(layout), layout, options, layout / "runs", lambda name: lambda prepared: SILENT
-    )
+    return table1.build_rows(tn.load(layout), layout, options, layout / "runs", lambda name: SILENT)
 
 
 def test_the_test_split_is_scored_where_it_is_there_else_validation(layout):
