@@ -485,13 +485,13 @@ def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:
     What stands behind several numbers, `# 3 4 speed left, right`, is the name of each.
     """
     names: dict[int, str] = {}
-    for said in filter(None, map(_NUMBERED_NAME.fullmatch, comments)):
-        numbers = [int(number) for number in re.findall(r"\d+", said[1])]
-        names |= {n: f"{said[2]} {n}" if len(numbers) > 1 else said[2] for n in numbers}
+    for match in filter(None, map(_NUMBERED_NAME.fullmatch, comments)):
+        numbers = [int(number) for number in re.findall(r"\d+", match[1])]
+        names |= {n: f"{match[2]} {n}" if len(numbers) > 1 else match[2] for n in numbers}
     first = 0 if 0 in names else 1
-    found = [names.get(first + k, f"{NUMBERED}{k + 1}") for k in range(width)]
-    said_of = sum(first + k in names for k in range(width))
-    return found if said_of >= max(2, width / 3) and len({*found}) == width else None
+    columns = [names.get(first + k, f"{NUMBERED}{k + 1}") for k in range(width)]
+    named = sum(first + k in names for k in range(width))
+    return columns if named >= max(2, width / 3) and len({*columns}) == width else None
 
 
 def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":

@@ -34,7 +34,7 @@ class Deadline:
 
     def has_passed(self) -> bool:
         """Whether it is over."""
-        return self.remaining < 0
+        return self.comes_within(0.0)
 
     def comes_within(self, seconds: float) -> bool:
         """Whether fewer seconds remain: the `should_stop` of a `Listener`."""

@@ -252,8 +252,9 @@ def run_fit(
                 write_specification(folder, specification)
             listener.on_begin(prepared)
 
-        listener_here = replace(listener, on_begin=on_begin)
-        results = fit_in_folder(folder, task, listener_here, resume=earlier == "resume")
+        results = fit_in_folder(
+            folder, task, replace(listener, on_begin=on_begin), resume=earlier == "resume"
+        )
         fits = fit.with_findings(results)
         (fold,) = task.folds
         roles = fold.roles.with_long_validation(fits[0].fewest_samples)

@@ -141,13 +141,14 @@ class CandidateQueue:
         """The candidates that go on with the jobs of their next rounds, by what these take."""
         steps, rounds = [], self._candidates_by_round()
         places, ahead = self._places(), self._find_ahead()
+        is_compared = len({*places.values()}) > 1
         for c in self._candidates:
             for number, names in enumerate(rounds):
                 if jobs := self._missing(c, number):
                     if c.name in names:
                         place = places.get(c.name, 0)
                         behind = 0 if c.name in ahead else number + place
-                        is_best = place == 0 and len({*places.values()}) > 1
+                        is_best = is_compared and place == 0
                         weight = self._weight(c, jobs[0], behind, is_best=is_best)
                         steps.append((weight, c, jobs))
                     break

@@ -132,9 +132,9 @@ def choose_splits(
 
 def find_conditions(pieces: Sequence[Piece]) -> list[str]:
     """The numbers with a unit in the names of all files, as `5kg`; empty where they are equal."""
-    said = [tuple(_CONDITION.findall(PurePosixPath(piece.log.file).stem)) for piece in pieces]
-    found = dict.fromkeys(text for texts in said for text in texts)
-    return [*found] if all(said) and len({*said}) > 1 else []
+    by_file = [tuple(_CONDITION.findall(PurePosixPath(p.log.file).stem)) for p in pieces]
+    conditions = dict.fromkeys(text for texts in by_file for text in texts)
+    return [*conditions] if all(by_file) and len({*by_file}) > 1 else []
 
 
 def _tokens(text: str) -> list[str]:
