@@ -3,7 +3,8 @@
 The import hook of jaxtyping has arguments checked before a call and once more, beside the result,
 after it, by functions which it makes of text, and binds them to names at every call: nearly half of
 the time of all tests. Here beartype checks arguments and result around the call. Where types,
-shapes and dtypes are all that is checked, those that were right once are right again. Functions
+shapes and dtypes are all that is checked, those that were right once are right again. Checks are
+made at the first call: most functions of the package are never called in one worker. Functions
 within functions are defined whenever the outer one is called: their checks are kept by the
 function's code and annotations.
 """
@@ -79,6 +80,16 @@ def _make_checks(fn: FunctionType, typechecker: Any) -> _Checks:
     return _Checks(typechecker(copy), has_shapes, seen)
 
 
+def _checks_of(fn: FunctionType, typechecker: Any) -> _Checks:
+    """The checks of a function, those kept of a function within a function."""
+    if "<locals>" not in fn.__qualname__:
+        return _make_checks(fn, typechecker)
+    key = (fn.__code__, typechecker, *map(_key, fn.__annotations__.values()))
+    if key not in _kept:
+        _kept[key] = _make_checks(fn, typechecker)
+    return _kept[key]
+
+
 def _checks_around(checks: _Checks, fn: Callable[..., Any]) -> Callable[..., Any]:
     """Another function with the same checks: what beartype calls is a default of its own."""
     kept: Any = checks.function
@@ -89,7 +100,9 @@ def _checks_around(checks: _Checks, fn: Callable[..., Any]) -> Callable[..., Any
 
 
 def _check(fn: FunctionType, checks: _Checks) -> Callable[..., Any]:
-    """A function with checks."""
+    """A function with checks, itself where there is nothing to check."""
+    if checks.function.__code__ is fn.__code__:
+        return fn
     around = _checks_around(checks, fn)
     if not checks.has_shapes:
         return around
@@ -132,20 +145,18 @@ def jaxtyped(fn: Any = None, *, typechecker: Any) -> Any:
         return fn
     if not isinstance(fn, FunctionType) or inspect.isgeneratorfunction(fn):
         return _decorate(fn, typechecker=typechecker)
-    if "<locals>" in fn.__qualname__:
-        key = (fn.__code__, typechecker, *map(_key, fn.__annotations__.values()))
-        if key not in _kept:
-            _kept[key] = _make_checks(fn, typechecker)
-        checks = _kept[key]
-    else:
-        checks = _make_checks(fn, typechecker)
-    if checks.function.__code__ is fn.__code__:
-        return fn  # nothing to check
-    with_checks = _check(fn, checks)
+    if not fn.__annotations__:
+        return fn
+    with_checks: Callable[..., Any] | None = None
 
     @functools.wraps(fn)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        return (fn if jaxtyping.config.jaxtyping_disable else with_checks)(*args, **kwargs)
+        nonlocal with_checks
+        if jaxtyping.config.jaxtyping_disable:
+            return fn(*args, **kwargs)
+        if with_checks is None:
+            with_checks = _check(fn, _checks_of(fn, typechecker))
+        return with_checks(*args, **kwargs)
 
     vars(checked)["is_checked"] = True
     return checked
