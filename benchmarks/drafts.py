@@ -1228,7 +1228,7 @@ def main() -> None:
                 truth = laboratory(Path(place))
                 try:
                     folder, files = list_logs([Path(place)])
-                    draft = make_draft(folder, files, is_asking=False, follow_links=False)
+                    draft = make_draft(folder, files, is_asking=False)
                     (folder / "dataset.toml").write_text(draft.text, encoding="utf-8")
                     wrong = differences(tomllib.loads(draft.text), truth, tn.load(folder))
                 except tn.InputError as error:

@@ -20,11 +20,22 @@ VERBS = {
     "next-record": "in Python: tn.rank_proposals, or tn.design_record for the motion of a robot",
     "residuals": "tustinnet evaluate MODEL DATA --residuals",
 }
+# verbs of the command that read records
+_READING = (
+    "init",
+    "inspect",
+    "fit",
+    "cross-validate",
+    "simulate",
+    "evaluate",
+    "control",
+    "report",
+)
 # options of verbs
 OPTIONS = {
     (verb, "--strict"): "tustinnet inspect DATA --strict, before it"
     for verb in ("fit", "cross-validate")
-}
+} | {(verb, "--follow-links"): "TUSTINNET_FOLLOW_LINKS=1 in the environment" for verb in _READING}
 # methods of models
 METHODS = {
     "of": "for_record",

@@ -84,7 +84,7 @@ def test_init_without_a_terminal_assumes_and_says_so(logs, capsys):
 
 def test_a_fit_says_in_a_line_what_the_card_assumes(logs, tmp_path, capsys):
     tustinnet(capsys, "init", logs, "--yes")
-    load_records_to_fit(str(logs), None, tmp_path / "RUN", follow_links=False)
+    load_records_to_fit(str(logs), None, tmp_path / "RUN")
     lines = [line for line in capsys.readouterr().err.splitlines() if "assumed to be" in line]
     (line,) = lines
     assert "counts in a turn of cnt were assumed to be" in line
@@ -161,7 +161,9 @@ def test_fit_drafts_a_card_into_its_own_folder(tmp_path, capsys):
     assert "dataset.toml: there already" in tustinnet(capsys, *words)[2]
 
 
-def test_links_that_leave_the_folder_are_read_only_if_that_is_said(logs, tmp_path, capsys):
+def test_links_that_leave_the_folder_are_read_only_if_that_is_said(
+    logs, tmp_path, capsys, monkeypatch
+):
     links, out = tmp_path / "LINKS", tmp_path / "RUN"
     links.mkdir()
     for file in logs.iterdir():
@@ -170,11 +172,11 @@ def test_links_that_leave_the_folder_are_read_only_if_that_is_said(logs, tmp_pat
         code, printed, err = tustinnet(capsys, *words)
         assert (code, printed, err.count("\n")) == (1, "", 1)
         assert "a link that leaves the folder" in err
-        assert "add --follow-links" in err
-    code, _, err = tustinnet(capsys, "init", links, "--yes", "--follow-links")
+        assert "set TUSTINNET_FOLLOW_LINKS=1" in err
+    monkeypatch.setenv("TUSTINNET_FOLLOW_LINKS", "1")
+    code, _, err = tustinnet(capsys, "init", links, "--yes")
     assert code == 0, err
-    assert f"next: tustinnet fit {links} --follow-links --out RUN" in err
-    assert len(tn.load(links, follow_links=True)) == 5
+    assert len(tn.load(links)) == 5
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])

@@ -65,7 +65,8 @@ def test_the_library_speaks_of_its_arguments_and_the_command_of_its_options():
 
 def test_every_option_that_a_message_names_is_one_of_a_verb():
     known = of_command(COMMAND).union(*VERBS.values())
-    named = {path.name: named_options(path) for path in SOURCE.rglob("*.py")}
+    files = [path for path in SOURCE.rglob("*.py") if path.name != "old_names.py"]
+    named = {path.name: named_options(path) for path in files}
     assert not {name: options - known for name, options in named.items() if options - known}
 
 

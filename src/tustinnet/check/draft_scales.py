@@ -13,13 +13,12 @@ from tustinnet.errors import InputError
 _QUESTIONS = {"unit": "unit", "counts_per_revolution": "counts"}  # of drafts, by keys of a card
 
 
-def find_scales(draft: Draft, folder: Path, *, follow_links: bool = False) -> dict[str, str]:
+def find_scales(draft: Draft, folder: Path) -> dict[str, str]:
     """Units and counts in a turn that gravity shows in the records, where a draft assumed others.
 
     Args:
         draft: the draft.
         folder: the folder of the logs.
-        follow_links: whether links to files outside of the folder are read.
 
     Returns:
         Answers to questions of the draft, by their keys, as `draft_examined` takes them.
@@ -29,7 +28,7 @@ def find_scales(draft: Draft, folder: Path, *, follow_links: bool = False) -> di
         return {}
     card = declare(parse_toml(draft.text), Card, folder)
     try:
-        records = load_folder(folder, card, on_message=lambda _: None, follow_links=follow_links)
+        records = load_folder(folder, card, on_message=lambda _: None)
     except InputError:  # which the caller meets when it reads the records itself
         return {}
     names = [c.name for c in card.coordinates]

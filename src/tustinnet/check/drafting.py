@@ -14,7 +14,6 @@ def draft(
     answers: Mapping[str, str] | None = None,
     *,
     system: SystemChannels | None = None,
-    follow_links: bool = False,
 ) -> Draft:
     """Drafts the data card of a folder of logs, as `tustinnet init --yes` does; writes nothing.
 
@@ -24,7 +23,6 @@ def draft(
             `{"role servo_deg": "input"}`.
         system: coordinates and inputs that the card has to have; by default those that the columns
             show.
-        follow_links: whether links to files outside of the folder are read.
 
     Returns:
         The draft: the card is its `text`, the reasons and margins of all columns are in
@@ -33,8 +31,8 @@ def draft(
     Raises:
         InputError: there are no logs, or none has a column that could be a position.
     """
-    folder, files = list_logs([Path(logs)], follow_links=follow_links)
-    made = draft_files(folder, files, answers, system=system, follow_links=follow_links)
+    folder, files = list_logs([Path(logs)])
+    made = draft_files(folder, files, answers, system=system)
     made.require_readable(folder)
     return made
 
@@ -45,7 +43,6 @@ def draft_files(
     answers: Mapping[str, str] | None = None,
     *,
     system: SystemChannels | None = None,
-    follow_links: bool = False,
 ) -> Draft:
     """The draft for some files of a folder, which may have no coordinates.
 
@@ -54,9 +51,8 @@ def draft_files(
         files: the logs, below it.
         answers: as those of `draft`.
         system: as that of `draft`.
-        follow_links: as that of `draft`.
     """
     examination = examine_logs(folder, files, answers)
     made = draft_examined(examination, system=system)
-    by_motion = find_scales(made, folder, follow_links=follow_links)
+    by_motion = find_scales(made, folder)
     return draft_examined(examination, by_motion, system=system) if by_motion else made

@@ -36,13 +36,11 @@ class AutomaticReport:
     Attributes:
         data: the argument DATA of the verb.
         card: its data card, if one was named.
-        follow_links: whether links that leave the folder of the data were read.
         is_enabled: whether to write a report.
     """
 
     data: str
     card: Path | None = None
-    follow_links: bool = False
     is_enabled: bool = True
 
     @property
@@ -75,7 +73,7 @@ class AutomaticReport:
             models,
             self.data,
             out,
-            {**options, "--card": self.card, "--follow-links": self.follow_links or None},
+            {**options, "--card": self.card},
         )
         try:
             path = write_page(command)

@@ -34,7 +34,7 @@ from tustinnet.store import files as disk
 from tustinnet.store import header as file_header
 
 _LONGEST = 1000  # s, of a motion
-_OF_REPLAY = ("model", "replay", "card", "follow_links", "system", "group", "json")
+_OF_REPLAY = ("model", "replay", "card", "system", "group", "json")
 _DRAWS = 20  # of parameters, by which bands of frequency responses are drawn
 LOOP, ROBUSTNESS, BODE = "closed_loop.png", "robustness.png", "bode.png"
 SUMMARY, PAGE = "design.json", "control.html"
@@ -103,7 +103,6 @@ def control(
         ),
     ] = None,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     weight: Annotated[
         list[str] | None,
         typer.Option(
@@ -211,15 +210,14 @@ def control(
     if replay is not None:
         _refuse_beside_replay(context)
         groups = parse_pairs("--group", group)
-        _replay(model, replay, card, system, groups, follow_links=follow_links, json=json)
+        _replay(model, replay, card, system, groups, json=json)
         return
     if out is None:
         raise InputError("--out", "not given", "a folder for the controller")
     _refuse_beside_mpc(mpc, integral, observer=observer)
     _refuse_others(follow, at, to, seconds, within, mpc, swing_up=swing_up)
     if data is None:
-        needed = {"--card": card, "--follow-links": follow_links}
-        refuse_options(needed, "without records", "--data")
+        refuse_options({"--card": card}, "without records", "--data")
     if seconds is not None and not 0 < seconds < _LONGEST:
         raise InputError("--seconds", f"{seconds:g}", f"a duration above 0 and below {_LONGEST}")
     exported.require_export_folder(out, overwrite=overwrite)
@@ -243,7 +241,7 @@ def control(
         start, positions = positions, positions | values.read_point("--to", to, known)
     records: Sequence[tn.Experiment] = ()
     if data is not None:
-        records = [*load_records(data, card, follow_links=follow_links)]
+        records = [*load_records(data, card)]
     task = controller_design.ControlTask(
         positions,
         start,
@@ -410,7 +408,6 @@ def _replay(
     system: str | None,
     groups: Mapping[str, str],
     *,
-    follow_links: bool,
     json: bool,
 ) -> None:
     """Prints what the controller of a folder makes of logs."""
@@ -428,7 +425,7 @@ def _replay(
     model = replaying.model_of(gains, loaded)
     noise, is_predictive = replaying.read_estimator(folder / SUMMARY)
     controller = compiled.folder_controller(folder, gains, predictive=is_predictive)
-    records = load_records(data, card, follow_links=follow_links)
+    records = load_records(data, card)
     replays = [tn.control.replay(gains, model, noise, record, controller) for record in records]
     consistency = tn.control.check_filter(model, [*records], noise)
     if json:

@@ -83,7 +83,6 @@ def cross_validate(
     start: _Starts = None,
     cluster: Annotated[str | None, options.cluster("Fit each fold as a job of its own on")] = None,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     device: options.Device = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -114,7 +113,7 @@ def cross_validate(
     inputs = list_input_files(data, card, system)
     names = [_FILE, _TABLE] if sizes is None else _CURVE_FILES
     disk.require_outputs([out / name for name in names], overwrite=overwrite, read=inputs)
-    data_set = load_records_to_fit(data, card, out, follow_links=follow_links)
+    data_set = load_records_to_fit(data, card, out)
     print_still_coordinates(roles.records_without_test(data_set))
     remedy = "the same command, without --overwrite, continues with the folds that are done"
     with (

@@ -86,7 +86,6 @@ def evaluate(
     residuals: _Residuals = False,
     figures: _Figures = None,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     system: _Systems = None,
     ahead: _Ahead = None,
     forces: _Forces = False,
@@ -111,7 +110,7 @@ def evaluate(
     loaded = model_file.load_models(
         models, [system_files.find_system(name) for name in system or []], kept_system
     )
-    data_set = load_records(data, card, follow_links=follow_links)
+    data_set = load_records(data, card)
     by_file = dict(zip(models, loaded, strict=True))
     runs = choose_free_runs(
         data_set, by_file, split, start, horizon, has_bands=band_options is not None

@@ -78,7 +78,6 @@ def fit(
     plan: _Plan = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     leave_out_spoiled: options.LeaveOutSpoiled = False,
     device: options.Device = None,
     resume: options.Resume = False,
@@ -126,9 +125,7 @@ def fit(
         raise InputError("--resume, --overwrite", "both", "one of them")
     require_system_of_card(found_system, data, card)
     if card is None and catalog.lacks_card(data):
-        card = draft_into_run(
-            Path(data), out, keeps=resume, overwrite=overwrite, follow_links=follow_links
-        )
+        card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
     earlier: run_folder.Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
         load=partial(
@@ -136,12 +133,11 @@ def fit(
             data,
             card,
             out,
-            follow_links=follow_links,
         ),
         out=out,
         system=found_system,
         earlier=earlier,
-        report=AutomaticReport(data, card, follow_links, is_enabled=not no_report),
+        report=AutomaticReport(data, card, is_enabled=not no_report),
         json=json,
         quiet=quiet,
         leave_out_spoiled=leave_out_spoiled,

@@ -47,7 +47,6 @@ def init(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an existing card and figure.")
     ] = False,
-    follow_links: options.FollowLinks = False,
     json: options.Json = False,
 ) -> None:
     """Write a data card for a folder of logs: times, coordinates, inputs, units, splits.
@@ -57,12 +56,11 @@ def init(
     inputs of the system, as the joints of a robot, and columns are matched with them.
     """
     loaded = _load_system(system, default_density)
-    folder, files = log_files.list_logs(logs, follow_links=follow_links)
+    folder, files = log_files.list_logs(logs)
     outputs = [folder / catalog.CARD_NAME, folder / FIGURE]
     disk.require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
     disk.require_writable_folder(folder)
-    draft = make_draft(folder, files, is_asking=not yes, follow_links=follow_links, system=loaded)
-    links = " --follow-links" if follow_links else ""
+    draft = make_draft(folder, files, is_asking=not yes, system=loaded)
     with disk.lock_folder(folder):
         # while questions were answered, another may have written one
         disk.require_outputs(outputs, overwrite=overwrite)
@@ -72,10 +70,10 @@ def init(
     else:
         _print_draft(draft, folder)
         place, card = catalog.locate(folder)
-        print_inspection(loading.load_folder(place, card, follow_links=follow_links), card)
+        print_inspection(loading.load_folder(place, card), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
-    fit = f"tustinnet fit {shlex.quote(str(folder))}{links}"
+    fit = f"tustinnet fit {shlex.quote(str(folder))}"
     if loaded is not None:
         _print_mismatches(draft, loaded)
         recipe = "" if loaded.source is None else " --recipe inverse-dynamics"
@@ -125,7 +123,6 @@ def make_draft(
     files: Sequence[str],
     *,
     is_asking: bool,
-    follow_links: bool,
     system: "tn.LagrangianSystem | None" = None,
 ) -> "tn.Draft":
     """Drafts a card; asks its questions on a terminal, until nothing is open.
@@ -134,7 +131,6 @@ def make_draft(
         folder: the folder of the card.
         files: the logs, below it.
         is_asking: whether to ask at all.
-        follow_links: whether links to files outside of the folder are read.
         system: the system whose coordinates and inputs the card has to have, if one was named.
     """
     console = terminal.messages()
@@ -145,15 +141,13 @@ def make_draft(
         channels = system_columns.SystemChannels(
             system.coordinates, system.inputs, joints, system.name
         )
-    draft = drafting.draft_files(folder, files, system=channels, follow_links=follow_links)
+    draft = drafting.draft_files(folder, files, system=channels)
     if is_asking and draft.questions and not terminal.can_ask():
         console.print("no terminal to ask at: as with --yes")
     while is_asking and draft.questions and terminal.can_ask():
         for question in draft.questions:
             answers[question.key] = _ask(question)
-        draft = drafting.draft_files(
-            folder, files, answers, system=channels, follow_links=follow_links
-        )
+        draft = drafting.draft_files(folder, files, answers, system=channels)
     draft.require_readable(folder)
     return draft
 
@@ -188,9 +182,7 @@ def draw_draft(draft: "tn.Draft", folder: Path) -> None:
     drawing.write_figure(draft_figure.draft_figure(draft), folder, FIGURE)
 
 
-def draft_into_run(
-    folder: Path, out: Path, *, keeps: bool, overwrite: bool, follow_links: bool
-) -> Path:
+def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> Path:
     """Drafts a card for logs that have none into the folder of a run, and says what it assumed.
 
     Args:
@@ -198,7 +190,6 @@ def draft_into_run(
         out: the folder of the run.
         keeps: whether a card that an earlier run left there is used as it is.
         overwrite: whether it may be replaced.
-        follow_links: whether links to files outside of the folder are read.
 
     Returns:
         The card.
@@ -208,8 +199,8 @@ def draft_into_run(
     if keeps and card.is_file():
         console.print(f"no card in {folder}: that of the earlier run, {card}")
         return card
-    folder, files = log_files.list_logs([folder], follow_links=follow_links)
-    draft = make_draft(folder, files, is_asking=False, follow_links=follow_links)
+    folder, files = log_files.list_logs([folder])
+    draft = make_draft(folder, files, is_asking=False)
     if card.is_file() and any(
         readers.is_readable(p) and p.name not in run_folder.OWN for p in out.iterdir()
     ):

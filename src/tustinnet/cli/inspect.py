@@ -36,7 +36,6 @@ def inspect(
         ),
     ],
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     split: options.Split = None,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -51,7 +50,6 @@ def inspect(
             "--strict": strict,
             "--figure": figure,
             "--overwrite": overwrite,
-            "--follow-links": follow_links,
         }
         refuse_options(
             others,
@@ -64,7 +62,7 @@ def inspect(
     inputs = list_input_files(data, card)
     require_figures("--figure", figure, inputs, overwrite=overwrite)
     folder, located_card = catalog.locate(data, card)
-    data_set = loading.load_folder(folder, located_card, follow_links=follow_links)
+    data_set = loading.load_folder(folder, located_card)
     records = records_of_split(data_set, split)
     inspection = check_report.inspect_records(records, located_card)
     if json:

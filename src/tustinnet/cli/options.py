@@ -61,10 +61,6 @@ Models = Annotated[
 Card = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Data card, if DATA is a folder without one.")
 ]
-FollowLinks = Annotated[
-    bool,
-    typer.Option("--follow-links", help="Read links in DATA also to files outside of that folder."),
-]
 System = Annotated[
     str | None,
     typer.Option(

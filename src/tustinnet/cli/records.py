@@ -16,9 +16,7 @@ from tustinnet.store import run_folder
 from tustinnet.wording import counted
 
 
-def load_records_to_fit(
-    data: str, card: Path | None, out: Path, *, follow_links: bool
-) -> "tn.DataSet":
+def load_records_to_fit(data: str, card: Path | None, out: Path) -> "tn.DataSet":
     """Loads the records of a fit; prints which are left out, and what is wrong with the others."""
     console = terminal.messages()
     folder, located_card = catalog.locate(data, card)
@@ -38,7 +36,6 @@ def load_records_to_fit(
         folder,
         located_card,
         on_message=console.print,
-        follow_links=follow_links,
     )
     kept = leave_out_short([*records], DERIVED.usual, ())
     records = replace(records, experiments=tuple(kept))
@@ -49,9 +46,7 @@ def load_records_to_fit(
     return records
 
 
-def load_records(
-    data: str, card: Path | None, names: Collection[str] = (), *, follow_links: bool
-) -> "tn.DataSet":
+def load_records(data: str, card: Path | None, names: Collection[str] = ()) -> "tn.DataSet":
     """Loads the records of a verb that simulates them; prints which are left out.
 
     As a fit, it leaves out records that cannot be read or used, but not those of some names.
@@ -60,7 +55,6 @@ def load_records(
         *catalog.locate(data, card),
         on_message=terminal.messages().print,
         required=names,
-        follow_links=follow_links,
     )
 
 

@@ -35,7 +35,6 @@ def report(
     start: options.JudgedStart = None,
     horizon: options.JudgedHorizon = None,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     system: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,9 +61,7 @@ def report(
     loaded_models = model_file.load_models(files, restoring, kept_system)
     links = _choose_links(drawing, loaded_models, loaded_models[0].coordinates)
     by_file = dict(zip(files, loaded_models, strict=True))
-    runs = choose_free_runs(
-        load_records(data, card, follow_links=follow_links), by_file, split, start, horizon
-    )
+    runs = choose_free_runs(load_records(data, card), by_file, split, start, horizon)
     command = report_command(
         models,
         data,
@@ -74,7 +71,6 @@ def report(
             "--start": start,
             "--horizon": horizon,
             "--card": card,
-            "--follow-links": follow_links or None,
         },
         system or [],
     )

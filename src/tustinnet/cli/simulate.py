@@ -34,7 +34,6 @@ def simulate(
     band: options.Band = None,
     whole_records: options.WholeRecords = False,
     card: options.Card = None,
-    follow_links: options.FollowLinks = False,
     system: options.System = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -46,7 +45,7 @@ def simulate(
     devices.prepare_jax()
     band_options = make_band_options(band, whole=whole_records)
     simulator = load_model(model, system)
-    data_set = load_records(data, card, experiment or (), follow_links=follow_links)
+    data_set = load_records(data, card, experiment or ())
     runs = choose_free_runs(
         data_set,
         {model: simulator},

@@ -77,21 +77,18 @@ QUBE_SERVO2 = PublishedDataSet(
 CATALOG = {entry.name: entry for entry in (QUBE_SERVO2,)}
 
 
-def load(
-    data: str | Path, card: str | Path | None = None, *, follow_links: bool = False
-) -> DataSet:
+def load(data: str | Path, card: str | Path | None = None) -> DataSet:
     """Reads a data set.
 
     Args:
         data: a name of the catalog (`qube-servo2`), a data card, a folder that holds
             `dataset.toml` or the files of a data set of the catalog, or one log of such a folder.
         card: a data card for the folder `data`, or that of the log, where it has none of its own.
-        follow_links: whether links to files outside of the folder are read.
 
     Raises:
         InputError: no data set there; the message says what was expected.
     """
-    return load_folder(*locate(data, card), follow_links=follow_links)
+    return load_folder(*locate(data, card))
 
 
 def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card]:

@@ -40,7 +40,6 @@ def load_folder(
     *,
     on_message: Callable[[str], None] | None = None,
     required: Collection[str] = (),
-    follow_links: bool = False,
 ) -> DataSet:
     """Reads the records that a card names from a folder; without splits, those of all its logs.
 
@@ -51,16 +50,13 @@ def load_folder(
             with a sentence on each; not those that the card names one by one, and not all of a
             split.
         required: names of records that are never left out.
-        follow_links: whether links to files outside of the folder are read.
 
     Raises:
         InputError: a file is missing or damaged or outside of the folder, a column is not there,
             a number is not finite, the time base is not as declared, nothing moves; the message
             names file and row.
     """
-    loaded, errors = _load_files(
-        folder, card, required, follow_links=follow_links, raises=on_message is None
-    )
+    loaded, errors = _load_files(folder, card, required, raises=on_message is None)
     if loaded and card.dt is None:
         dt = _common_period([record.experiment for record in loaded], card)
         if dt is not None:
@@ -69,7 +65,6 @@ def load_folder(
                 card.model_copy(update={"dt": dt}),
                 on_message=on_message,
                 required=required,
-                follow_links=follow_links,
             )
     remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
@@ -125,7 +120,7 @@ def from_frame(
 
 
 def _load_files(
-    folder: Path, card: Card, required: Collection[str], *, follow_links: bool, raises: bool
+    folder: Path, card: Card, required: Collection[str], *, raises: bool
 ) -> "tuple[list[_LoadedRecord], list[tuple[str | None, InputError]]]":
     """The records of a card's files, and the errors of others with their splits.
 
@@ -133,7 +128,6 @@ def _load_files(
         folder: where the card's paths begin.
         card: what to read.
         required: names of records whose errors are raised.
-        follow_links: whether links to files outside of the folder are read.
         raises: whether all errors are raised.
     """
     # files of patterns are not among these
@@ -142,7 +136,7 @@ def _load_files(
     errors: list[tuple[str | None, InputError]] = []
     for split, entry in list_record_files(folder, card):
         try:
-            records = _load_file(folder, split, entry, card, follow_links=follow_links)
+            records = _load_file(folder, split, entry, card)
         except InputError as error:
             if raises or entry.file in named or entry.name in required:
                 raise
@@ -205,12 +199,11 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
 
 
 def _load_file(
-    folder: Path, split: str | None, entry: FileCard, card: Card, *, follow_links: bool
+    folder: Path, split: str | None, entry: FileCard, card: Card
 ) -> list[_LoadedRecord | InputError]:
     """The record of a file, or of each element of its cell arrays the record or its error."""
     path = folder / entry.file
-    if not follow_links:
-        require_inside(folder, path)
+    require_inside(folder, path)
     columns = read_formatted(path, card.format)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -226,7 +219,7 @@ def _load_file(
     name = entry.name or path.stem
     if entry.join:
         _require_width(columns, card, path)
-        joined = _join_files(columns, folder, entry, card, follow_links=follow_links)
+        joined = _join_files(columns, folder, entry, card)
         return [read(joined, path, name)]
     names = {key for key in card.columns if isinstance(key, str)}
     if entry.cell is not None:
@@ -260,14 +253,11 @@ def _require_width(columns: Columns, card: Card, path: Path) -> None:
         raise InputError(path, counted(count, "column"), f"{card.format.columns} as in the card")
 
 
-def _join_files(
-    columns: Columns, folder: Path, entry: FileCard, card: Card, *, follow_links: bool
-) -> Columns:
+def _join_files(columns: Columns, folder: Path, entry: FileCard, card: Card) -> Columns:
     """The columns of a record's own file and of its other files."""
     others: dict[str, tuple[Columns, JoinCard]] = {}
     for label, file in entry.join.items():
-        if not follow_links:
-            require_inside(folder, folder / file)
+        require_inside(folder, folder / file)
         join = card.join[label]
         others[label] = read_formatted(folder / file, join.format), join
     return join_columns(columns, card.time, others, folder / entry.file)

@@ -10,14 +10,13 @@ from tustinnet.data.readers import is_readable
 from tustinnet.errors import InputError, convert_errors, escape_unprinted
 
 
-def list_logs(paths: Sequence[Path], *, follow_links: bool = False) -> tuple[Path, list[str]]:
+def list_logs(paths: Sequence[Path]) -> tuple[Path, list[str]]:
     """The folder of a card for some logs, and the logs below it.
 
     Args:
         paths: a folder, whose logs are taken, or those of the nearest folders below it where it
             has none itself, of a LeRobot data set its episodes; or files, of which the folder that
             holds all is taken.
-        follow_links: whether links to files outside of the folder are taken.
 
     Raises:
         InputError: no such file or folder, a file that cannot be read, several folders, no logs,
@@ -32,9 +31,7 @@ def list_logs(paths: Sequence[Path], *, follow_links: bool = False) -> tuple[Pat
                 "a name that can be printed",
                 "rename it",
             )
-    if not follow_links:
-        for file in files:
-            require_inside(folder, folder / file)
+        require_inside(folder, folder / file)
     return folder, files
 
 
