@@ -5,11 +5,12 @@ OUT ?= results/reproduce
 DEMO ?= results/demo
 SEEDS ?= 1
 MINUTES ?= 5
+TESTS ?= not thorough
 SEED ?= 0
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo reproduce docs test test-browser test-newest-jax check torture bench clean
+.PHONY: help install demo reproduce docs test test-all test-browser test-newest-jax check torture bench clean
 
 help:
 	@echo "make install     the package and its command in .venv"
@@ -18,6 +19,7 @@ help:
 	@echo "make docs        the documentation as pages, its tutorials run (results/docs/site/index.html)"
 	@echo "make bench       speed against PyTorch, plain JAX and scipy (DATA=FOLDER; 'bench' extra)"
 	@echo "make test        linter, type checker, layers, tests"
+	@echo "make test-all    the same, with the tests that are marked 'thorough'"
 	@echo "make test-browser  the report in Chromium, which has to be installed ('browser' extra)"
 	@echo "make test-newest-jax  what JAX compiles, with the newest JAX for PYTHON (.venv-newest)"
 	@echo "make torture     kills, damaged inputs, faults, load for about MINUTES=$(MINUTES) (SEED=$(SEED))"
@@ -38,8 +40,12 @@ docs: .venv/installed-docs
 # is kept wherever this runs: of the hundreds of modules that workers and processes of tests import
 test: .venv/installed-dev
 	@$(MAKE) --no-print-directory check > .venv/check.log 2>&1 & check=$$!; \
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n auto --dist worksteal; tests=$$?; \
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n auto --dist worksteal -m "$(TESTS)"; tests=$$?; \
 	wait $$check || { cat .venv/check.log; exit 1; }; exit $$tests
+
+# a variable of a target is one of what it needs, too
+test-all: TESTS =
+test-all: test
 
 test-browser: .venv/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'

@@ -47,6 +47,7 @@ def test_records_are_finite_and_plausible(name):
             assert np.allclose(readings / sensor.step, np.round(readings / sensor.step), atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_the_system_file_describes_the_machine_without_its_further_effects(name):
     machine, rng = MACHINES[name](False), np.random.default_rng(1)
@@ -82,6 +83,7 @@ def test_the_system_file_describes_the_machine_without_its_further_effects(name)
     assert np.abs(error).max() < 0.01 * np.abs(motion.x[:, :n_q]).max()
 
 
+@pytest.mark.thorough
 def test_written_records_load(tmp_path, monkeypatch):
     disc = MACHINES["unbalanced-disc"](True)
 

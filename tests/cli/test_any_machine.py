@@ -93,6 +93,7 @@ def out(tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda machine: machine.name)
 def test_a_machine_has_a_model_or_a_line_says_why(machine: Machine, tmp_path, out, capsys):
     write_logs(machine, tmp_path / "logs")
@@ -198,6 +199,7 @@ def test_a_horizon_longer_than_every_record_is_whole_records(tmp_path, out, caps
     assert "no record is longer than the plan's horizon of 1000 s: judged over whole records" in err
 
 
+@pytest.mark.thorough
 def test_the_hold_of_the_card_counts_and_that_of_the_system_is_told(tmp_path, out, capsys):
     write_logs(Machine(hold="first-order", samples=200), tmp_path / "logs")
     system = tmp_path / "spring.py"

@@ -97,6 +97,7 @@ def test_a_report_that_cannot_be_written_loses_nothing(fit, tmp_path, monkeypatc
     assert (tmp_path / "run" / "summary.json").is_file()
 
 
+@pytest.mark.thorough
 def test_without_validation_it_is_judged_by_what_it_was_fitted_to(fit, folder, tmp_path):
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace('["fall3.csv", "noise2.csv"]', "[]"))
@@ -106,6 +107,7 @@ def test_without_validation_it_is_judged_by_what_it_was_fitted_to(fit, folder, t
     )
 
 
+@pytest.mark.thorough
 def test_a_chosen_model_says_what_folds_say_of_it(folder, tmp_path, capsys):
     plan, system, out = (
         plan_in(tmp_path, GREY_ONLY),

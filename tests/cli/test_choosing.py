@@ -126,6 +126,7 @@ def test_what_cannot_be_asked_is_one_line(arguments, told, folder, tmp_path, out
     assert not out.exists()
 
 
+@pytest.mark.thorough
 def test_a_system_of_other_records_leaves_the_others_to_go_on(folder, tmp_path, out, capsys):
     plan = plan_in(tmp_path, PLAN.replace("[{ folds = 3 }]", "[{ folds = 1 }]"))
     code, printed, err = tustinnet(

@@ -177,6 +177,7 @@ def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, 
     assert "After a fall the controller damps the motion" in page
 
 
+@pytest.mark.thorough
 def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_path, capsys):
     out = tmp_path / "held"
     arguments = (

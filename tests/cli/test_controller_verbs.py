@@ -39,6 +39,7 @@ def logs(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_fit_evaluate_and_simulate_in_the_loop(logs, tmp_path, capsys):
     run, system = tmp_path / "run", logs / "swing.py"
     code, out, err = tustinnet(

@@ -46,6 +46,7 @@ def test_every_record_is_scored_by_models_that_never_saw_it(folder, tiny_recipe,
     assert "from model-20" in (out / "folds.md").read_text()
 
 
+@pytest.mark.thorough
 def test_a_system_is_identified_anew_in_every_fold(folder, tmp_path, out, capsys):
     system = tmp_path / "small_pendulum.py"
     system.write_text(SYSTEM)

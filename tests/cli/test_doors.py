@@ -132,6 +132,7 @@ def test_files_that_a_card_would_read(file, patterns, is_record, folder):
     assert would_be_record(folder / file, folder, card) is is_record
 
 
+@pytest.mark.thorough
 def test_another_system_file_beside_the_output_is_never_replaced(
     folder, system, tmp_path, refused, capsys
 ):

@@ -298,6 +298,7 @@ def test_a_horizon_is_told_with_scores(count, run_folder, folder, capsys):
         assert err.startswith(f"error: {named}horizon: ")
 
 
+@pytest.mark.thorough
 def test_residuals_tell_a_good_model_from_a_poor_one(
     identified, run_folder, folder, system, tmp_path, capsys
 ):
@@ -327,6 +328,7 @@ def test_residuals_tell_a_good_model_from_a_poor_one(
     assert angle["rms"] < 0.02
 
 
+@pytest.mark.thorough
 def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp_path, capsys):
     card = folder / "dataset.toml"
     for path in folder.glob("*.csv"):
@@ -343,6 +345,7 @@ def test_a_reversed_input_ends_with_its_name_and_exit_code_1(folder, system, tmp
     assert "'gain' is at its lower bound" in out
 
 
+@pytest.mark.thorough
 def test_a_search_that_reaches_its_limit_keeps_its_model_and_warns_once(
     folder, system, tmp_path, capsys
 ):
@@ -448,6 +451,7 @@ def test_a_system_file_is_text_in_a_file(tmp_path):
         tn.load_system(path)
 
 
+@pytest.mark.thorough
 def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
     identified, folder, system, tmp_path, capsys
 ):
@@ -541,6 +545,7 @@ def test_ranges_may_change_without_losing_the_model(identified, folder, system, 
     assert loaded.coordinates == tn.load_system(system).coordinates
 
 
+@pytest.mark.thorough
 def test_variants_of_a_system_are_compared(identified, folder, system, tmp_path, capsys):
     """Each model finds its own file by the system's name, and by what the system computes."""
     # of another name, and of the same one
@@ -588,6 +593,7 @@ def test_records_that_simulate_to_infinity_are_a_named_outcome(folder, system, t
     assert "Traceback" not in err
 
 
+@pytest.mark.thorough
 def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
     code, out, _ = tustinnet(
         capsys,
@@ -611,6 +617,7 @@ def test_fixed_parameters_stay(folder, system, tmp_path, capsys):
     assert json.loads(out)["identification"]["fixed"] == {"inertia": 1.0, "gain": 4.0}
 
 
+@pytest.mark.thorough
 def test_forces_of_the_library_are_added_and_shown(folder, system, tmp_path, capsys):
     out = tmp_path / "rubbed"
     code, told, _ = tustinnet(
@@ -694,6 +701,7 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(tmp_path, monkeypa
     assert (out / "twin_table.json").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_a_twin_written_and_read_again_is_the_same(tmp_path):
     from tustinnet.store.data_set_folder import write_data_set
 

@@ -88,6 +88,7 @@ def test_columns_are_matched_with_the_joints_of_a_robot(tmp_path: Path, capsys) 
     assert used["spare"] == ""
 
 
+@pytest.mark.thorough
 def test_a_card_of_a_robot_works_at_once(tmp_path: Path, capsys) -> None:
     header = SCARA.replace("i_shoulder_mA", "shoulder_torque")
     folder = write_logs(
@@ -167,6 +168,7 @@ LEG = """<mujoco><worldbody><body name="a"><joint name="hip" axis="0 1 0"/>
 </mujoco>"""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("positions", "goals"),
     [
@@ -215,6 +217,7 @@ def test_links_without_an_inertia_need_a_density_here_too(tmp_path: Path, capsys
     assert "not applicable without the file of a robot" in err
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("position", "set_point", "torque"),
     [

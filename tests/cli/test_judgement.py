@@ -43,6 +43,7 @@ def test_a_fit_says_in_the_file_how_it_was_judged(model, capsys):
         assert line.endswith(f"start 'derived-6', {length}")
 
 
+@pytest.mark.thorough
 def test_records_are_those_that_the_model_was_not_fitted_to(model, folder, capsys):
     told, err = printed(capsys, "evaluate", model, folder)
     assert (told["split"], told["start"], told["horizon"]) == ("validation", "derived-6", None)
@@ -87,6 +88,7 @@ def test_a_test_split_comes_first(model, folder, capsys):
     assert "default: test records" in err
 
 
+@pytest.mark.thorough
 def test_start_and_horizon_are_those_of_the_file_unless_told_otherwise(
     model, folder, tmp_path, capsys
 ):
@@ -112,6 +114,7 @@ def test_start_and_horizon_are_those_of_the_file_unless_told_otherwise(
     assert "over segments of 1 s" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.thorough
 def test_files_that_disagree_or_cannot_apply_leave_the_usual_start(model, folder, capsys):
     other = judged(model, "other", start="derived-8", horizon=1.0)
     told, err = printed(capsys, "evaluate", model, other, folder)

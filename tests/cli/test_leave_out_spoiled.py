@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from spoilt_records import records, simulate, write
 from test_verbs import tustinnet
 
@@ -47,6 +48,7 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
     assert errors[("--leave-out-spoiled",)] < 0.5 * errors[()]
 
 
+@pytest.mark.thorough
 def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     folder, out = tmp_path / "logs", tmp_path / "out"
     write(folder, records("hand"))

@@ -150,6 +150,7 @@ READ: dict[str, Callable[[Place], Path]] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", READ)
 @pytest.mark.parametrize("verb", FILES)
 def test_a_file_is_never_written_over_what_is_read(

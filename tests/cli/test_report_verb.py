@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 from test_bands_verb import place  # noqa: F401 (a fixture)
 from test_verbs import tustinnet
 
@@ -80,6 +81,7 @@ def test_what_cannot_be_reported_is_one_line(run_folder, folder, tmp_path, refus
     assert not page.exists()
 
 
+@pytest.mark.thorough
 def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path, capsys):  # noqa: F811 (the fixture)
     page = tmp_path / "report.html"
     command = (

@@ -187,6 +187,7 @@ def test_a_run_of_another_kind_is_refused(told, place, refused):
     refused(*place.fit("grey", "--recipe", recipe, "--resume"), names="another recipe (")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("damage", ["", "[]", "{}", '"recipe"', "{", '{"recipe": 3}'])
 def test_where_the_question_is_lost_the_model_tells_the_recipe(damage, place, refused):
     (place.root / "training" / "question.json").write_text(damage)
@@ -194,6 +195,7 @@ def test_where_the_question_is_lost_the_model_tells_the_recipe(damage, place, re
     refused(*place.training("--resume"), names="another recipe")
 
 
+@pytest.mark.thorough
 def test_the_same_goes_on_and_is_kept(place, capsys):
     for verb, what in ((place.training, "training"), (place.selection, "selection")):
         before = arrays(place.root / what)

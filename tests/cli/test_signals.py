@@ -120,6 +120,7 @@ def test_a_signal_that_is_ignored_stays_ignored():
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.thorough
 def test_a_training_that_is_terminated_leaves_a_checkpoint(folder, small_recipe, tmp_path):
     small_recipe.write_text(small_recipe.read_text().replace("epochs = 5", "epochs = 100000"))
     process = start("fit", folder, "--recipe", small_recipe, "--out", tmp_path / "run", "--quiet")
@@ -135,6 +136,7 @@ def test_a_training_that_is_terminated_leaves_a_checkpoint(folder, small_recipe,
     assert header["progress"][0]["reported"] >= len(log.read_text().splitlines()) - 5
 
 
+@pytest.mark.thorough
 def test_ctrl_c_while_modules_load_is_one_line(tmp_path):
     process = start("evaluate", tmp_path / "none.safetensors", tmp_path)
     time.sleep(0.5)  # it takes longer to load JAX

@@ -88,6 +88,7 @@ def test_an_arm_follows_a_motion_on_its_model_and_with_twice_the_friction(design
     assert end < 1e-3
 
 
+@pytest.mark.thorough
 def test_its_code_is_small_and_its_loop_is_that_of_python(arm, design, tmp_path):
     export = tc.export_controller(arm, design.gains, design.noise, tmp_path / "out")
     assert export.checked.note or (export.checked.difference or 0.0) < 1e-9
@@ -103,6 +104,7 @@ def test_its_code_is_small_and_its_loop_is_that_of_python(arm, design, tmp_path)
     assert "computed torque along it" in scripted
 
 
+@pytest.mark.thorough
 def test_a_motion_between_points_is_smooth_and_weights_ask_for_other_feedback(arm):
     task = ControlTask(positions(END), positions(START), SECONDS)
     smooth = design_controller(arm, task)
@@ -163,6 +165,7 @@ def test_late_inputs_limits_and_shapes_are_refused(arm, design):
         tc.computed_torque(arm, reference()[:, :4], design.feedback)
 
 
+@pytest.mark.thorough
 def test_derivatives_of_a_step_are_the_same_in_c(arm, tmp_path):
     """The Jacobian by inverse dynamics against differences of the step."""
     source = make_source(arm)

@@ -92,6 +92,7 @@ def test_a_grey_box_balances_the_unseen_twin_through_encoders():
     np.testing.assert_array_equal(run(4).states, result.states)
 
 
+@pytest.mark.thorough
 def test_a_grey_box_swings_up_the_unseen_twin_through_encoders():
     model, limits = grey_box(), {"voltage": (-4.0, 4.0)}
     deviations = {"der_theta": 10.0, "der_alpha": 20.0, "voltage": 4.0}

@@ -55,6 +55,7 @@ def play_on_a_slope(task: ControlTask):
     return run, design
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("follows", [False, True])
 def test_a_force_that_the_model_does_not_know_moves_the_device_without_an_observer(follows):
     # weights are those of feedback along a plan; computed torque has integrals of its own

@@ -10,6 +10,7 @@ import tustinnet as tn
 from tustinnet.control import find_equilibrium
 
 
+@pytest.mark.thorough
 def test_upright_is_unstable_and_hanging_is_stable():
     model = example("qube")
     up = find_equilibrium(model, {"alpha": 0.0})
@@ -33,6 +34,7 @@ def test_inputs_that_hold_a_position_are_solved_for():
     assert abs(point.u[0]) == pytest.approx(pull * 8.4 / 0.042, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_the_nearest_equilibrium_is_named_where_there_is_none():
     with pytest.raises(tn.InputError, match=r"none at alpha = 0.5 .* nearest one, alpha = "):
         find_equilibrium(example("qube"), {"alpha": 0.5})
@@ -40,6 +42,7 @@ def test_the_nearest_equilibrium_is_named_where_there_is_none():
         find_equilibrium(example("qube"), {"theta": 40.0}, {"voltage": (-2.0, 2.0)})
 
 
+@pytest.mark.thorough
 def test_a_fitted_model_has_its_equilibrium_beside_the_position():
     class Crooked(LinearMachine):
         def step(self, x, u):

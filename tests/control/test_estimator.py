@@ -35,6 +35,7 @@ def quantised(name: str, u: np.ndarray, **values: float) -> tn.Experiment:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["qube memory", "network taps", "hybrid lag", "gru", "linear"])
 def test_sample_by_sample_it_is_the_filter_of_a_record(name):
     model = example(name)

@@ -169,6 +169,11 @@ CASES = {
 }
 
 
+# each kind of code once; the others differ in what is combined
+USUAL = ("balance", "integral", "motion", "swing-up", "actuator lag", "network", "predictive")
+MARKED = [pytest.param(name, marks=() if name in USUAL else pytest.mark.thorough) for name in CASES]
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """Folders with the exports of the cases, by name, and what was checked."""
@@ -183,7 +188,7 @@ def exported(tmp_path_factory):
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", MARKED)
 def test_its_loop_in_c_is_that_of_python(name, exported):
     folder, result = exported(name)
     assert result.checked.steps >= 300
@@ -196,7 +201,7 @@ def test_its_loop_in_c_is_that_of_python(name, exported):
 
 @needs_gcc
 @pytest.mark.parametrize("precision", ["-DMODEL_DOUBLE", "-DMODEL_FLOAT"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", MARKED)
 def test_compilers_have_nothing_to_say_of_it(name, precision, exported):
     folder, _ = exported(name)
     done = subprocess.run(
@@ -221,6 +226,7 @@ def run_main(folder, *flags: str) -> np.ndarray:
     return np.array([line.split(",") for line in text[1:]], float)
 
 
+@pytest.mark.thorough
 @needs_gcc
 def test_the_program_runs_the_loop_of_python(tmp_path):
     model, controller = pendulum(resolution=None), motion()
@@ -350,6 +356,7 @@ int main(void)
 """
 
 
+@pytest.mark.thorough
 @needs_gcc
 @pytest.mark.parametrize("precision", ["-DMODEL_DOUBLE", "-DMODEL_FLOAT"])
 def test_ten_thousand_wrong_readings_leave_it_finite_and_in_command(precision, tmp_path):

@@ -142,6 +142,7 @@ def swing_up() -> tn.control.Tracking:
     return tn.control.time_varying_lqr(model, plan, feedback, deviations=DEVIATIONS, settle=settle)
 
 
+@pytest.mark.thorough
 def test_loops_without_wrong_samples_use_all_and_with_some_still_reach_their_goal():
     model = grey_box()
     controller = tn.control.TrackingFeedback(swing_up())
@@ -163,6 +164,7 @@ def test_loops_without_wrong_samples_use_all_and_with_some_still_reach_their_goa
         assert np.isfinite(run.inputs).all()
 
 
+@pytest.mark.thorough
 def test_ten_thousand_wrong_samples_leave_it_finite_and_in_command():
     model = grey_box()
     controller = tn.control.TrackingFeedback(swing_up())
@@ -187,6 +189,7 @@ def test_ten_thousand_wrong_samples_leave_it_finite_and_in_command():
     assert not estimator.is_lost
 
 
+@pytest.mark.thorough
 def test_while_it_is_lost_the_inputs_are_the_safe_ones():
     model, unknown = grey_box(), np.full(4, np.nan)
     at_goal = (model, np.zeros(4), np.zeros(1))

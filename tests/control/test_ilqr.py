@@ -108,6 +108,7 @@ def test_policies_of_machine_code_are_those_of_numpy(monkeypatch):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("limit", [15.0, 3.0])
 def test_the_pendulum_swings_up(limit):
     model = example("qube")
@@ -120,6 +121,7 @@ def test_the_pendulum_swings_up(limit):
     np.testing.assert_allclose(controlled(model).steps(plan.x[:-1], plan.u), plan.x[1:], atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_limits_of_states_are_kept_and_turns_can_be_forbidden():
     model, limits = example("qube"), {"voltage": (-5.0, 5.0)}
     free = ilqr(model, HANGING, UPRIGHT, 300, limits=limits)
@@ -151,6 +153,7 @@ def test_a_plan_is_a_first_guess_of_another():
     np.testing.assert_array_equal(again.goal, plan.goal)
 
 
+@pytest.mark.thorough
 def test_a_late_input_is_planned_for():
     model = example("qube")
     plan = ilqr(model, HANGING, UPRIGHT, 250, limits={"voltage": (-10.0, 10.0)}, delay=2)
@@ -159,6 +162,7 @@ def test_a_late_input_is_planned_for():
     np.testing.assert_allclose(controlled(model).steps(plan.x[:-1], late), plan.x[1:], atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_plans_are_made_on_every_family(name):
     model = example(name)

@@ -62,6 +62,7 @@ def test_it_moves_to_another_goal_and_forgets_after_a_reset():
     np.testing.assert_array_equal(*runs)
 
 
+@pytest.mark.thorough
 def test_it_follows_a_plan_and_then_balances():
     model = example("qube")
     step = tn.compiled_step(model)
@@ -79,6 +80,7 @@ def test_it_follows_a_plan_and_then_balances():
         Mpc(model, replace(tracking, final=late))
 
 
+@pytest.mark.thorough
 def test_it_balances_with_a_late_input():
     delay = 2
     model = example("qube memory")
@@ -91,6 +93,7 @@ def test_it_balances_with_a_late_input():
     np.testing.assert_allclose(x, 0, atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_limit_of_a_state_is_kept_where_linear_feedback_breaks_it():
     model = double_integrator()
     step, within = tn.compiled_step(model), {"der_s": (-0.3, 0.3)}
@@ -154,6 +157,7 @@ def test_converged_it_commands_what_ipopt_finds(tmp_path):
         np.testing.assert_allclose(mpc.motion.u[:, 0], expected, atol=3e-3 * 20)
 
 
+@pytest.mark.thorough
 def test_after_a_fall_it_settles_by_feedback_and_swings_up_again():
     model = example("qube")
     step = tn.compiled_step(model)

@@ -334,6 +334,7 @@ def is_plain(text: str) -> bool:
     return escape_unprinted(text) == text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("write", WRITERS)
 @settings(
     max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

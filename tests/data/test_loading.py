@@ -332,6 +332,7 @@ def test_columns_go_by_number_from_1(tmp_path: Path) -> None:
     np.testing.assert_array_equal(e.u[:, 0], [1, 2, 3])
 
 
+@pytest.mark.thorough
 def test_one_of_many_columns_is_read(tmp_path: Path) -> None:
     path, names = tmp_path / "log.csv", [f"c{k}" for k in range(10_000)]
     rows = [",".join(names), ",".join(["1"] * 10_000), ",".join(["2"] * 10_000)]

@@ -73,6 +73,7 @@ def test_a_system_is_written_and_tested(place, capsys):
     assert [link.coordinate for link in system.links] == ["elbow"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("tool", "told"),
     [
@@ -86,6 +87,7 @@ def test_programs_for_users_of_other_tools_run(tool, told, place, capsys):
     assert told in text
 
 
+@pytest.mark.thorough
 def test_a_family_is_written_registered_and_fitted(place, capsys):
     (place / "drag.py").write_text(written("add-a-family", "Write the family", "python"))
     (place / "drag.toml").write_text(written("add-a-family", "Write the family", "toml"))
@@ -178,6 +180,7 @@ def test_a_package_adds_a_reader(place, monkeypatch):
     reading_process._process.stop()
 
 
+@pytest.mark.thorough
 def test_a_wheel_is_identified_from_its_speed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     intro = re.findall(

@@ -22,8 +22,9 @@ _spec.loader.exec_module(make)
 # how good a model becomes, and `make docs` runs the tutorials in full
 NO_REPORT = "--no-report"  # what a page does not show: other tests write it
 SEARCH = f"{NO_REPORT} --set search.initial=anchored --set search.substeps=1"
+FIRST = "from-logs"  # the tutorial that is run by `make test`
 SHORTER = {
-    "from-logs": {
+    FIRST: {
         "for _ in range(20)]": "for _ in range(8)]",
         "--seeds 3 ": f"--seeds 2 {NO_REPORT} ",
         "model.hidden=[32,32]": "model.hidden=[4]",
@@ -52,9 +53,10 @@ SHORTER = {
 
 
 def marked(script):
-    """A tutorial as a parameter; `real` where its header names recordings."""
-    needs = make.read(script).metadata.get("data")
-    return pytest.param(script, id=script.stem, marks=pytest.mark.real if needs else ())
+    """A tutorial as a parameter, with the marks that it needs."""
+    marks = [pytest.mark.real] if make.read(script).metadata.get("data") else []
+    marks += [] if script.stem == FIRST else [pytest.mark.thorough]
+    return pytest.param(script, id=script.stem, marks=marks)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -86,6 +86,7 @@ def test_both_engines_simulate_the_same(equations, seed, lengths, substeps):
         np.testing.assert_array_equal(result[row], x0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("equations", "residual"),
     [(CONTINUOUS, PLAIN), (CONTINUOUS, PERIODIC), (DISCRETE, PLAIN), (SAMPLED, PERIODIC)],

@@ -98,6 +98,7 @@ def test_samples_that_a_warm_up_needs_are_not_started_from():
         tn.rmse_ahead(warm, [e], 45)
 
 
+@pytest.mark.thorough
 def test_every_sample_with_so_many_behind_it_is_started_from():
     model = network()
     e = simulated("run", [1.0, 0.0], voltage(30, 3))

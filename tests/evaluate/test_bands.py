@@ -97,6 +97,7 @@ def test_coverage_is_told_with_its_interval_and_score():
     assert 0 < moving.crps < errors.mean()  # a band says more than its middle alone
 
 
+@pytest.mark.thorough
 def test_alternatives_of_an_identified_system_are_drawn_from_its_errors():
     known = records()
     result = tn.fit(tn.DataSet("swing", tuple(known)), "grey", system=SWING)

@@ -47,6 +47,7 @@ def slider(**changes) -> tn.LagrangianSystem:
     return tn.LagrangianSystem(**(given | changes))
 
 
+@pytest.mark.thorough
 def test_expected_errors_are_those_of_least_squares():
     system = slider()
     design = design_record(system, options=OPTIONS)

@@ -104,6 +104,7 @@ def test_a_diverging_free_run_scores_infinity(model, pendulum):
     assert tn.evaluate(wild, [pendulum[0]], "derived-6")[0].rmse == math.inf
 
 
+@pytest.mark.thorough
 def test_one_step_ahead_matches_a_single_step(model, pendulum):
     e = pendulum[0]
     errors = tn.rmse_ahead(model, [e], 3)

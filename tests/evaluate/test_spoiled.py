@@ -46,6 +46,7 @@ def test_friction_that_is_not_modelled_is_no_hand(system_file):
     assert (parts[0].card, parts[0].is_left_out) == ("", False)
 
 
+@pytest.mark.thorough
 def test_a_hand_is_named_beside_friction_that_is_not_modelled(system_file):
     parts = find_by_model(fit("both", system_file), records("both"))
     (hand,) = [p for p in parts if p.cause == "unlogged force"]
@@ -53,6 +54,7 @@ def test_a_hand_is_named_beside_friction_that_is_not_modelled(system_file):
     assert hand.seconds == pytest.approx((BEGIN, END), abs=0.5)
 
 
+@pytest.mark.thorough
 def test_what_a_model_lacks_in_several_records_is_no_hand(system_file):
     # an actuator that gives no more than a third of what is asked for in three of the records
     data = records("weak")
@@ -68,6 +70,7 @@ def test_records_with_another_payload_are_named_as_a_whole(system_file):
     ]
 
 
+@pytest.mark.thorough
 def test_a_network_is_judged_by_the_gains_of_its_inputs():
     model = tn.fit(
         tn.DataSet("runs", records("hand")),

@@ -183,6 +183,7 @@ def test_a_thousand_steps_are_the_rollout(name, compiled):
     require_same_run(found, expected)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_in_single_precision_is_near(name, compiled):
     library, of = compiled(name, "-DMODEL_FLOAT"), source(name)
@@ -243,6 +244,7 @@ def test_the_commands_of_its_readme_compile_and_run_the_example(name, written):
     np.testing.assert_allclose(estimate, model, atol=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*STEADY, "gru", "first-order", "hybrid"])
 def test_the_filter_is_that_of_the_package(name, compiled):
     of, generator = source(name), np.random.default_rng(0)

@@ -63,6 +63,7 @@ def test_casadi_alone_steps_as_every_model_does(stepped, name):
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["physics", "gru", "band-limited"])
 def test_value_jacobian_and_hessian_are_jaxs(name):
     source, step = example_source(name), tn.casadi_step(example(name))

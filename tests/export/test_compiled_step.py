@@ -38,6 +38,7 @@ def network(coordinates, activation="leaky_relu", **options):
     return with_dtype(model, np.float64)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_it_equals_the_models_step_for_every_activation(activation):
     model = network((ARM, SLIDE), activation, stem=5, output_bias=True)
@@ -50,6 +51,7 @@ def test_it_equals_the_models_step_for_every_activation(activation):
         )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("coordinates", [(ARM,), (SLIDE,), (SLIDE, ARM, ELBOW), (ARM, ELBOW)])
 def test_it_follows_a_whole_rollout_for_any_mix_of_coordinates(coordinates):
     model = network(coordinates)

@@ -13,6 +13,7 @@ from tustinnet.systems.qube_servo2 import SYSTEM
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.thorough
 def test_the_pendulum_swings_up(capsys):
     found = runpy.run_path(str(EXAMPLES / "casadi_opti.py"), run_name="__main__")
     states, voltages = found["states"].T, found["voltages"]
@@ -25,6 +26,7 @@ def test_the_pendulum_swings_up(capsys):
 
 
 # what do-mpc says of itself when it is loaded and when it calls CasADi
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::UserWarning:do_mpc")
 @pytest.mark.filterwarnings("ignore::FutureWarning:casadi")
 def test_the_pendulum_is_held_by_predictive_control(capsys):

@@ -115,6 +115,7 @@ def test_the_matrices_of_a_linear_model_have_columns_for_earlier_inputs(tmp_path
     require_same_run(stepped(of, target.stepper(tmp_path, of), x0, u), expected, relative=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["two", "hybrid"])
 def test_the_pages_lines_give_a_record_to_a_free_run(name, tmp_path, monkeypatch):
     onnxruntime = pytest.importorskip("onnxruntime")

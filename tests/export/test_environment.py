@@ -82,6 +82,7 @@ def test_an_episode_is_the_free_run_of_the_model():
     require_same_run(observed, expected)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["network taps", "first-order", "hybrid", "two", "late"])
 def test_samples_seen_before_are_remembered_and_those_to_come_held(name):
     both = [example("network taps"), example("physics")]
@@ -381,6 +382,7 @@ def test_a_linear_system_has_nothing_to_swing_up():
         made(model=model, range=free, reward="swing-up")
 
 
+@pytest.mark.thorough
 def test_it_computes_in_double_precision_where_jax_does_not(tmp_path):
     file = saved(tmp_path, "hybrid")
     program = f"""

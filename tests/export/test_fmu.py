@@ -105,6 +105,7 @@ def simulated(file: Path, of: Source, u: np.ndarray, every: int = 1) -> np.ndarr
     return np.stack([found[name] for name in of.states], axis=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", ["qube network", "qube hybrid", "actuator lag", "free"])
 def test_a_simulation_is_the_rollout(name, version, written):
@@ -115,6 +116,7 @@ def test_a_simulation_is_the_rollout(name, version, written):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", LATE)
 def test_inputs_that_act_late_do_so(name, version, written):
@@ -138,6 +140,7 @@ def run_of(of: Source, u: np.ndarray) -> tn.Experiment:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", ["qube hybrid", "hybrid", "gru", "free", "hostile"])
 def test_an_importer_finds_nothing_wrong(name, version, written):
@@ -275,6 +278,7 @@ LENGTHS = [0.3, 1.0, 1.7, 10.0]  # of communication steps [periods]
 TENTHS = 10  # of a period
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("periods", LENGTHS)
 @pytest.mark.parametrize("name", EXACT)
@@ -289,6 +293,7 @@ def test_equations_are_integrated_over_steps_of_any_length(name, periods, versio
     np.testing.assert_allclose(found, expected[1:], rtol=0, atol=1e-8)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("periods", LENGTHS)
 @pytest.mark.parametrize("name", ["network memory", "qube hybrid", "late"])

@@ -63,6 +63,7 @@ def node(script: str, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @by_node
 @pytest.mark.parametrize("name", NAMES)
 def test_node_steps_every_family(name, tmp_path):

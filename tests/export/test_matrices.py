@@ -23,6 +23,7 @@ def names_of(cells: np.ndarray) -> list[str]:
     return [str(cell[0]) for cell in cells.ravel()]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_every_model_leaves_as_matrices(name, tmp_path):
     source = example_source(name)

@@ -46,6 +46,7 @@ def rows(source: Source, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
     return np.stack([run(source.step, x=x, u=u)["x"] for x, u in pairs])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_a_batch_of_every_family_steps_and_runs(name):
     source = example_source(name)
@@ -106,6 +107,7 @@ def test_what_run_times_lack_in_double_is_exact_everywhere(function):
         np.testing.assert_allclose(found[:, 0], expected(x), rtol=tolerance, atol=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["network memory", "gru", "qube rubbing", "qube network"])
 def test_1000_steps_are_a_rollout(name):
     source = example_source(name)

@@ -22,6 +22,7 @@ def made(source: Source) -> dict[str, bytes]:
     return {name: bytes(of) for name, of in TARGET.files(source).items() if isinstance(of, bytes)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_every_family_leaves_with_both_functions(name, tmp_path):
     source = example_source(name)
@@ -54,6 +55,7 @@ assert not [m for m in sys.modules if m.startswith("tustinnet.")]
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["network memory", "qube rubbing"])
 def test_a_process_without_the_package_makes_the_same_run(name, tmp_path):
     source = example_source(name)

@@ -54,6 +54,7 @@ def by_hand(
     return np.array(states)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("channels", "some"), [(CHANNELS, records), (BAND, banded)], ids=["held", "band-limited"]
 )
@@ -68,6 +69,7 @@ def test_accelerations_are_averaged_and_internal_states_are_a_members_own(channe
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("make", [network, hybrid, neural_ode])
 def test_of_one_member_or_of_equal_ones_it_is_the_member(make):
     model = with_dtype(make(3), np.float64)
@@ -90,6 +92,7 @@ def test_a_member_that_counts_nothing_changes_nothing():
     np.testing.assert_allclose(run, tn.rollout(second, x0, e.held_inputs), rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.thorough
 def test_those_alike_run_as_one_and_the_others_beside_them():
     models = every_family()
     together = tn.committee(models)
@@ -131,6 +134,7 @@ def test_what_all_agree_on_stays_in_single_precision():
     np.testing.assert_array_equal(run, np.tile(x, (2001, 1)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_batches_and_single_runs_are_the_same(dtype):
     together = with_dtype(tn.committee([hybrid(0), network(1), hybrid(2)], [1, 2, 3]), dtype)
@@ -142,6 +146,7 @@ def test_batches_and_single_runs_are_the_same(dtype):
         np.testing.assert_allclose(run, tn.rollout(together, x, drive), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", ["file", "derived-6", "model-20", "warm-up-20"])
 def test_it_is_evaluated_from_every_start(start):
     together = tn.committee([hybrid(0), network(1, taps=(0, 1)), hybrid(2)])

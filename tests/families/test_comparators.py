@@ -70,6 +70,7 @@ def test_every_kind_has_a_packaged_recipe():
     assert {tn.read_recipe(name).model.kind for name in packaged_recipes()} >= set(KINDS)
 
 
+@pytest.mark.thorough
 def test_it_is_cross_validated(pendulum):
     asked = tn.make_cross_validation_options(recipe("gru", epochs=2), folds=3, starts=["derived-6"])
     found = tn.cross_validate(pendulum, asked)

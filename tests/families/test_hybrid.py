@@ -109,6 +109,7 @@ def test_a_correction_that_fades_at_rest_leaves_a_free_integrator_where_it_is(tm
     assert loaded.fades_at_rest
 
 
+@pytest.mark.thorough
 def test_its_batches_have_the_gradients_of_the_plain_scan():
     model = physics("creeping swing")
     corrected = with_dtype(HybridModel(model, network(model)), np.float64)
@@ -214,6 +215,7 @@ def records() -> tn.DataSet:
     return tn.DataSet("heavier", tuple(made))
 
 
+@pytest.mark.thorough
 def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records, tmp_path):
     model, folder = physics(), tmp_path / "run"
 

@@ -56,6 +56,7 @@ def test_a_step_is_given_the_samples_at_the_taps(swings):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["tustin-net", "gru", "hybrid"])
 def test_a_network_with_taps_trains_and_is_restored(kind, swings, tmp_path):
     physics = tn.discretise(swing_model(), DT)

@@ -210,6 +210,7 @@ def test_its_header_is_checked_by_its_description(place):
         check_header({**header, "bias": "no"}, "file")
 
 
+@pytest.mark.thorough
 def test_it_is_cross_validated(pendulum):
     found = cross_validate(pendulum, make_cross_validation_options(RECIPE, folds=3, seeds=[0, 1]))
     assert sorted({s.record for s in found.scores}) == sorted(e.name for e in pendulum)

@@ -305,6 +305,7 @@ def test_an_odd_network_has_no_bias_of_its_output():
         network(odd=True, output_bias=True)
 
 
+@pytest.mark.thorough
 def test_an_odd_network_trains_as_its_gradient_says():
     model = with_dtype(network(odd=True, linear=True), np.float64)
     x = jnp.array([[0.4, -2.0, 1.0, 0.5], [0.1, 0.3, -0.2, 2.0]])

@@ -63,6 +63,7 @@ def stretched(factor: float) -> tn.DataSet:
     return tn.DataSet("spring", tuple(made))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scaled", [False, True])
 def test_a_training_goes_the_same_way_whatever_the_size_of_the_system(scaled):
     recipe = {

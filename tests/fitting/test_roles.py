@@ -94,6 +94,7 @@ def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, t
         tn.fit(only, recipe)
 
 
+@pytest.mark.thorough
 def test_an_identification_leaves_short_validation_records_out(pendulum):
     messages: list[str] = []
     system = Path(__file__).parents[1] / "torture" / "pendulum.py"

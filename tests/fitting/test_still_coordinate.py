@@ -75,6 +75,7 @@ def test_its_published_unit_is_one(pendulum: tn.DataSet) -> None:
     assert published_scaling(records).velocity[0] == alone.velocity[0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["angular", "linear"])
 def test_a_network_and_a_linear_model_are_still_fitted(
     pendulum: tn.DataSet, tiny_recipe: Path, kind: Kind

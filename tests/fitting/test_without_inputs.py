@@ -104,6 +104,7 @@ def test_long_free_runs_have_a_gradient_without_inputs(monkeypatch):
     assert float(jax.grad(size)(1.5)) == pytest.approx(float(short), rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_bands_committees_residuals_and_folds_take_them():
     data = free_swings((None,) * 4)
     every = list(data)

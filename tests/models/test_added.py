@@ -131,6 +131,7 @@ def test_every_law_at_a_coordinate_is_tried():
     assert {*AGAINST, "armature"} == at_coordinates
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("factor", [1.0, -1.0, 0.5])
 def test_a_motor_may_turn_with_two_coordinates(factor):
     channel = {1.0: "x+angle", -1.0: "x-angle", 0.5: "x+0.5*angle"}[factor]
@@ -200,6 +201,7 @@ def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():
     np.testing.assert_allclose(lagging.balanced_internal(X, V, U), U, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_lag_stands_beside_other_memory():
     both, base = added(CREEPING, "lag", "maxwell"), nominal(CREEPING)
     assert both.internal == ("creep", "lag:voltage", "maxwell:angle")
@@ -340,6 +342,7 @@ def test_what_is_called_a_level_and_is_none_is_refused():
         added(once, "stribeck:x")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     # laws that share parameters exclude one another
     "laws",

@@ -158,6 +158,7 @@ def name_of(kinds):
     return "".join(k for k, there in kinds.items() if there) or "none"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", KINDS, ids=name_of)
 def test_the_derivative_is_that_by_hand(kinds):
     system, by_hand, rng = make(kinds), ByHand(kinds), np.random.default_rng(3)
@@ -175,6 +176,7 @@ def test_the_derivative_is_that_by_hand(kinds):
         np.testing.assert_allclose(found, by_hand.derivative(x, w), rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", KINDS, ids=name_of)
 def test_where_records_begin(kinds):
     system = make(kinds)
@@ -208,6 +210,7 @@ def test_where_records_begin(kinds):
     assert model.initial_needs_inputs == any(kinds.values())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", [k for k in KINDS if not k["c"]], ids=name_of)
 def test_along_the_measured_motion_what_is_hidden_follows(kinds):
     """The rigid system has the forces by hand along the relation, d'Alembert's principle."""

@@ -66,6 +66,7 @@ def test_a_coordinate_that_never_moves_has_a_unit_of_1():
     assert np.isfinite(np.concatenate([scaling.angle_centre, scaling.pair_scale])).all()
 
 
+@pytest.mark.thorough
 def test_a_trained_network_with_pairs_is_read_as_it_was_written(tmp_path):
     stage = {"name": "one", "epochs": 1, "batch": 16, "rate": 1e-3}
     stage["windows"] = {"draw": "strided", "length": 8, "count": 16}

@@ -57,6 +57,7 @@ def test_inputs_of_another_layout_are_refused(rows):
         )
 
 
+@pytest.mark.thorough
 def test_composed_models_take_every_row_once():
     assert hybrid(0).step_layout == StepLayout(polynomial=True)
     assert hybrid(0, taps=(-1, 1)).step_layout == StepLayout(polynomial=True, taps=(-1, 1))

@@ -67,6 +67,7 @@ def test_records_begin_where_unmeasured_coordinates_are_expected():
     np.testing.assert_array_equal(model.internal_spread, [1.0, 1.0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("has_inertia", [False, True])
 def test_the_rigid_system_moves_along_the_relation(has_inertia):
     """Against the energies of one coordinate, written by hand."""
@@ -130,6 +131,7 @@ def test_shapes_of_the_functions_are_checked():
         replace(HANGING, dissipation=lambda q, v, p: v[:1])
 
 
+@pytest.mark.thorough
 def test_a_model_is_identified_from_the_measured_coordinate_alone():
     """Records of the cart tell its mass, though the pendulum on it is seen by no sensor."""
     model = tn.discretise(HANGING.model({"cart": jnp.asarray(3.0)}), 0.02, 4)

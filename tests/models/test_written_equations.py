@@ -50,6 +50,7 @@ def evaluate(text: str, numbers: dict[str, float]) -> float:
     return float(eval(text))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["qube-servo2", *LIBRARY])
 def test_both_sides_are_equal_where_the_model_accelerates_so(name: str) -> None:
     folder = "src/tustinnet/systems/library"
@@ -76,6 +77,7 @@ def test_both_sides_are_equal_where_the_model_accelerates_so(name: str) -> None:
             assert left == pytest.approx(right, abs=2e-3 * max(terms))
 
 
+@pytest.mark.thorough
 def test_models_without_equations_and_long_ones_are_refused_with_the_reason() -> None:
     arm = tn.load_system("benchmarks/simulated/systems/planar_arm.py")
     with pytest.raises(InputError, match="equations that can be read"):

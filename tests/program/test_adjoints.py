@@ -53,6 +53,7 @@ def test_loops_vectors_and_matrices_are_differentiated(name):
 
 
 # all nine members of the committee are several times as slow as three of them
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "committee"])
 def test_steps_of_every_family_are_differentiated(name):
     source = example_source(name)
@@ -61,6 +62,7 @@ def test_steps_of_every_family_are_differentiated(name):
     compare_adjoints(source.step, lambda x, u, weight: [weight @ by[0] for by in jacobians], x, w)
 
 
+@pytest.mark.thorough
 def test_the_step_of_a_committee_is_differentiated():
     members = ("network memory", "physics", "network memory 2")  # two of one structure
     source = make_source(tn.committee([example(name) for name in members]))

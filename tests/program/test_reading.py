@@ -204,6 +204,7 @@ ROWS = ([], [1], [0, 1])
 
 
 # of all 27 those in which each kind meets each of another kind once
+@pytest.mark.thorough
 @pytest.mark.parametrize("k", range(9))
 def test_constants_carried_arrays_and_rows_of_a_loop_are_told_apart(k):
     constants, carried = CONSTANTS[k // 3], CARRIED[k % 3]
@@ -216,6 +217,7 @@ def test_constants_carried_arrays_and_rows_of_a_loop_are_told_apart(k):
     assert loop.length == 160
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_and_its_derivatives_are_read(name):
     source = example_source(name)

@@ -89,6 +89,7 @@ def require_equal(ours, plain) -> None:
     assert any(np.any(b) for b in wanted)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("substeps", [1, 2])
 @settings(deadline=None, max_examples=5)
 @seeds
@@ -100,6 +101,7 @@ def test_layers_that_act_at_every_stage_of_a_step_have_the_gradients_of_the_plai
     require_equal(*both(model, x0, u, target))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("known", [1, 5, STEPS + 1])
 @settings(deadline=None, max_examples=5)
 @seeds
@@ -109,6 +111,7 @@ def test_runs_put_back_to_a_record_have_the_gradients_of_the_plain_scan(known, s
     require_equal(*both(model, x0, u, target, measured))
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=5)
 @seeds
 def test_what_is_measured_takes_the_place_of_what_the_model_said(seed):

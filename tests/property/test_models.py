@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,6 +32,7 @@ def random_run(model: TustinNet, seed: int, steps: int) -> tuple[np.ndarray, np.
     return np.asarray(rollout(model, jnp.asarray(generator.normal(size=4)), jnp.asarray(u))), u
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=15)
 @given(seed=st.integers(0, 2**20), dt=st.floats(1e-4, 0.1))
 def test_positions_follow_the_trapezoidal_rule_to_machine_precision(seed, dt):

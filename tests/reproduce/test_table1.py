@@ -44,6 +44,7 @@ def authors_rows(layout, split):
     return table1.build_rows(tn.load(layout), layout, options, layout / "runs", lambda name: SILENT)
 
 
+@pytest.mark.thorough
 def test_the_test_split_is_scored_where_it_is_there_else_validation(layout):
     data = tn.load(layout)
     assert table1.choose_split(data, None) == "test"
@@ -81,6 +82,7 @@ def test_the_json_says_split_units_start_records_and_rows(layout):
     assert row["mean"] == pytest.approx(np.mean(list(row["rmse"].values())))
 
 
+@pytest.mark.thorough
 def test_the_papers_own_numbers_stand_beside_ours_on_its_own_records(layout):
     table = table1.as_table(authors_rows(layout, "test"), "test")
     paper = next(row for row in table.rows if row[0].endswith("(Algorithm 1)"))

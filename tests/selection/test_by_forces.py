@@ -134,6 +134,7 @@ def test_forces_stand_beside_the_free_runs_that_decide(made):
     assert tn.evaluate(model, [swings()[1]], "model-10")[0].rmse < 0.02
 
 
+@pytest.mark.thorough
 def test_resumed_nothing_is_fitted_again_but_the_last_model(made):
     folder = made.choice.context.folder.parent
     again = selected(folder, "resume")

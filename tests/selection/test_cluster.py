@@ -113,6 +113,7 @@ def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(mac
             assert (found[path][name] == array).all(), (path, name)
 
 
+@pytest.mark.thorough
 def test_a_cross_validation_comes_to_what_one_process_comes_to(machine, tmp_path):
     said: list[str] = []
     recipe = read_recipe(parse_toml(NETWORK), ["stages.*.epochs=2"])

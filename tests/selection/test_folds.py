@@ -241,6 +241,7 @@ def test_no_member_sees_the_records_that_it_is_scored_on(done, pendulum):
             np.testing.assert_allclose(judged, e.q, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_records_that_have_nothing_to_choose_train(pendulum, monkeypatch):
     plans: list[TrainingPlan] = []
 
@@ -270,6 +271,7 @@ def test_the_score_of_a_record_is_that_of_its_folds_model(done, pendulum):
         assert s.rmse["derived-6"] == pytest.approx(score.rmse, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_members_of_folds_are_what_they_are_alone(done):
     # the first fold trains on the fewest windows: together, all have as many
     _, [prepared], results = done
@@ -384,6 +386,7 @@ def test_records_that_choose_how_to_begin_are_left_to_an_identification_that_nee
     assert [f.roles for f in identified[0].folds] == [d.roles for d in splits]
 
 
+@pytest.mark.thorough
 def test_a_hybrid_corrects_the_physics_of_its_own_fold(identified, monkeypatch):
     data, splits = swinging()
     plans: list[TrainingPlan] = []

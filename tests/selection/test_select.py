@@ -193,6 +193,7 @@ def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
         assert float(model.continuous.values[name]) == pytest.approx(TRUTH[name], rel=0.03)
 
 
+@pytest.mark.thorough
 def test_networks_of_all_folds_become_one_committee(alone):
     choice, _ = alone
     model = tn.load_model(choice.context.folder / "model.safetensors")
@@ -366,6 +367,7 @@ def test_a_committee_that_cannot_be_judged_in_time_is_given_up_early(made, monke
     assert len(scores) <= 4
 
 
+@pytest.mark.thorough
 def test_every_model_can_be_loaded(made):
     folder = made.choice.context.folder
     files = sorted(folder.glob("**/*.safetensors"))
@@ -376,6 +378,7 @@ def test_every_model_can_be_loaded(made):
         assert found.channels.n_q == 1
 
 
+@pytest.mark.thorough
 def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_fitted_again(
     tmp_path, monkeypatch
 ):
@@ -434,6 +437,7 @@ def test_a_job_of_other_records_is_done_again(tmp_path):
     assert again.result("network").rmse() != first.result("network").rmse()
 
 
+@pytest.mark.thorough
 def test_a_damaged_account_of_a_job_is_not_believed(tmp_path, monkeypatch):
     first, _ = selected(tmp_path, text=SOLVED)
     paths = sorted(first.context.folder.glob("candidates/*/*/scores.json"))
@@ -458,6 +462,7 @@ def compiled_programs() -> int:
     return of._cache_size()
 
 
+@pytest.mark.thorough
 def test_jobs_of_one_candidate_share_a_compiled_program(tmp_path):
     # other shapes than elsewhere: nothing is compiled yet
     data = swings()
@@ -602,6 +607,7 @@ def outcomes(choice: Choice) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.thorough
 def test_a_training_that_is_stopped_is_scored_and_a_resumed_run_goes_on_with_it(
     alone, tmp_path, monkeypatch
 ):
@@ -699,6 +705,7 @@ def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones
     assert choice.origins["grey"].endswith("no time was left to identify it from all records")
 
 
+@pytest.mark.thorough
 def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has(tmp_path):
     changes = '["stages.0.epochs=100000", "stages.0.keep=last"]'
     text = NETWORK_ONLY.replace('recipe = "small.toml"', f'recipe = "small.toml", set = {changes}')
@@ -794,6 +801,7 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
     assert tn.load_model(tmp_path / "run" / "model.safetensors").channels == choice.model.channels
 
 
+@pytest.mark.thorough
 def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
     content = (
         MECHANISM.replace('when = "no-system"\n', "")
@@ -826,6 +834,7 @@ def test_models_of_several_systems_are_not_averaged():
         combine([first, tn.discretise(other, 0.02, 1)], [0.5, 0.5])
 
 
+@pytest.mark.thorough
 def test_the_file_of_a_system_is_run_once(tmp_path):
     runs, file = tmp_path / "runs.txt", tmp_path / "swing.py"
     file.write_text(

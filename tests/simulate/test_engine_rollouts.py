@@ -61,6 +61,7 @@ def results(model: tn.Model, x0, u, seeds, *, only_layers: bool):
     return states, gradient
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "batch"),
     # a run alone does not depend on what a step consists of
@@ -86,6 +87,7 @@ def test_all_families_with_layers_are_among_them():
     assert [name for name in NAMES if layers_of(example(name))] == list(LAYERED)
 
 
+@pytest.mark.thorough
 def test_single_precision_stays_single():
     model = with_dtype(hybrid(0), np.float32)
     x0, u = jnp.full((5, model.state_size), 0.2, jnp.float32), jnp.ones((5, STEPS, 1), jnp.float32)

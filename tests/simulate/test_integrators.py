@@ -145,6 +145,7 @@ def test_steps_that_are_none_are_refused(dt, substeps):
 # --- adaptive steps ---
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hold", ["zero-order", "first-order"])
 def test_adaptive_steps_agree_with_many_fixed_ones(hold):
     noise = np.random.default_rng(1).uniform(-30, 30, 60)

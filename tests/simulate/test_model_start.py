@@ -143,6 +143,7 @@ def test_a_compiled_program_finds_the_same(creeping, engine, monkeypatch):
     np.testing.assert_allclose(inside, rule.numeric_states(model, material), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_networks_and_training_start_there_too(pendulum, small_recipe):
     small = tn.read_recipe(small_recipe).model_dump()
     # a program a stage: one will do

@@ -58,6 +58,7 @@ def driven(model: tn.Model, u: np.ndarray, x0: np.ndarray) -> np.ndarray:
     return np.asarray(tn.rollout(model, x0, u))
 
 
+@pytest.mark.thorough
 def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
     data, model = twin(), example("qube")
     known = recorded_range(model, [e for e in data if e.split == "train"])

@@ -73,6 +73,7 @@ def test_every_activation_is_tried():
 
 
 # a program each, which takes longer to compile than to run: few of them, and many weights in each
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("coordinates", "hidden", "stem", "activation", "output_bias", "batch", "steps", "double"),
     STRUCTURES,
@@ -106,6 +107,7 @@ def test_values_and_gradients_are_those_of_the_plain_scan(
         assert np.linalg.norm(ours - plain) <= tolerance * near + 1e-30
 
 
+@pytest.mark.thorough
 def test_frozen_layers_and_models_without_layers_work_too(pendulum):
     model = network((ANGLE,), (5, 4), None, "tanh", True, 0)
     x0, u = jnp.ones((3, 2), jnp.float32), jnp.ones((3, 9, 1), jnp.float32)
@@ -156,6 +158,7 @@ def test_a_layer_that_acts_twice_has_the_gradient_of_both():
         np.testing.assert_allclose(ours, expected, rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hold", ["zero-order", "first-order", "band-limited"])
 def test_constants_of_numpy_in_a_system_work_with_every_hold(hold):
     """Their double precision is that of the state, not of the model without parameters in it."""

@@ -24,6 +24,7 @@ def model(name: str) -> tn.LagrangianModel:
     return system.model({n: jnp.asarray(x) for n, x in system.nominal().items()})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("module", MODULES)
 def test_the_parameters_of_a_twin_are_recovered(module):
     twin = import_module(PACKAGE + module).TWIN

@@ -26,6 +26,7 @@ def moved(system, **others):
     return system.model({name: jnp.asarray(x) for name, x in values.items()}), values
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_written_is_read_again(name, tmp_path):
     system = tn.load_system(ROBOTS / name)

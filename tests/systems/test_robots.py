@@ -79,6 +79,7 @@ def assert_near(actual: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(actual, expected, rtol=0, atol=PRECISION * size)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(6))
 def test_equations_of_random_chains_are_those_of_mujoco(seed, tmp_path):
     text = random_urdf(seed)
@@ -115,6 +116,7 @@ def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
         assert_near(bias, ratios.T @ expected[1])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["arm7.urdf", "scara.urdf", "gripper.urdf", "double_pendulum.urdf"]
 )
@@ -128,6 +130,7 @@ def test_recursions_agree_with_derivatives_of_the_energy(name):
         assert_near(e[0], state[n:] @ mass @ state[n:] / 2)
 
 
+@pytest.mark.thorough
 def test_rates_have_the_precision_of_the_state():
     """As where a network in single precision corrects a robot, whose file's numbers are double."""
     system = tn.load_system(ROBOTS / "scara.urdf")
@@ -216,6 +219,7 @@ def test_a_current_drives_a_joint_by_its_motor_constant():
     np.testing.assert_array_equal(force, [0, 0, 0, -2.5])
 
 
+@pytest.mark.thorough
 def test_friction_by_name_adds_to_that_of_every_joint():
     plain = tn.load_system(ROBOTS / "scara.urdf")
     rich = tn.load_robot(ROBOTS / "scara.urdf", friction=["load", "stribeck"])
@@ -258,6 +262,7 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
         with_forces(elastic, ("stribeck:elbow",), ())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("law", "encoder"),
     [

@@ -107,6 +107,7 @@ def test_an_optional_term_that_fails_later_names_its_line_and_what_to_write(tmp_
         tn.load_system(path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("body", "message"),
     [

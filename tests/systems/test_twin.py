@@ -34,6 +34,7 @@ def same(one: tn.DataSet, other: tn.DataSet) -> bool:
     )
 
 
+@pytest.mark.thorough
 def test_the_seed_decides_everything(twin):
     assert same(twin, qube_servo2_twin.twin(0))
     assert not same(twin, qube_servo2_twin.twin(1))

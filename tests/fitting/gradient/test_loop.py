@@ -169,6 +169,7 @@ def test_a_mirrored_window_is_that_of_the_mirrored_records(prepared, monkeypatch
     assert not np.allclose(mine, plainly, rtol=1e-2, atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_the_best_weights_can_be_those_of_the_lowest_training_loss(prepared):
     _, progress, reports, _ = run(with_stages(first_stage(prepared), keep="training"))
     assert progress[0].best_score == min(r.loss for r in reports)
@@ -215,6 +216,7 @@ def test_a_resumed_training_with_a_decaying_rate_ends_with_the_same_bits(
     assert later == reports[len(reports) - len(later) :]
 
 
+@pytest.mark.thorough
 def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
     stages = prepared.stages[:1]
     plain = run(dataclasses.replace(prepared, stages=stages))
@@ -229,6 +231,7 @@ def test_an_average_of_the_weights_is_kept_where_one_is_asked_for(prepared):
     assert score == pytest.approx(averaged[1][0].best_score, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_stage_ends_when_its_figure_has_not_fallen_for_its_patience(prepared):
     # a rate at which nothing changes: the first epoch stays the best
     still = prepared.task.with_members([Member(0, 1e-30)])
@@ -239,6 +242,7 @@ def test_a_stage_ends_when_its_figure_has_not_fallen_for_its_patience(prepared):
     assert [(r.stage, r.epoch) for r in reports] == [("first", k) for k in (1, 2, 3)]
 
 
+@pytest.mark.thorough
 def test_without_validation_records_the_training_loss_decides(pendulum, prepared):
     alone = planned(pendulum.split("train"), prepared.recipe)
     _, progress, reports, _ = run(first_stage(alone))
@@ -246,6 +250,7 @@ def test_without_validation_records_the_training_loss_decides(pendulum, prepared
     assert progress[0].best_score == min(r.loss for r in reports)
 
 
+@pytest.mark.thorough
 def test_watching_the_validation_loss_needs_its_own_windows(pendulum, prepared):
     recipe = tn.read_recipe(prepared.recipe, ["stages.0.plateau.watch=validation-loss"])
     watching = planned(pendulum, recipe)
@@ -305,6 +310,7 @@ def test_a_training_with_long_epochs_can_stop_after_each_of_them(longer, longer_
     assert same_bits(models, longer_whole[0])
 
 
+@pytest.mark.thorough
 def test_members_together_are_what_they_are_alone(longer, longer_whole):
     recipe = longer.recipe
     together, progress, reports, _ = longer_whole
@@ -317,6 +323,7 @@ def test_members_together_are_what_they_are_alone(longer, longer_whole):
         assert ended[0].best_score == pytest.approx(progress[m].best_score, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_windows_shared_among_devices_train_like_windows_on_one(longer):
     assert len(jax.devices()) == 2, "the tests' set-up makes two devices"
     recipe = longer.recipe
@@ -374,6 +381,7 @@ def test_a_member_that_diverges_does_not_touch_the_other(longer, longer_whole):
     assert states[-1][1][1].stage == 0
 
 
+@pytest.mark.thorough
 def test_after_a_rollback_training_can_finish(longer):
     one_stage = first_stage(longer)
     for rate in 10.0 ** np.arange(0.0, 3.0, 0.1):
@@ -427,6 +435,7 @@ def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepar
     np.testing.assert_allclose(result.model.step(x, u), trained.step(x, u), rtol=1e-4)
 
 
+@pytest.mark.thorough
 def test_training_learns_the_small_pendulum(pendulum):
     """A model of a system seen in training must beat a model that knows nothing."""
     changes = ["epochs=70", "rate=3e-3", "windows.count=300"]
@@ -436,6 +445,7 @@ def test_training_learns_the_small_pendulum(pendulum):
     assert all(s.nrmse[0] < 0.35 for s in scores), [s.nrmse for s in scores]
 
 
+@pytest.mark.thorough
 def test_linear_coordinates_train_too():
     t = np.arange(400) * 0.02
     q = np.column_stack([0.3 * np.sin(2 * t), np.cos(3 * t)])

@@ -97,6 +97,7 @@ def test_friction_is_found_and_intervals_are_true(result, truth):
     assert np.mean(inside) > 0.9
 
 
+@pytest.mark.thorough
 def test_friction_that_falls_with_speed_and_grows_with_the_load_is_found():
     robot = tn.load_robot(SCARA, friction=("stribeck", "load"))
     true = true_values(robot, seed=2)
@@ -283,6 +284,7 @@ def test_keys_without_an_effect_are_refused(twin, system):
         tn.identify(twin, system, relaxing)
 
 
+@pytest.mark.thorough
 def test_constants_of_motors_follow_from_a_known_payload():
     file, constant = SCARA.parent / "double_pendulum.urdf", 2.5
     arm = tn.load_system(file)

@@ -60,6 +60,7 @@ def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(result):
     assert result.outcome.startswith("converged")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("force", "truth"), [("stribeck", STRIBECK), ("maxwell:angle", RELAXING)], ids=str
 )
@@ -71,6 +72,7 @@ def test_other_laws_are_found_too(force, truth):
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_stribeck_friction_is_found_beside_the_level_of_the_system():
     rubbing = replace(
         KNOWN_GAIN,
@@ -95,6 +97,7 @@ def test_stribeck_friction_is_found_beside_the_level_of_the_system():
     assert {name: values[name] for name in STRIBECK} == pytest.approx(STRIBECK, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_curve_is_friction_that_grows_with_the_speed_and_is_kept_in_a_file(tmp_path):
     truth = {"angle.coulomb": 0.06}
     true = with_added(SWING, ["coulomb"], records(), {})
@@ -111,6 +114,7 @@ def test_a_curve_is_friction_that_grows_with_the_speed_and_is_kept_in_a_file(tmp
     assert again.continuous.system.parameters == result.system.parameters
 
 
+@pytest.mark.thorough
 def test_the_lag_of_an_actuator_is_found_and_kept_in_a_file(tmp_path):
     truth = {"voltage.lag": 0.08, "voltage.initial_share": 1.0}
     made = driven_again(with_added(SWING, ["lag"], records(), {}), truth)

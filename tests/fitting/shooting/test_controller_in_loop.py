@@ -124,6 +124,7 @@ def test_kinds_without_use_for_a_controller_are_refused(records):
         )
 
 
+@pytest.mark.thorough
 def test_a_robot_is_identified_by_its_torques_then_in_the_loop():
     """Inverse dynamics uses the recorded torques, as without the controller; then it simulates."""
     system = tn.load_system(PENDULUM)

@@ -46,6 +46,7 @@ def test_a_delay_that_the_card_calls_unknown_is_searched_for():
         records[0].excitation()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hold", ["zero-order", "band-limited"])
 def test_a_delay_of_parts_of_a_period_is_found_within_its_interval(hold):
     result = tn.identify(late(1.6 * DT, hold), SYSTEM, RECIPE)

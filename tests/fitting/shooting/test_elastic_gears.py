@@ -46,6 +46,7 @@ def with_values(model: tn.Model, system: tn.LagrangianSystem, values: dict[str, 
     return replace(model, continuous=system.model(arrays))  # pyright: ignore[reportCallIssue]
 
 
+@pytest.mark.thorough
 def test_stiffnesses_are_found_and_free_runs_are_as_good_as_with_the_truth(system, truth, links):
     data = record_in_loop(system, truth, 3, 2.5, 0.004, noise=0.0, substeps=8, begins_moving=True)
     recipe = {
@@ -73,6 +74,7 @@ def test_stiffnesses_are_found_and_free_runs_are_as_good_as_with_the_truth(syste
     assert rigid > 2 * own
 
 
+@pytest.mark.thorough
 def test_records_in_the_loop_of_the_card_are_followed_as_a_whole(system, truth, links):
     """The controller reads the motors; upright the arm would fall without it."""
     data = record_in_loop(

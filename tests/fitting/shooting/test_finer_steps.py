@@ -1,11 +1,13 @@
 """Integration steps of the final stage: finer ones where they would move parameters."""
 
 import numpy as np
+import pytest
 
 import tustinnet as tn
 from tustinnet.systems.library.duffing import TWIN
 
 
+@pytest.mark.thorough
 def test_steps_are_so_fine_that_they_do_not_show_in_the_parameters():
     records = TWIN.records(3, train=4, validation=0, test=0)
 

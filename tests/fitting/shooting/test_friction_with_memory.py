@@ -4,6 +4,7 @@ import pytest
 from friction_with_memory import LAWS, TRUTH, identify_friction
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", LAWS)
 def test_a_friction_with_memory_is_found(law):
     worst, inside, result = identify_friction(law, 0, LAWS[law] | TRUTH)

@@ -57,6 +57,7 @@ def without_hold(e: tn.Experiment) -> tn.Experiment:
     return replace(e, channels=replace(e.channels, inputs=(tn.Input("force", "N", "unknown"),)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hold", ["zero-order", "band-limited"])
 def test_the_right_hold_is_found_and_told(hold):
     data = tn.DataSet("d", tuple(without_hold(logged(hold, seed)) for seed in range(2)))
@@ -82,6 +83,7 @@ batch = 20
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("system", "recipe"),
     [(DECLARED, []), (SYSTEM, ["search.refine=model-20", "search.initial=anchored"])],

@@ -112,6 +112,7 @@ def test_an_estimate_carries_its_unit_range_errors_and_interval():
         assert 1 / 20 < e.error / e.naive_error < 20
 
 
+@pytest.mark.thorough
 def test_intervals_contain_the_truth_as_an_encoder_reads():
     generator = np.random.default_rng(0)
     inside = []
@@ -206,6 +207,7 @@ def test_the_better_start_on_the_validation_records_is_chosen():
 # --- systems of other kinds ---
 
 
+@pytest.mark.thorough
 def test_internal_states_are_identified_with_the_rest():
     values = {"offset": -0.1, "stiffness": 0.9, "relaxation": 6.0}
     experiments = [

@@ -70,6 +70,7 @@ def test_the_model_is_one_like_any_other(result, tmp_path):
     assert score.rmse < 0.01
 
 
+@pytest.mark.thorough
 def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     extra = tuple(
         Parameter(name, "N m", 0.0, -1.0, 1.0, optional=True) for name in ("offset", "twice")
@@ -108,6 +109,7 @@ def test_terms_of_a_system_of_ones_own_may_be_optional_too():
     assert SWING.optional == ()
 
 
+@pytest.mark.thorough
 def test_a_stiff_machine_is_found_though_its_period_is_a_few_samples():
     """A mass on a spring, 50 times as fast as the swing, whose nominal values have no forces."""
     dt, rng = 0.002, np.random.default_rng(0)
@@ -166,6 +168,7 @@ def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
     assert any("sign of 'voltage' is probably reversed" in f.text for f in result.findings)
 
 
+@pytest.mark.thorough
 def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
     truth = {"angle.spring": 0.8, "angle.maxwell": 0.5, "angle.relaxation": 2.0}
     made = driven_again(with_added(SWING, ["spring", "maxwell"], records(), {}), truth)
@@ -193,6 +196,7 @@ def test_what_is_kept_brings_forces_which_a_file_keeps(tmp_path):
     assert without.system.optional == without.system.added == ()
 
 
+@pytest.mark.thorough
 def test_a_usual_value_is_taken_where_records_do_not_say_otherwise():
     """The inertia of the records is that of the swing and once more a bit of it, or not."""
     heavy = changed("inertia", nominal=0.1)

@@ -52,6 +52,7 @@ def test_what_stands_for_the_same_is_said():
     assert "was fixed at its first value" in message
 
 
+@pytest.mark.thorough
 def test_measured_motion_is_the_physical_one_through_the_sensors():
     """A cart with a pendulum: accelerations, mass matrix and energy of both descriptions."""
     cart = CART
