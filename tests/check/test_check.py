@@ -256,6 +256,13 @@ def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
     assert [f.code for f in check(apart) if f.is_serious] == ["sign"]
 
 
+def test_a_record_that_hardly_differs_may_be_a_repeated_experiment() -> None:
+    again = swing() + 1e-4 * np.random.default_rng(0).normal(size=800)
+    (found,) = check([arm(swing()), arm(again, name="again", split="test")])
+    assert (found.code, found.severity) == ("near copy", "warning")
+    assert not check([arm(swing()), arm(swing()[::-1], name="other")])
+
+
 # --- findings ---
 
 

@@ -49,11 +49,8 @@ class CheckLevels:
         changes: of them, in which something moves.
         fewest_shared: samples in motion that two records do not share by chance.
         least_shared: the same as a share of the shorter record.
+        alike: of the deviation; two runs of one experiment differ by more, as a rule.
         digits: of the range; positions that differ by less are equal.
-        alike: of the deviation; two runs of one experiment differ by more.
-        overlap: of the shorter record, for records that are alike.
-        longest: samples of a record that are correlated with those of others.
-        most_pairs: records that are correlated with one another.
         poor: times the usual residual of a record that is looked at closely.
         drop: of a residual, which is left where a fault is undone or a model is the right one.
         usual: times the usual residual of the others, which a model that holds may leave.
@@ -127,11 +124,8 @@ class CheckLevels:
     changes: int = 8
     fewest_shared: int = 50
     least_shared: float = 0.1
-    digits: float = 1e-6
     alike: float = 0.003
-    overlap: float = 0.5
-    longest: int = 1 << 17
-    most_pairs: int = 3000
+    digits: float = 1e-6
     poor: float = 2.0
     drop: float = 0.3
     usual: float = 3.0
