@@ -304,7 +304,7 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         key = f"scale = {factor:.4g}" if is_input else _gain_key(view, name, factor)
     elif check == "offset" and channel is not None:
         values.update(offset=-size, unit=channel.unit)
-        block = view.coordinate_card(name)
+        block = view.channel_card(name)
         scale = block.factor() * block.sign if block else 1.0
         key = f"offset = {(block.offset if block else 0.0) - size / scale:.4g}"
     elif check == "lag":
@@ -333,7 +333,7 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
 
 def _gain_key(view: RecordView, name: str, factor: float) -> str:
     """The key of a coordinate that changes its positions by a factor."""
-    block = view.coordinate_card(name)
+    block = view.channel_card(name)
     if block is not None and block.unit == "counts":
         if block.counts_per_revolution:
             return f"counts_per_revolution = {block.counts_per_revolution / factor:.6g}"

@@ -13,13 +13,13 @@ class CheckLevels:
 
     Attributes:
         stencil: samples; fewer have no velocities.
-        fewest_samples: samples of a record whose sensors are looked at.
         wild: share of the periods in which an angle that is sampled well does not move by a
             quarter turn.
         other_period: relative; velocities are wrong by it, accelerations by twice it.
         far_period: the same, of a severe finding.
         longest_clock: s; a mechanism that needs a shorter period is rare.
         long_gap: periods; of a shorter one little motion is lost.
+        fast: of the deviation of a position, for changes from sample to sample that are looked at.
         few_samples: in a period of the strongest oscillation.
         fewer_samples: the same, of a warning.
         ringing: periods, after which an oscillation that is none has decayed.
@@ -27,8 +27,7 @@ class CheckLevels:
         fewest_counts: levels of a position that tell the count of its encoder.
         main_jumps: of the largest jump, for jumps that count; a bad row beside it has smaller ones.
         most_jumps: share of these jumps that have one size where it means something.
-        same_wrap: relative difference of jumps from a turn in some unit.
-        same_jump: the same from the span of a counter.
+        same_jump: relative difference of jumps from the span of a counter or a turn.
         often: jumps of a size that are no chance; a bad row has two.
         counts: a change of so many is none of quantisation.
         step: times the changes that an input rarely exceeds.
@@ -36,6 +35,7 @@ class CheckLevels:
         clipped: equal samples at an end of a sensor's range.
         settled: counts within which an interpolated constant stays.
         interpolated: samples at its ends, which interpolation has bent.
+        fewest_velocities: samples of a velocity column that is compared with the slope.
         lag_of_velocity: samples by which a velocity column is late.
         lag_share: the same in periods of the motion.
         most_lags: samples; no filter of a velocity makes more.
@@ -89,12 +89,12 @@ class CheckLevels:
     """
 
     stencil: int = 5
-    fewest_samples: int = 20
     wild: float = 0.05
     other_period: float = 0.003
     far_period: float = 0.02
     longest_clock: float = 5e-5
     long_gap: float = 4.5
+    fast: float = 0.3
     few_samples: float = 8.0
     fewer_samples: float = 5.0
     ringing: float = 1.5
@@ -102,8 +102,7 @@ class CheckLevels:
     fewest_counts: int = 10
     main_jumps: float = 0.5
     most_jumps: float = 0.7
-    same_wrap: float = 0.05
-    same_jump: float = 0.01
+    same_jump: float = 0.02
     often: int = 3
     counts: float = 5.0
     step: float = 5.0
@@ -111,6 +110,7 @@ class CheckLevels:
     clipped: int = 4
     settled: float = 0.05
     interpolated: int = 4
+    fewest_velocities: int = 40
     lag_of_velocity: float = 0.8
     lag_share: float = 0.01
     most_lags: int = 12

@@ -64,11 +64,11 @@ class Regressors:
         """
         stride = coarse * max(1, sum(len(q) for q, _ in blocks) // LEVELS.windows)
         windows = Windows(self.half, stride, self.dt * slow)
-        left = [windows.average_second_derivative(q) for q, _ in blocks]
+        left = [windows.average(q, derivative=2) for q, _ in blocks]
         right = [
             np.concatenate(
                 [
-                    windows.average_derivative(q),
+                    windows.average(q, derivative=1),
                     windows.average(np.stack(self._columns(q, u, windows.dt), axis=1)),
                 ],
                 axis=1,
@@ -154,8 +154,8 @@ def _fast_period(views: Sequence[RecordView], j: int) -> float:
 def _noise_share(views: Sequence[RecordView], half: int) -> Float[np.ndarray, " n_q"]:
     """Share of noise in the averaged accelerations of each coordinate, in deviations."""
     windows = Windows(half, max(1, half // 2), views[0].experiment.dt)
-    noise = np.median([v.noise for v in views], axis=0) * np.linalg.norm(windows.weights()[2])
-    parts = [windows.average_second_derivative(v.experiment.q[: 4 * LEVELS.block]) for v in views]
+    noise = np.median([v.noise for v in views], axis=0) * np.linalg.norm(windows.weights(2))
+    parts = [windows.average(v.experiment.q[: 4 * LEVELS.block], 2) for v in views]
     return noise / np.maximum(np.concatenate(parts).std(axis=0), 1e-300)
 
 

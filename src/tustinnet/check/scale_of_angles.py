@@ -127,7 +127,7 @@ def _best(
 def _other_scales(views: Sequence[RecordView], j: int) -> Iterator[ScaleOfAngle]:
     """Scales of an angle other than the declared one, with which it does not turn too fast."""
     c = views[0].experiment.coordinates[j]
-    card = views[0].coordinate_card(c.name)
+    card = views[0].coordinate_card(j)
     if c.kind != "angular" or not any(v.moving[j] for v in views) or (card and card.sine):
         return
     if card is None or card.unit != "counts":
