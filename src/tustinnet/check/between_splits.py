@@ -101,7 +101,7 @@ def _near_copies(signals: Sequence[Float[np.ndarray, "_ c"]]) -> Iterator[tuple[
     """
     lengths = np.array([len(x) for x in signals])
     for length in np.unique(lengths[lengths >= LEVELS.fewest_shared]):
-        members = np.flatnonzero(lengths == length)
+        members = np.flatnonzero(lengths == length).tolist()
         some = np.array([signals[k][:: max(1, length // LEVELS.fewest_shared)] for k in members])
         some -= some.mean(axis=1, keepdims=True)
         deviation = some.std(axis=1)
@@ -109,7 +109,7 @@ def _near_copies(signals: Sequence[Float[np.ndarray, "_ c"]]) -> Iterator[tuple[
             difference = np.sqrt(np.mean((some[m + 1 :] - some[m]) ** 2, axis=1))
             largest = np.max(difference / np.maximum(deviation[m], 1e-300), axis=1)
             for n in np.flatnonzero((largest < LEVELS.alike) & deviation[m].any()):
-                yield int(i), int(members[m + 1 + n]), float(largest[n])
+                yield i, members[m + 1 + n], float(largest[n])
 
 
 def _equal_stretches(

@@ -153,12 +153,22 @@ def positions(view: RecordView) -> Iterator[Finding]:
     for j in np.flatnonzero(view.moving).tolist():
         c = view.experiment.coordinates[j]
         frozen, clipped = _standstills(view, j)
-        if frozen:
-            mend = file_parts(view.experiment, frozen)
-            yield _standstill_finding(view, "frozen sensor", mend, c.name, frozen)
-        if len(clipped) > 1:
-            mend = "no line of the card: the end of the sensor, or a stop of the mechanism?"
-            yield _standstill_finding(view, "clipped sensor", mend, c.name, clipped)
+        at_end = "no line of the card: the end of the sensor, or a stop of the mechanism?"
+        for code, runs, mend in (
+            ("frozen sensor", frozen, file_parts(view.experiment, frozen)),
+            ("clipped sensor", clipped if len(clipped) > 1 else [], at_end),
+        ):
+            samples = [stop - first for first, stop in runs]
+            if runs:
+                yield view.finding(
+                    code,
+                    mend,
+                    c.name,
+                    view.seconds(runs[0][0]),
+                    count=len(runs),
+                    samples=sum(samples),
+                    milliseconds=1e3 * max(samples) * view.experiment.dt,
+                )
         if share := view.wild_share(j):
             mend = coordinate_line(c.name, "correct `unit`")
             yield view.finding("fast angle", mend, c.name, share=share)
@@ -275,22 +285,6 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     runs = np.stack([first, last + 1], axis=1)
     frozen, clipped = runs[catches_up], runs[is_sharp & is_extreme & ~catches_up]
     return [(a, b) for a, b in frozen.tolist()], [(a, b) for a, b in clipped.tolist()]
-
-
-def _standstill_finding(
-    view: RecordView, code: str, mend: str, channel: str, runs: Sequence[tuple[int, int]]
-) -> Finding:
-    """A finding on runs of equal values."""
-    samples = [stop - first for first, stop in runs]
-    return view.finding(
-        code,
-        mend,
-        channel,
-        view.seconds(runs[0][0]),
-        count=len(runs),
-        samples=sum(samples),
-        milliseconds=1e3 * max(samples) * view.experiment.dt,
-    )
 
 
 def _follows_step(view: RecordView, rows: Int[np.ndarray, " jumps"]) -> Bool[np.ndarray, " jumps"]:

@@ -62,7 +62,7 @@ class CheckLevels:
         novel: times the others' motion, beyond which a model extrapolates.
         novel_machine: the same where nothing but another machine explains the record.
         fewest_files: files that can be compared with one another.
-        most_trials: faults that are tried on all suspects, about.
+        most_suspects: files that are looked at closely, between two faults that are found.
         gain_of_coordinate: logarithm of a gain that is one; encoders have exact ones.
         gain_of_input: the same of an input, which a curve of its actuator looks like.
         lag: samples; interpolation makes as much as half of one.
@@ -72,6 +72,7 @@ class CheckLevels:
         drop_by_scale: of what a model leaves, which the true scale of an angle leaves.
         least_by_scale: of the accelerations, which that scale explains beside all others.
         same_sensor: counts, or deviations of the noise, by which two columns of one sensor differ.
+        same_share: the same as a share of their motion.
         most_samples: of a record, for the model of the motion; of longer ones blocks are taken.
         block: samples.
         windows: of a record, about.
@@ -85,7 +86,7 @@ class CheckLevels:
         few_coordinates: so many have products of velocities, too.
         creep: of the usual speed; the sign of a velocity is smooth within.
         ridge: of the mean square of a regressor.
-        fewest_windows: windows that tell a residual.
+        fewest_windows: windows of a file that is compared with others.
     """
 
     stencil: int = 5
@@ -137,7 +138,7 @@ class CheckLevels:
     novel: float = 4.0
     novel_machine: float = 2.0
     fewest_files: int = 3
-    most_trials: int = 400
+    most_suspects: int = 3
     gain_of_coordinate: float = 0.08
     gain_of_input: float = 0.15
     lag: float = 0.7
@@ -147,6 +148,7 @@ class CheckLevels:
     drop_by_scale: float = 0.4
     least_by_scale: float = 0.05
     same_sensor: float = 2.0
+    same_share: float = 0.1
     most_samples: int = 16_000
     block: int = 1000
     windows: int = 250
@@ -160,7 +162,7 @@ class CheckLevels:
     few_coordinates: int = 2
     creep: float = 0.03
     ridge: float = 1e-5
-    fewest_windows: int = 12
+    fewest_windows: int = 20
 
 
 LEVELS = CheckLevels()

@@ -36,6 +36,11 @@ class RecordView:
         return e.recording or describe_recording(e.t, e.q, e.dt)
 
     @cached_property
+    def samples(self) -> Float[np.ndarray, "n c"]:
+        """Coordinates and inputs side by side, (n, n_q + n_u)."""
+        return np.concatenate([self.experiment.q, self.experiment.u], axis=1)
+
+    @cached_property
     def velocity(self) -> Float[np.ndarray, "n n_q"]:
         """Velocities from the positions by the five-point stencil, (n, n_q)."""
         e = self.experiment
@@ -95,6 +100,7 @@ class RecordView:
         *,
         severity: Severity | None = None,
         column: str = "",
+        is_of_all: bool = False,
         **values: Any,
     ) -> Finding:
         """A finding in this record.
@@ -106,6 +112,7 @@ class RecordView:
             time: where it begins [s].
             severity: its severity, where it is not the usual one of the check.
             column: the column of the log, where it is not that of the channel.
+            is_of_all: whether it is about all records, not this one.
             values: what its sentence names.
         """
         finding = make_finding(code, **values)
@@ -115,7 +122,7 @@ class RecordView:
             finding,
             severity=severity or finding.severity,
             mend=mend,
-            records=(self.experiment.name,),
+            records=() if is_of_all else (self.experiment.name,),
             channel=channel,
             column=column or ("" if own_column is None else str(own_column)),
             time=time,

@@ -126,8 +126,8 @@ CHECK = {
     ),
     "near copy": warning(
         "two records are nearly equal",
-        size="they differ by {difference:.2%} of their deviation: a rounded copy, or one experiment "
-        "done twice?",
+        size="they differ by {difference:.2%} of their deviation: a rounded copy, or one "
+        "experiment done twice?",
     ),
     # --- of all ---
     "still input": warning(
