@@ -187,8 +187,8 @@ def _jumps(view: RecordView, j: int, frozen: Sequence[tuple[int, int]]) -> Itera
     e, c = view.experiment, view.experiment.coordinates[j]
     q = e.q[:, j]
     rows = outliers.find_jumps(e.t, q, view.counts[j])
-    rows = rows[~_follows_step(view, rows)]
     rows = np.setdiff1d(rows, [b + k for _, b in frozen for k in range(LEVELS.interpolated + 1)])
+    rows = rows[~_follows_step(view, rows)] if len(rows) else rows
     if not len(rows):
         return
     change = np.diff(q)
