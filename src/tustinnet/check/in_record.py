@@ -265,8 +265,9 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     first, last = np.r_[0, ends + 1], np.r_[ends, len(e) - 1]
     length = last - first + 1
     inside = (length >= LEVELS.clipped) & (first >= 4 + margin) & (last < len(q) - 5 - margin)
+    to_end = _stops_for_good(q, int(first[-1]), margin, LEVELS.counts * noise)
     if not inside.any():
-        return [], []
+        return to_end, []
     first, last, length = first[inside], last[inside], length[inside]
     before = (q[first - margin - 1] - q[first - margin - 4]) / 3
     after = (q[last + margin + 4] - q[last + margin + 1]) / 3
@@ -284,7 +285,19 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     is_extreme = (q[first] <= q.min() + least) | (q[first] >= q.max() - least)
     runs = np.stack([first, last + 1], axis=1)
     frozen, clipped = runs[catches_up], runs[is_sharp & is_extreme & ~catches_up]
-    return [(a, b) for a, b in frozen.tolist()], [(a, b) for a, b in clipped.tolist()]
+    return [(a, b) for a, b in (*frozen.tolist(), *to_end)], [(a, b) for a, b in clipped.tolist()]
+
+
+def _stops_for_good(
+    q: Float[np.ndarray, " n"], first: int, margin: int, least: float
+) -> list[tuple[int, int]]:
+    """The last run of equal values, if it ends motion far more suddenly than anything before."""
+    before = q[: max(first - margin, 0)]
+    if len(before) < LEVELS.fewest_velocities or len(q) - first < LEVELS.frozen + margin:
+        return []
+    speed, bend = abs(before[-1] - before[-4]) / 3, np.abs(np.diff(before, 2)).max()
+    is_inside = before.min() + least < q[first] < before.max() - least  # else a stop, perhaps
+    return [(first, len(q))] if is_inside and speed > max(least, 2 * bend) else []
 
 
 def _follows_step(view: RecordView, rows: Int[np.ndarray, " jumps"]) -> Bool[np.ndarray, " jumps"]:
