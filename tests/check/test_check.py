@@ -1,6 +1,7 @@
 """The check of records: planted faults are named, clean logs are not."""
 
 import math
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -42,6 +43,9 @@ def test_a_planted_fault_is_named_at_its_record_and_channel(fault: Fault, tmp_pa
     named = next(f for f in findings if fault.is_named_by(f))
     assert any(c.isdigit() for c in named.text)
     assert named.mend
+    line = named.mend.partition(": ")[2]
+    if " = " in line:
+        assert tomllib.loads(f"parts = [{line}]" if "[splits]" in named.mend else line)
 
 
 @pytest.mark.parametrize("machine", ["unbalanced-disc", "positioning-axis"])

@@ -44,7 +44,7 @@ def overlapping_rows(views: Sequence[RecordView]) -> Iterator[Finding]:
 def copies(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Records of different files that have a stretch in common, or are nearly equal."""
     records = [v.experiment for v in views]
-    signals = [np.concatenate([e.q, e.u], axis=1) for e in records]
+    signals = [v.samples for v in views]
     exact: set[tuple[int, int]] = set()
     for (i, j), (length, start, other_start) in _equal_stretches(signals, records).items():
         a, b = records[i], records[j]

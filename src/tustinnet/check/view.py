@@ -78,8 +78,7 @@ class RecordView:
 
     def seconds(self, sample: int) -> float:
         """Time of a sample from the first one on [s]."""
-        t = self.experiment.t
-        return float(t[min(sample, len(t) - 1)] - t[0])
+        return float(self.experiment.t[sample] - self.experiment.t[0])
 
     def channel_card(self, name: str) -> CoordinateCard | InputCard | None:
         """The block of a coordinate or input in the card."""
