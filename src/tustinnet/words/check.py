@@ -50,7 +50,6 @@ CHECK = {
         size="{count:jump} of up to {largest:.5g} {unit}[[, {counts:.0f} counts]]",
     ),
     "encoder wraps": note("an encoder that wraps"),
-    "turn of another": note("the turn of {other}, swapped?"),
     "degrees wrap": note("an angle in degrees that wraps"),
     "radians wrap": note("an angle in radians that wraps"),
     "counter overflows": note("a counter of {bits} bits that overflows"),
