@@ -963,7 +963,7 @@ LATE_FAULTS: tuple[Fault, ...] = (
         "a rounded copy in the test",
         "ball-on-beam",
         _copy_log("moves1", "fresh", "test", digits=4),
-        ("copy",),
+        ("copy", "near copy"),
         ("moves1", "fresh"),
     ),
     Fault(

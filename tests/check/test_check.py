@@ -1,6 +1,7 @@
 """The check of records: planted faults are named, clean logs are not."""
 
 import math
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -14,8 +15,8 @@ from hypothesis import strategies as st
 from simulated.faults import FAULTS, Fault, logs_of
 
 import tustinnet as tn
-from tustinnet.check.check import check, check_record
-from tustinnet.check.draft_scales import find_scales
+from tustinnet.check.check import check
+from tustinnet.check.drafting import find_scales
 from tustinnet.data.catalog import locate
 from tustinnet.data.drafting.draft import draft_card, draft_examined, examine_logs
 from tustinnet.data.loading import load_folder
@@ -42,6 +43,9 @@ def test_a_planted_fault_is_named_at_its_record_and_channel(fault: Fault, tmp_pa
     named = next(f for f in findings if fault.is_named_by(f))
     assert any(c.isdigit() for c in named.text)
     assert named.mend
+    line = named.mend.partition(": ")[2]
+    if " = " in line:
+        assert tomllib.loads(f"parts = [{line}]" if "[splits]" in named.mend else line)
 
 
 @pytest.mark.parametrize("machine", ["unbalanced-disc", "positioning-axis"])
@@ -71,14 +75,14 @@ def test_velocities_of_an_arm_that_rests_are_no_padding() -> None:
     v = np.concatenate([np.zeros(428), np.round(2 * np.sin(2 * t) / 0.01) * 0.01])
     e = arm(q, v)
     assert e.padded_rows == (0, 0)
-    assert serious(check_record(e)) == []
+    assert serious(check([e])) == []
 
 
 def test_padded_velocities_that_no_fit_uses_are_a_note() -> None:
     q = swing()
     v = np.gradient(q, DT)
     v[:3] = 0
-    computed, measured = (check_record(arm(q, v, v_measured=m)) for m in (False, True))
+    computed, measured = (check([arm(q, v, v_measured=m)]) for m in (False, True))
     assert [f.severity for f in computed if f.code == "padded velocity"] == ["note"]
     assert [f.severity for f in measured if f.code == "padded velocity"] == ["warning"]
 
@@ -91,7 +95,7 @@ def test_a_reversal_at_a_dead_band_is_no_jump(rate: float) -> None:
     for k in range(1, 800):
         load[k] = np.clip(load[k - 1], motor[k] - 0.2, motor[k] + 0.2)
     e = arm(np.round(load / COUNT) * COUNT)
-    assert not {"jump", "counter", "frozen sensor"} & {f.code for f in check_record(e)}
+    assert not {"jump", "counter", "frozen sensor"} & {f.code for f in check([e])}
 
 
 def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
@@ -100,7 +104,7 @@ def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
     e = tn.from_arrays(
         q, dt=DT, coordinates=[tn.Coordinate(n, "angular", COUNT) for n in ("arm", "other")]
     )
-    (finding,) = [f for f in check_record(e) if f.is_serious]
+    (finding,) = [f for f in check([e]) if f.is_serious]
     assert (finding.code, finding.channel) == ("dead sensor", "other")
     assert "more than one count" in finding.what
 
@@ -162,7 +166,7 @@ def test_a_position_that_a_spring_holds_over_many_turns_is_not_in_another_unit()
 
 def test_a_wheel_that_is_fast_for_its_log_is_no_fault_for_sure() -> None:
     turns = np.cumsum(np.linspace(0, 2.5, 800))
-    assert [f.severity for f in check_record(arm(turns)) if f.code == "fast angle"] == ["warning"]
+    assert [f.severity for f in check([arm(turns)]) if f.code == "fast angle"] == ["warning"]
 
 
 @pytest.mark.parametrize("late", [1.25, 0.75])
@@ -220,28 +224,28 @@ def test_outliers_of_velocities_are_named_and_change_nothing_else(
     rng = np.random.default_rng(seed)
     q = swing()
     v = np.gradient(q, DT) + 0.01 * rng.normal(size=len(q))
-    assert serious(check_record(arm(q, v, v_measured=True))) == []
+    assert serious(check([arm(q, v, v_measured=True)])) == []
     v[rows] += size * rng.choice([-1.0, 1.0], len(rows))
-    found = [f for f in check_record(arm(q, v, v_measured=True)) if f.is_serious]
+    found = [f for f in check([arm(q, v, v_measured=True)]) if f.is_serious]
     assert [(f.code, f.severity) for f in found] == [("velocity", "warning")]
     assert f"outliers at sample {', '.join(map(str, sorted(rows)))}" in found[0].what
-    reversed_ = check_record(arm(q, -v, v_measured=True))
+    reversed_ = check([arm(q, -v, v_measured=True)])
     assert "opposite sign" in next(f for f in reversed_ if f.severity == "severe").what
 
 
 @pytest.mark.parametrize("factor", [500.0, 0.002])
 def test_a_velocity_of_a_scale_that_no_unit_explains_is_to_be_left_alone(factor: float) -> None:
     q = swing()
-    found = check_record(arm(q, factor * np.gradient(q, DT), v_measured=True))
+    found = check([arm(q, factor * np.gradient(q, DT), v_measured=True)])
     (severe,) = [f for f in found if f.severity == "severe"]
     assert severe.values["how"].values["gain"] == pytest.approx(factor, rel=0.01)
     assert severe.mend.endswith("velocity = { measured = false }")
-    assert not check_record(arm(q, factor * np.gradient(q, DT), v_measured=False))
+    assert not check([arm(q, factor * np.gradient(q, DT), v_measured=False)])
 
 
 def test_a_velocity_column_that_no_fit_uses_is_no_severe_finding() -> None:
     q = swing()
-    found = check_record(arm(q, -np.gradient(q, DT), v_measured=False))
+    found = check([arm(q, -np.gradient(q, DT), v_measured=False)])
     assert [f.severity for f in found if f.code == "velocity"] == ["warning"]
 
 
@@ -254,6 +258,13 @@ def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
     assert not [f.text for f in check(parts) if f.code == "sign"]
     apart = [replace(e, source=f"{e.name}.csv") for e in parts]
     assert [f.code for f in check(apart) if f.is_serious] == ["sign"]
+
+
+def test_a_record_that_hardly_differs_may_be_a_repeated_experiment() -> None:
+    again = swing() + 1e-4 * np.random.default_rng(0).normal(size=800)
+    (found,) = check([arm(swing()), arm(again, name="again", split="test")])
+    assert (found.code, found.severity) == ("near copy", "warning")
+    assert not check([arm(swing()), arm(swing()[::-1], name="other")])
 
 
 # --- findings ---
@@ -339,7 +350,7 @@ def test_records_that_hold_little_are_checked_without_an_error(
         assert finding.text
         assert "nan" not in finding.text, what
     for e in records:
-        check_record(e)
+        check([e])
 
 
 # --- what the card assumes ---

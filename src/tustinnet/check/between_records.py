@@ -8,7 +8,6 @@ parameters of its own do, the file is of another machine, or of one with another
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -28,13 +27,12 @@ from tustinnet.check.motion_model import (
     Equations,
     MotionModel,
     Regressors,
-    Samples,
-    delay,
     fit_motion_model,
     make_regressors,
     split_into_blocks,
 )
 from tustinnet.check.view import RecordView
+from tustinnet.data.card import CoordinateCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import card_entry
 from tustinnet.finding import Finding
@@ -45,6 +43,8 @@ _FACTORS = np.log([0.1, 0.5, 0.8, 1.25, 2.0, 10.0])
 _UNITS = np.log([np.pi / 180, 180 / np.pi, 1e3, 1e-3])
 _USUAL_GAINS = np.abs([np.log(2), np.log(4), np.log(10), *_UNITS])  # of units, and of counted edges
 
+Samples = Float[np.ndarray, "n c"]  # of coordinates and inputs
+
 
 @dataclass(frozen=True)
 class Suspicion:
@@ -52,16 +52,16 @@ class Suspicion:
 
     Attributes:
         check: name of the check.
-        channels: names of the channels.
-        undo: samples without a fault of a size.
+        columns: the columns of the samples that have it; none where times are wrong.
+        remove: the columns without a fault of a size.
         sizes: sizes to try, of which 0 is no fault: logarithms of factors, or numbers with a unit;
             a single one of a fault without a number.
         least: smaller sizes are no fault.
     """
 
     check: str
-    channels: tuple[str, ...]
-    undo: Callable[[np.ndarray, np.ndarray, float], Samples]
+    columns: list[int]
+    remove: Callable[[Samples, float], Samples]
     sizes: Float[np.ndarray, " s"]
     least: float = 0.0
 
@@ -69,6 +69,28 @@ class Suspicion:
     def has_number(self) -> bool:
         """Whether faults of this kind have a size."""
         return len(self.sizes) > 1
+
+    def undo(self, samples: Samples, size: float) -> Samples:
+        """Samples without a fault of a size."""
+        changed = samples.copy()
+        changed[:, self.columns] = self.remove(samples[:, self.columns], size)
+        return changed
+
+    def best_size(self, cost: Callable[[float], float], enough: float) -> tuple[float, float]:
+        """The smallest cost of all sizes, and its size.
+
+        Args:
+            cost: cost of a size.
+            enough: cost from which on sizes between those to try are tried, too.
+        """
+        best = min((cost(size), size) for size in self.sizes.tolist())
+        if self.has_number and best[0] < enough:
+            step = np.partition(np.abs(np.append(self.sizes, 0.0) - best[1]), 2)[2]
+            for _ in range(8):
+                step /= 2
+                sizes = (best[1] - step, best[1] + step)
+                best = min(best, *((cost(float(size)), float(size)) for size in sizes))
+        return best
 
 
 @dataclass(frozen=True)
@@ -91,53 +113,35 @@ def list_suspicions(
         ranges: range of each coordinate over all records, (n_q,).
         has_times: whether records have times, so that a slower one is of a slower machine.
     """
+    n_q, n, one = channels.n_q, channels.n_q + len(channels.inputs), np.ones(1)
     suspicions = []
-    for side, listed in enumerate((channels.coordinates, channels.inputs)):
-        for j, c in enumerate(listed):
-            name, is_input = (c.name,), side == 1
-            suspicions += [
-                Suspicion("sign", name, _change(side, j, lambda x, _: -x), np.ones(1)),
-                Suspicion(
-                    "gain",
-                    name,
-                    _change(side, j, lambda x, size: x * np.exp(size)),
-                    np.r_[_FACTORS, _UNITS],
-                    LEVELS.gain_of_input if is_input else LEVELS.gain_of_coordinate,
-                ),
-            ]
-            if is_input or channels.n_q > 1:  # of a single coordinate nothing is late
-                suspicions.append(
-                    Suspicion("lag", name, _change(side, j, delay), _LAGS, LEVELS.lag)
-                )
-            if not is_input:
-                extent = max(float(ranges[j]), 1e-300)
-                turn = np.pi / 2 * np.array([-1, 1, 2] if channels.angular[j] else [])
-                shift = _change(side, j, np.add)
-                sizes = np.r_[extent * _OFFSETS, turn]
-                suspicions.append(Suspicion("offset", name, shift, sizes, LEVELS.offset * extent))
-        for j, i in combinations(range(len(listed)), 2):
-            undo = _change(side, [j, i], lambda x, _: x[:, ::-1])
-            suspicions.append(Suspicion("swap", (listed[i].name, listed[j].name), undo, np.ones(1)))
+    for k in range(n):
+        is_input = k >= n_q
+        least = LEVELS.gain_of_input if is_input else LEVELS.gain_of_coordinate
+        gains = np.r_[_FACTORS, _UNITS]
+        suspicions += [
+            Suspicion("sign", [k], lambda x, _: -x, one),
+            Suspicion("gain", [k], lambda x, size: x * np.exp(size), gains, least),
+        ]
+        if is_input or n_q > 1:  # of a single coordinate nothing is late
+            suspicions.append(Suspicion("lag", [k], _delay, _LAGS, LEVELS.lag))
+        if not is_input:
+            turns = np.pi / 2 * np.array([-1, 1, 2] if channels.angular[k] else [])
+            sizes = np.r_[ranges[k] * _OFFSETS, turns]
+            suspicions.append(Suspicion("offset", [k], np.add, sizes, LEVELS.offset * ranges[k]))
+    pairs = [*combinations(range(n_q), 2), *combinations(range(n_q, n), 2)]
+    suspicions += [Suspicion("swap", [j, i], lambda x, _: x[:, ::-1], one) for i, j in pairs]
     if not has_times:
         suspicions.append(
-            Suspicion(
-                "record period", (), lambda q, u, _: (q, u), _FACTORS, LEVELS.period_by_motion
-            )
+            Suspicion("record period", [], lambda x, _: x, _FACTORS, LEVELS.period_by_motion)
         )
     return suspicions
 
 
-def _change(
-    side: int, columns: int | list[int], change: Callable[[np.ndarray, float], np.ndarray]
-) -> Callable[[np.ndarray, np.ndarray, float], Samples]:
-    """Changes columns of the positions (side 0) or inputs (side 1) of a record."""
-
-    def undo(q: np.ndarray, u: np.ndarray, size: float) -> Samples:
-        arrays = q.copy(), u.copy()
-        arrays[side][:, columns] = change(arrays[side][:, columns], size)
-        return arrays
-
-    return undo
+def _delay(columns: Samples, samples: float) -> Samples:
+    """A column that is later by some samples, its ends held."""
+    k = np.arange(len(columns))
+    return np.interp(k - samples, k, columns[:, 0])[:, None]
 
 
 def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -148,68 +152,55 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
     Args:
         views: records of one machine, of three files at least.
     """
+    regressors = make_regressors(views)
+    if regressors is None:
+        return
     files: dict[tuple[str, str], list[RecordView]] = {}
     for view in views:
         e = view.experiment  # elements of a MAT file are files of their own
         files.setdefault((e.source or e.name, e.name.partition("[")[2]), []).append(view)
-    regressors = make_regressors(views)
-    if len(files) < LEVELS.fewest_files or regressors is None:
+    parts, samples, equations = [], [], []
+    for file in files.values():
+        blocks = [block for view in file for block in split_into_blocks(view.samples)]
+        equation = regressors.equations(blocks)
+        if len(equation.left) >= LEVELS.fewest_windows:
+            parts, samples = [*parts, file], [*samples, blocks]
+            equations.append(equation)
+    windows = sum(len(e.left) for e in equations)
+    if len(parts) < LEVELS.fewest_files or windows < 3 * equations[0].right.shape[1]:
         return
     ranges = np.median([np.ptp(v.experiment.q, axis=0) for v in views], axis=0)
     card = views[0].card
     suspicions = list_suspicions(
         views[0].experiment.channels, ranges, has_times=card is not None and card.time is not None
     )
-    parts = [*files.values()]
-    samples = [
-        [b for v in file for b in split_into_blocks(v.experiment.q, v.experiment.u)]
-        for file in parts
-    ]
-    equations = [regressors.equations(blocks) for blocks in samples]
     weights = np.ones(len(parts))
     model = fit_motion_model(equations, weights)
     for _ in range(len(parts) // 3):  # of more faulty ones the others are no measure
-        verdicts = (
-            {
-                r: verdict
-                for r in _find_suspects(model, suspicions)
-                if (verdict := _judge(model, regressors, samples, r, suspicions)) is not None
-            }
-            if model
-            else {}
-        )
+        verdicts = {
+            r: verdict
+            for r in _find_suspects(model)
+            if (verdict := _judge(model, regressors, samples, r, suspicions)) is not None
+        }
         if not verdicts:
             break
         r = max(verdicts, key=lambda r: verdicts[r].before / verdicts[r].after)
         yield from (_describe(view, verdicts[r]) for view in parts[r])
         weights[r] = 0.0
         model = fit_motion_model(equations, weights)
-    if model is not None:
-        yield from _other_machines(model, parts)
+    yield from _other_machines(model, parts)
 
 
-def _usual_cost(model: MotionModel, without: int) -> float:
-    """The median residual of the other files that are not known to be wrong."""
-    cost = model.costs()
-    others = (model.weights > 0) & np.isfinite(cost)
-    others[without] = False
-    return float(np.median(cost[others])) if others.any() else np.inf
-
-
-def _find_suspects(model: MotionModel, suspicions: Sequence[Suspicion]) -> list[int]:
+def _find_suspects(model: MotionModel) -> list[int]:
     """Files that the parameters of the others explain poorly, the poorest first.
 
     Poor is a residual that is large, or that is a large share of the file's accelerations.
     """
-    costs = model.costs()
-    known = (model.weights > 0) & np.isfinite(costs)
-    if not known.any():
-        return []
-    shares = costs / np.maximum([model.size(e) for e in model.equations], 1e-300)
-    poorness = np.fmax(*(x / max(np.median(x[known]), 1e-300) for x in (costs, shares)))
+    known = model.weights > 0
+    shares = model.costs / np.maximum([model.size(e) for e in model.equations], 1e-300)
+    poorness = np.fmax(*(x / max(np.median(x[known]), 1e-300) for x in (model.costs, shares)))
     suspects = [int(r) for r in np.argsort(-poorness) if known[r] and poorness[r] > LEVELS.poor]
-    trials = sum(len(s.sizes) for s in suspicions)
-    return suspects[: int(np.clip(LEVELS.most_trials // trials, 2, 4))]
+    return suspects[: LEVELS.most_suspects]
 
 
 def _judge(
@@ -221,50 +212,45 @@ def _judge(
 ) -> _Verdict | None:
     """The fault that explains file r best, None where none does."""
     plain = regressors.equations(samples[r], coarse=2)
-    before, accelerations = model.cost(plain, model.others[r]), model.size(plain)
+    before = model.cost(plain, model.others[r])
 
     def undone(suspicion: Suspicion, size: float, file: int = r) -> Equations:
-        slow = float(np.exp(size)) if suspicion.check == "record period" else 1.0
-        blocks = [suspicion.undo(q, u, size) for q, u in samples[file]]
-        return regressors.equations(blocks, 2, slow)
+        slow = 1.0 if suspicion.columns else float(np.exp(size))
+        return regressors.equations([suspicion.undo(x, size) for x in samples[file]], 2, slow)
 
     def is_common(suspicion: Suspicion, size: float) -> bool:
         """Whether most other files fit better without it, too, as without an input's delay."""
         ratios = [
-            model.cost(undone(suspicion, size, k), model.others[k]) / cost
-            for k, cost in enumerate(model.costs())
-            if k != r and model.weights[k] > 0 and np.isfinite(cost)
+            model.cost(undone(suspicion, size, k), model.others[k]) / model.costs[k]
+            for k in np.flatnonzero(model.weights).tolist()
+            if k != r
         ]
         return bool(np.median(ratios) < 1)
 
-    def residual(suspicion: Suspicion, size: float) -> float:
-        changed = undone(suspicion, size)
-        # smaller accelerations leave smaller residuals: what matters is their share
-        share = min(1.0, model.size(changed) / accelerations)
-        return model.cost(changed, model.others[r]) / max(share, 1e-12)
+    def verdict_of(suspicion: Suspicion) -> _Verdict | None:
+        def relative_cost(size: float) -> float:
+            changed = undone(suspicion, size)
+            # smaller accelerations leave smaller residuals: what matters is their share
+            share = min(1.0, model.size(changed) / model.size(plain))
+            return model.cost(changed, model.others[r]) / max(share, 1e-12)
 
-    verdicts: list[_Verdict] = []
-    for suspicion in suspicions:
-        cost = partial(residual, suspicion)
-        after, size = min((cost(float(size)), float(size)) for size in suspicion.sizes)
-        if suspicion.has_number and after < LEVELS.promising * before:
-            after, size = min((after, size), _refine(cost, suspicion.sizes, size))
+        after, size = suspicion.best_size(relative_cost, LEVELS.promising * before)
         if after > LEVELS.drop * before or abs(size) < suspicion.least:
-            continue
+            return None
         changed = undone(suspicion, size)
         # energetic motion leaves more, whatever is right about its record
         allowed = min(
-            max(LEVELS.usual * _usual_cost(model, r), LEVELS.clear * before),
+            max(LEVELS.usual * model.usual_cost(r), LEVELS.clear * before),
             LEVELS.unexplained * model.size(changed),
         )
         # a size can be chosen so that motion beyond that of the others fits by chance
         is_extrapolated = suspicion.has_number and model.novelty(changed, r) > LEVELS.novel
-        if (
-            model.cost(changed, model.others[r]) < allowed
-            and not is_extrapolated
-            and not is_common(suspicion, size)
-        ):
-            verdicts.append(_Verdict(suspicion, size, before, after))
+        is_explained = model.cost(changed, model.others[r]) < allowed and not is_extrapolated
+        if not is_explained or is_common(suspicion, size):
+            return None
+        return _Verdict(suspicion, size, before, after)
+
+    verdicts = [verdict for s in suspicions if (verdict := verdict_of(s)) is not None]
     # a fault with a number must explain a record so much better than one without
     return min(
         verdicts,
@@ -273,74 +259,54 @@ def _judge(
     )
 
 
-def _refine(cost: Callable[[float], float], sizes: np.ndarray, size: float) -> tuple[float, float]:
-    """The smallest cost near the best size that was tried, and its size, by golden sections."""
-    grid = np.sort(np.append(sizes, 0.0))
-    at = int(np.searchsorted(grid, size))
-    low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
-    share = (np.sqrt(5) - 1) / 2
-    for _ in range(8):
-        left, right = high - share * (high - low), low + share * (high - low)
-        low, high = (low, right) if cost(left) < cost(right) else (left, high)
-    return cost((low + high) / 2), (low + high) / 2
-
-
 def _describe(view: RecordView, verdict: _Verdict) -> Finding:
     """The finding of a fault in a record."""
     e, check, size = view.experiment, verdict.suspicion.check, verdict.size
-    names = verdict.suspicion.channels
-    name = names[0] if names else ""
-    channel = next((c for c in (*e.coordinates, *e.inputs) if c.name == name), None)
-    is_input = channel in e.inputs
-    factor, dt, values = float(np.exp(size)), e.dt, dict[str, Any]()
+    channels = [(*e.coordinates, *e.inputs)[k] for k in verdict.suspicion.columns]
+    name = channels[0].name if channels else ""
+    is_input = bool(channels) and channels[0] in e.inputs
+    block = view.channel_card(name)
+    factor, key, values = float(np.exp(size)), "", dict[str, Any]()
+    mend = without_record(e)
     if check == "sign":
-        key = "sign = -1"
+        key = f"sign = {-block.sign if block else -1}"
     elif check == "swap":
-        key = f"exchange `column` with that of {names[1]}"
-        values.update(channels=names)
+        key = f"exchange `column` with that of {channels[1].name}"
+        values.update(channels=[c.name for c in channels])
     elif check == "gain":
         is_usual = np.abs(_USUAL_GAINS - abs(size)).min() < LEVELS.gain_of_coordinate
         values.update(gain=1 / factor, may_be_machine=not is_usual)
-        key = f"scale = {factor:.4g}" if is_input else _gain_key(view, name, factor)
-    elif check == "offset" and channel is not None:
-        values.update(offset=-size, unit=channel.unit)
-        block = view.coordinate_card(name)
-        scale = block.factor() * block.sign if block else 1.0
+        key, mend = (_gain_key(view, name, factor) if is_usual else ""), _of_other_machine(e)
+    elif check == "offset":
+        values.update(offset=-size, unit=channels[0].unit)
+        scale = block.factor() * block.sign if isinstance(block, CoordinateCard) else 1.0
         key = f"offset = {(block.offset if block else 0.0) - size / scale:.4g}"
     elif check == "lag":
         # what must be delayed to fit came too early
         values.update(direction="early" if size > 0 else "late")
-        values.update(milliseconds=1e3 * abs(size) * dt, samples=abs(size))
-        key = f"delay = {size * dt:.3g}" if is_input else ""
+        values.update(milliseconds=1e3 * abs(size) * e.dt, samples=abs(size))
+        if is_input:
+            declared = next(i.delay for i in e.inputs if i.name == name) or 0.0
+            key = f"delay = {declared + size * e.dt:.3g}"
     else:
-        values.update(milliseconds=1e3 * factor * dt, declared=1e3 * dt)
-        key = f"dt = {factor * dt:.4g}"
-    if values.get("may_be_machine"):
-        mend = _of_other_machine(e)
-    elif key:
-        line = (input_line if is_input else coordinate_line)(name, key) if name else top_line(key)
-        mend = f"in a card of its own, {line}"
-    else:
-        mend = without_record(e)
-    return view.finding(
-        check,
-        mend,
-        name,
-        residual=verdict.after / verdict.before,
-        **values,
-    )
+        values.update(milliseconds=1e3 * factor * e.dt, declared=1e3 * e.dt)
+        mend = f"in a card of its own, {top_line(f'dt = {factor * e.dt:.4g}')}"
+    if key:
+        mend = f"in a card of its own, {(input_line if is_input else coordinate_line)(name, key)}"
+    return view.finding(check, mend, name, residual=verdict.after / verdict.before, **values)
 
 
 def _gain_key(view: RecordView, name: str, factor: float) -> str:
-    """The key of a coordinate that changes its positions by a factor."""
-    block = view.coordinate_card(name)
-    if block is not None and block.unit == "counts":
-        if block.counts_per_revolution:
+    """The key of a channel that changes its samples by a factor."""
+    block = view.channel_card(name)
+    if isinstance(block, CoordinateCard):
+        if block.unit == "counts" and block.counts_per_revolution:
             return f"counts_per_revolution = {block.counts_per_revolution / factor:.6g}"
-        return f"resolution = {factor * (block.resolution or 1.0):.6g}"
-    for unit, other in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
-        if abs(factor / other - 1) < LEVELS.same_unit:
-            return f'unit = "{unit}"'
+        if block.unit == "counts":
+            return f"resolution = {factor * (block.resolution or 1.0):.6g}"
+        for unit, other in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
+            if abs(factor / other - 1) < LEVELS.same_unit and block.kind == "angular":
+                return f'unit = "{unit}"'
     return f"scale = {factor * (block.scale if block else 1.0):.4g}"
 
 
@@ -351,19 +317,18 @@ def _of_other_machine(e: Experiment) -> str:
 
 def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -> Iterator[Finding]:
     """Files that parameters of their own explain, and those of the others do not."""
-    cost = model.costs()
-    for r, views in enumerate(files):
-        usual, own = _usual_cost(model, r), model.cost(model.equations[r], model.own[r])
+    for r in np.flatnonzero(model.weights).tolist():
+        equations, usual = model.equations[r], model.usual_cost(r)
+        of_others, of_own = model.costs[r], model.cost(equations, model.own[r])
         if (
-            model.weights[r] > 0
-            and cost[r] > LEVELS.poorer * usual
-            and own < min(LEVELS.usual * usual, LEVELS.drop * cost[r])
-            and model.novelty(model.equations[r], r) < LEVELS.novel_machine
+            of_others > LEVELS.poorer * usual
+            and of_own < min(LEVELS.usual * usual, LEVELS.drop * of_others)
+            and model.novelty(equations, r) < LEVELS.novel_machine
         ):
-            for view in views:
+            for view in files[r]:
                 yield view.finding(
                     "other machine",
                     _of_other_machine(view.experiment),
-                    of_others=cost[r] / usual,
-                    of_own=own / usual,
+                    of_others=of_others / usual,
+                    of_own=of_own / usual,
                 )

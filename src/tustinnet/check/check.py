@@ -14,7 +14,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.finding import Finding, merge_findings, sort_findings
 
 # findings in a record that explain all that records show against one another
-_EXPLAINS = {"fast angle", "counter", "dead sensor"}
+_EXPLAINS = {"fast angle", "counter", "dead sensor", "spike"}
 
 
 def check(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
@@ -27,35 +27,23 @@ def check(records: Iterable[Experiment], card: Card | None = None) -> tuple[Find
     Returns:
         Findings, the severe ones first, those of equal text merged.
     """
-    views = [RecordView(_without_controller(e), card) for e in records]
-    if not views:
-        return ()
-    findings = [f for view in views for f in check_view(view)]
-    findings += [] if card is None else [*assumed_keys(views, card)]
-    with np.errstate(all="ignore"):  # as in `check_view`; a generator would leave it at once
-        findings += [*_check_together(views, findings)]
-    return sort_findings(merge_findings(findings))
+    return check_views([view_record(e, card) for e in records])
 
 
-def _without_controller(e: Experiment) -> Experiment:
-    """The record with the inputs of its system, where they were recorded."""
-    return e.without_controller() if e.outputs is not None else e
-
-
-def check_record(experiment: Experiment, card: Card | None = None) -> tuple[Finding, ...]:
-    """Finds what is wrong with a record by itself.
-
-    Args:
-        experiment: the record.
-        card: its data card, if it has one.
-    """
-    return sort_findings(check_view(RecordView(_without_controller(experiment), card)))
+def view_record(e: Experiment, card: Card | None = None) -> RecordView:
+    """The view of a record, with the inputs of its system where they were recorded."""
+    return RecordView(e.without_controller() if e.outputs is not None else e, card)
 
 
 @np.errstate(all="ignore")  # numbers of damaged records overflow; they are findings, too
-def check_view(view: RecordView) -> list[Finding]:
-    """Runs the checks of a single record."""
-    return [finding for look in in_record.CHECKS for finding in look(view)]
+def check_views(views: Sequence[RecordView]) -> tuple[Finding, ...]:
+    """Finds what is wrong with records of one machine that have one card, as `check` does."""
+    if not views:
+        return ()
+    findings = [f for view in views for look in in_record.CHECKS for f in look(view)]
+    findings += [] if views[0].card is None else [*assumed_keys(views, views[0].card)]
+    findings += [*_check_together(views, findings)]
+    return sort_findings(merge_findings(findings))
 
 
 def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> Iterator[Finding]:
@@ -64,8 +52,8 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
         yield from look(views)
     excited = [f for look in excitation.CHECKS for f in look(views)]
     yield from excited
-    broken = {(f.channel, name) for f in alone if f.code in _EXPLAINS for name in f.records}
-    sound = [v for v in views if not any(name == v.experiment.name for _, name in broken)]
+    broken = {name for f in alone if f.code in _EXPLAINS for name in f.records}
+    sound = [v for v in views if v.experiment.name not in broken]
     if len(sound) < max(1, len(views) / 2):
         return
     scales = list(scale_of_angles(sound))

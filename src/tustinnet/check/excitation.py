@@ -1,7 +1,7 @@
 """Checks of all records together: inputs and coordinates that say nothing of their own."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -13,44 +13,42 @@ from tustinnet.finding import Finding
 
 def still_inputs(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Inputs that move in no record."""
-    for k, i in enumerate(views[0].experiment.inputs):
-        values = np.concatenate([v.experiment.u[:, k] for v in views])
+    u = np.concatenate([v.experiment.u for v in views])
+    for i, values in zip(views[0].experiment.inputs, u.T, strict=True):
         if not np.ptp(values):
-            finding = views[0].finding(
+            yield views[0].finding(
                 "still input",
                 input_line(i.name, WHICH_COLUMN),
                 i.name,
                 value=values[0],
                 unit=i.unit,
                 samples=len(values),
+                is_of_all=True,
             )
-            yield replace(finding, records=())
 
 
 def same_sensors(views: Sequence[RecordView]) -> Iterator[Finding]:
     """Coordinates that are one sensor."""
     coordinates = views[0].experiment.coordinates
-    everything = np.concatenate([v.experiment.q - v.experiment.q.mean(axis=0) for v in views])
-    noise = np.median([v.noise for v in views], axis=0)
-    for j, c in enumerate(coordinates):
-        for i, other in enumerate(coordinates[:j]):
-            x, y = everything[:, i], everything[:, j]
-            if not (np.ptp(x) and np.ptp(y)):
-                continue
-            gain = float(x @ y / (x @ x))
-            error = float(np.sqrt(np.mean((y - gain * x) ** 2)))
-            count = max(noise[j], abs(gain) * noise[i])
-            if error <= max(LEVELS.same_sensor * count, 1e-9 * float(y.std())):
-                finding = views[0].finding(
-                    "same sensor",
-                    coordinate_line(c.name, WHICH_COLUMN),
-                    c.name,
-                    other=other.name,
-                    gain=gain,
-                    error=error,
-                    unit=c.unit,
-                )
-                yield replace(finding, records=())
+    q = np.concatenate([v.experiment.q - v.experiment.q.mean(axis=0) for v in views])
+    noise, size = np.median([v.noise for v in views], axis=0), np.sqrt(np.mean(q**2, axis=0))
+    for i, j in combinations(range(len(coordinates)), 2):
+        gain = float(q[:, i] @ q[:, j]) / max(len(q) * float(size[i]) ** 2, 1e-300)
+        error = float(np.sqrt(np.mean((q[:, j] - gain * q[:, i]) ** 2)))
+        count = max(noise[j], abs(gain) * noise[i])
+        limit = max(LEVELS.same_sensor * count, 1e-9 * size[j])
+        if size[i] and size[j] and error <= min(limit, LEVELS.same_share * size[j]):
+            c = coordinates[j]
+            yield views[0].finding(
+                "same sensor",
+                coordinate_line(c.name, WHICH_COLUMN),
+                c.name,
+                other=coordinates[i].name,
+                gain=gain,
+                error=error,
+                is_of_all=True,
+                unit=c.unit,
+            )
 
 
 CHECKS = (still_inputs, same_sensors)

@@ -13,13 +13,13 @@ class CheckLevels:
 
     Attributes:
         stencil: samples; fewer have no velocities.
-        fewest_samples: samples of a record whose sensors are looked at.
         wild: share of the periods in which an angle that is sampled well does not move by a
             quarter turn.
         other_period: relative; velocities are wrong by it, accelerations by twice it.
         far_period: the same, of a severe finding.
         longest_clock: s; a mechanism that needs a shorter period is rare.
         long_gap: periods; of a shorter one little motion is lost.
+        fast: of the deviation of a position, for changes from sample to sample that are looked at.
         few_samples: in a period of the strongest oscillation.
         fewer_samples: the same, of a warning.
         ringing: periods, after which an oscillation that is none has decayed.
@@ -27,8 +27,7 @@ class CheckLevels:
         fewest_counts: levels of a position that tell the count of its encoder.
         main_jumps: of the largest jump, for jumps that count; a bad row beside it has smaller ones.
         most_jumps: share of these jumps that have one size where it means something.
-        same_wrap: relative difference of jumps from a turn in some unit.
-        same_jump: the same from the span of a counter.
+        same_jump: relative difference of jumps from the span of a counter or a turn.
         often: jumps of a size that are no chance; a bad row has two.
         counts: a change of so many is none of quantisation.
         step: times the changes that an input rarely exceeds.
@@ -36,6 +35,7 @@ class CheckLevels:
         clipped: equal samples at an end of a sensor's range.
         settled: counts within which an interpolated constant stays.
         interpolated: samples at its ends, which interpolation has bent.
+        fewest_velocities: samples of a velocity column that is compared with the slope.
         lag_of_velocity: samples by which a velocity column is late.
         lag_share: the same in periods of the motion.
         most_lags: samples; no filter of a velocity makes more.
@@ -49,11 +49,8 @@ class CheckLevels:
         changes: of them, in which something moves.
         fewest_shared: samples in motion that two records do not share by chance.
         least_shared: the same as a share of the shorter record.
+        alike: of the deviation; two runs of one experiment differ by more, as a rule.
         digits: of the range; positions that differ by less are equal.
-        alike: of the deviation; two runs of one experiment differ by more.
-        overlap: of the shorter record, for records that are alike.
-        longest: samples of a record that are correlated with those of others.
-        most_pairs: records that are correlated with one another.
         poor: times the usual residual of a record that is looked at closely.
         drop: of a residual, which is left where a fault is undone or a model is the right one.
         usual: times the usual residual of the others, which a model that holds may leave.
@@ -65,7 +62,7 @@ class CheckLevels:
         novel: times the others' motion, beyond which a model extrapolates.
         novel_machine: the same where nothing but another machine explains the record.
         fewest_files: files that can be compared with one another.
-        most_trials: faults that are tried on all suspects, about.
+        most_suspects: files that are looked at closely, between two faults that are found.
         gain_of_coordinate: logarithm of a gain that is one; encoders have exact ones.
         gain_of_input: the same of an input, which a curve of its actuator looks like.
         lag: samples; interpolation makes as much as half of one.
@@ -75,6 +72,7 @@ class CheckLevels:
         drop_by_scale: of what a model leaves, which the true scale of an angle leaves.
         least_by_scale: of the accelerations, which that scale explains beside all others.
         same_sensor: counts, or deviations of the noise, by which two columns of one sensor differ.
+        same_share: the same as a share of their motion.
         most_samples: of a record, for the model of the motion; of longer ones blocks are taken.
         block: samples.
         windows: of a record, about.
@@ -88,16 +86,16 @@ class CheckLevels:
         few_coordinates: so many have products of velocities, too.
         creep: of the usual speed; the sign of a velocity is smooth within.
         ridge: of the mean square of a regressor.
-        fewest_windows: windows that tell a residual.
+        fewest_windows: windows of a file that is compared with others.
     """
 
     stencil: int = 5
-    fewest_samples: int = 20
     wild: float = 0.05
     other_period: float = 0.003
     far_period: float = 0.02
     longest_clock: float = 5e-5
     long_gap: float = 4.5
+    fast: float = 0.3
     few_samples: float = 8.0
     fewer_samples: float = 5.0
     ringing: float = 1.5
@@ -105,8 +103,7 @@ class CheckLevels:
     fewest_counts: int = 10
     main_jumps: float = 0.5
     most_jumps: float = 0.7
-    same_wrap: float = 0.05
-    same_jump: float = 0.01
+    same_jump: float = 0.02
     often: int = 3
     counts: float = 5.0
     step: float = 5.0
@@ -114,6 +111,7 @@ class CheckLevels:
     clipped: int = 4
     settled: float = 0.05
     interpolated: int = 4
+    fewest_velocities: int = 40
     lag_of_velocity: float = 0.8
     lag_share: float = 0.01
     most_lags: int = 12
@@ -127,11 +125,8 @@ class CheckLevels:
     changes: int = 8
     fewest_shared: int = 50
     least_shared: float = 0.1
-    digits: float = 1e-6
     alike: float = 0.003
-    overlap: float = 0.5
-    longest: int = 1 << 17
-    most_pairs: int = 3000
+    digits: float = 1e-6
     poor: float = 2.0
     drop: float = 0.3
     usual: float = 3.0
@@ -143,7 +138,7 @@ class CheckLevels:
     novel: float = 4.0
     novel_machine: float = 2.0
     fewest_files: int = 3
-    most_trials: int = 400
+    most_suspects: int = 3
     gain_of_coordinate: float = 0.08
     gain_of_input: float = 0.15
     lag: float = 0.7
@@ -153,6 +148,7 @@ class CheckLevels:
     drop_by_scale: float = 0.4
     least_by_scale: float = 0.05
     same_sensor: float = 2.0
+    same_share: float = 0.1
     most_samples: int = 16_000
     block: int = 1000
     windows: int = 250
@@ -166,7 +162,7 @@ class CheckLevels:
     few_coordinates: int = 2
     creep: float = 0.03
     ridge: float = 1e-5
-    fewest_windows: int = 12
+    fewest_windows: int = 20
 
 
 LEVELS = CheckLevels()

@@ -9,6 +9,7 @@ all records alike.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -20,7 +21,7 @@ from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
 from tustinnet.signals.spectra import welch
 
-Samples = tuple[np.ndarray, np.ndarray]  # positions (n, n_q) and inputs (n, n_u)
+Samples = Float[np.ndarray, "_ c"]  # of coordinates and inputs side by side
 
 
 @dataclass(frozen=True)
@@ -58,23 +59,18 @@ class Regressors:
         """The equations of a record, which is given as blocks of samples.
 
         Args:
-            blocks: positions and inputs of each.
+            blocks: coordinates and inputs of each.
             coarse: how many times farther apart windows are than in a fit.
             slow: true sampling period over the declared one.
         """
-        stride = coarse * max(1, sum(len(q) for q, _ in blocks) // LEVELS.windows)
+        stride = coarse * max(1, sum(map(len, blocks)) // LEVELS.windows)
         windows = Windows(self.half, stride, self.dt * slow)
-        left = [windows.average_second_derivative(q) for q, _ in blocks]
-        right = [
-            np.concatenate(
-                [
-                    windows.average_derivative(q),
-                    windows.average(np.stack(self._columns(q, u, windows.dt), axis=1)),
-                ],
-                axis=1,
-            )
-            for q, u in blocks
-        ]
+        left, right = [], []
+        for block in blocks:
+            q, u = np.split(block, [self.channels.n_q], axis=1)
+            columns = np.stack(self._columns(q, u, windows.dt), axis=1)
+            left.append(windows.average(q, derivative=2))
+            right.append(np.hstack([windows.average(q, derivative=1), windows.average(columns)]))
         return Equations(np.concatenate(left), np.concatenate(right))
 
     def _columns(self, q: np.ndarray, u: np.ndarray, dt: float) -> list[np.ndarray]:
@@ -99,18 +95,13 @@ class Regressors:
         return columns
 
 
-def delay(column: Float[np.ndarray, " n"], samples: float) -> Float[np.ndarray, " n"]:
-    """A signal that is later by some samples, its ends held."""
-    k = np.arange(len(column))
-    return np.interp(k - samples, k, column)
-
-
-def split_into_blocks(q: np.ndarray, u: np.ndarray) -> list[Samples]:
+def split_into_blocks(samples: Samples) -> list[Samples]:
     """The samples of a record, of a long one some blocks from everywhere."""
-    if len(q) <= LEVELS.most_samples:
-        return [(q, u)]
-    starts = np.linspace(0, len(q) - LEVELS.block, LEVELS.most_samples // LEVELS.block).astype(int)
-    return [(q[a : a + LEVELS.block], u[a : a + LEVELS.block]) for a in starts]
+    if len(samples) <= LEVELS.most_samples:
+        return [samples]
+    count = LEVELS.most_samples // LEVELS.block
+    starts = np.linspace(0, len(samples) - LEVELS.block, count).astype(int)
+    return [samples[a : a + LEVELS.block] for a in starts]
 
 
 def make_regressors(views: Sequence[RecordView]) -> Regressors | None:
@@ -154,8 +145,8 @@ def _fast_period(views: Sequence[RecordView], j: int) -> float:
 def _noise_share(views: Sequence[RecordView], half: int) -> Float[np.ndarray, " n_q"]:
     """Share of noise in the averaged accelerations of each coordinate, in deviations."""
     windows = Windows(half, max(1, half // 2), views[0].experiment.dt)
-    noise = np.median([v.noise for v in views], axis=0) * np.linalg.norm(windows.weights()[2])
-    parts = [windows.average_second_derivative(v.experiment.q[: 4 * LEVELS.block]) for v in views]
+    noise = np.median([v.noise for v in views], axis=0) * np.linalg.norm(windows.weights(2))
+    parts = [windows.average(v.experiment.q[: 4 * LEVELS.block], 2) for v in views]
     return noise / np.maximum(np.concatenate(parts).std(axis=0), 1e-300)
 
 
@@ -174,22 +165,27 @@ class MotionModel:
     noise: Float[np.ndarray, " n_q"]
     others: list[Float[np.ndarray, "p n_q"]]
     own: list[Float[np.ndarray, "p n_q"]]
-    equations: list[Equations]
+    equations: Sequence[Equations]
     weights: Float[np.ndarray, " r"]
 
     def size(self, equations: Equations) -> float:
         """Mean square acceleration of all equations, each in units of its usual residual."""
-        return float(np.sum((equations.left / self.noise) ** 2)) / max(equations.left.size, 1)
+        return float(np.mean((equations.left / self.noise) ** 2))
 
     def cost(self, equations: Equations, parameters: Float[np.ndarray, "p n_q"]) -> float:
-        """Mean square residual in the same units; nan where too few windows tell it."""
-        if len(equations.left) < LEVELS.fewest_windows:
-            return float("nan")
-        return self.size(Equations(equations.left - equations.right @ parameters, equations.right))
+        """Mean square residual in the same units."""
+        return float(np.mean(((equations.left - equations.right @ parameters) / self.noise) ** 2))
 
+    @cached_property
     def costs(self) -> Float[np.ndarray, " r"]:
         """Mean square residual of each set under the parameters of the others."""
         return np.array([self.cost(e, p) for e, p in zip(self.equations, self.others, strict=True)])
+
+    def usual_cost(self, index: int) -> float:
+        """The median residual of all sets but one, and but those that are known to be wrong."""
+        others = self.weights > 0
+        others[index] = False
+        return float(np.median(self.costs[others])) if others.any() else np.inf
 
     def novelty(self, equations: Equations, index: int) -> float:
         """How far the motion of a set is from that of the others: 1 where it is alike.
@@ -213,41 +209,31 @@ class MotionModel:
 
 
 def fit_motion_model(
-    equations: list[Equations], weights: Float[np.ndarray, " r"]
-) -> MotionModel | None:
+    equations: Sequence[Equations], weights: Float[np.ndarray, " r"]
+) -> MotionModel:
     """Fits the model to all sets of equations but one, without each in turn.
 
     Args:
-        equations: the equations of each set of samples.
+        equations: the equations of each set of samples, of some windows each.
         weights: weights of the sets; 0 for those that are known to be wrong.
-
-    Returns:
-        The model; None of a single set, or where too few windows fit into the records.
     """
-    right = np.concatenate([e.right for e in equations])
-    known = np.array([len(e.left) > 0 for e in equations])
-    if known.sum() < 2 or len(right) < 3 * right.shape[1]:
-        return None
-    scale = _scale(right)
-    others, share, noise = [], weights, np.ones(equations[0].left.shape[1])
+    scale = _scale(np.concatenate([e.right for e in equations]))
+    largest = np.mean([np.mean(e.left**2, axis=0) for e in equations], axis=0)
+    others, share, usual = [], weights, largest
     for _ in range(3):
         others = _solve(equations, share * (1 - np.eye(len(equations))), scale)
         squares = np.array(
             [
                 np.mean((e.left - e.right @ p) ** 2, axis=0)
-                for e, p, k in zip(equations, others, known, strict=True)
-                if k
+                for e, p in zip(equations, others, strict=True)
             ]
         )
-        largest = np.mean([np.mean(e.left**2, axis=0) for e in equations if len(e.left)], axis=0)
         usual = np.maximum(np.median(squares, axis=0), np.maximum(1e-12 * largest, 1e-300))
-        noise = np.sqrt(usual)
-        cost = np.ones(len(equations))
-        cost[known] = np.mean(squares / usual, axis=1)
+        cost = np.mean(squares / usual, axis=1)
         # records that the others do not explain count less for the others
-        share = weights / (1 + (cost / (2 * np.median(cost[known]))) ** 2)
+        share = weights / (1 + (cost / (2 * np.median(cost))) ** 2)
     own = _solve(equations, np.eye(len(equations)), scale)
-    return MotionModel(noise, others, own, equations, weights)
+    return MotionModel(np.sqrt(usual), others, own, equations, weights.copy())
 
 
 def _scale(right: Float[np.ndarray, "m p"]) -> Float[np.ndarray, " p"]:
@@ -280,18 +266,17 @@ def unexplained_share(
         views: the records.
         scales: factors of the positions in all of them, (n_q,).
     """
+    factors = np.append(scales, np.ones(views[0].samples.shape[1] - len(scales)))
     equations = [
-        regressors.equations(split_into_blocks(v.experiment.q * scales, v.experiment.u))
+        regressors.equations([block * factors for block in split_into_blocks(v.samples)])
         for v in views
     ]
-    left = np.concatenate([e.left for e in equations])
-    right = np.concatenate([e.right for e in equations])
+    left, right = (
+        np.concatenate(side) for side in zip(*((e.left, e.right) for e in equations), strict=True)
+    )
     if len(left) < 3 * right.shape[1]:
         return 1.0
     (parameters,) = _solve(equations, np.ones((1, len(views))), _scale(right))
-    residual = left - right @ parameters
-    total = np.mean(left**2, axis=0)
-    moving = total > 0
-    if not moving.any():  # squares of tiny accelerations underflow
-        return 1.0
-    return float(np.mean(np.mean(residual**2, axis=0)[moving] / total[moving]))
+    residual, total = np.mean((left - right @ parameters) ** 2, axis=0), np.mean(left**2, axis=0)
+    moving = total > 0  # squares of tiny accelerations underflow
+    return float(np.mean(residual[moving] / total[moving])) if moving.any() else 1.0

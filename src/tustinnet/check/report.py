@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tustinnet.channels import Hold
-from tustinnet.check.check import check
+from tustinnet.check.check import check_views, view_record
+from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import held_equilibrium, saturated_share, transient_end
-from tustinnet.data.recording import Recording, describe_recording
+from tustinnet.data.recording import Recording
 from tustinnet.finding import Finding
 from tustinnet.signals import transients
 from tustinnet.signals.equilibria import HeldEquilibrium
@@ -134,10 +135,10 @@ def inspect_records(records: Iterable[Experiment], card: Card | None = None) -> 
         card: their data card, which the findings name lines of.
     """
     records = tuple(records)
-    findings = check(records, card)
-    return Inspection(
-        tuple(_report(e, [f for f in findings if e.name in f.records]) for e in records), findings
-    )
+    views = [view_record(e, card) for e in records]
+    findings = check_views(views)
+    reports = (_report(e, view, findings) for e, view in zip(records, views, strict=True))
+    return Inspection(tuple(reports), findings)
 
 
 def inspect_experiment(experiment: Experiment) -> ExperimentReport:
@@ -152,10 +153,9 @@ def inspect_experiment(experiment: Experiment) -> ExperimentReport:
     return inspect_records([experiment]).reports[0]
 
 
-def _report(e: Experiment, findings: Sequence[Finding]) -> ExperimentReport:
-    """The report on a record with some findings."""
-    v = e.velocities("stencil")
-    recording = e.recording or describe_recording(e.t, e.q, e.dt)
+def _report(e: Experiment, view: RecordView, findings: Sequence[Finding]) -> ExperimentReport:
+    """The report on a record, its view without a controller, with the findings on all records."""
+    v, recording = view.velocity, view.recording
     thresholds = transients.rest_thresholds(e.q, v, e.channels.resolution, e.dt)
     coordinates = tuple(
         CoordinateReport(
@@ -184,7 +184,7 @@ def _report(e: Experiment, findings: Sequence[Finding]) -> ExperimentReport:
         rest_share=float(np.mean(_near_equilibrium(v, thresholds, e.dt))),
         coordinates=coordinates,
         inputs=tuple(_inspect_input(e, j) for j in range(e.u.shape[1])),
-        suspicious=tuple(f.statement for f in findings if f.is_serious),
+        suspicious=tuple(f.statement for f in findings if f.is_serious and e.name in f.records),
         notes=e.notes,
     )
 

@@ -7,7 +7,7 @@ the scale: their sine is a polynomial.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,7 +68,7 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
         extent = np.ptp(np.concatenate([v.experiment.q[:, scale.index] for v in views]))
         is_unit = scale.key == "unit"
         value = json.dumps(scale.value) if is_unit else scale.value
-        finding = views[0].finding(
+        yield views[0].finding(
             "angle unit" if is_unit else "angle scale",
             coordinate_line(name, f"{scale.key} = {value}"),
             name,
@@ -78,8 +78,8 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
             factor=scale.factor,
             after=evidence.after,
             before=evidence.before,
+            is_of_all=True,
         )
-        yield replace(finding, records=())
 
 
 def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
@@ -106,42 +106,32 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
         return None
     alone = [s for j in range(n_q) for s in _other_scales(some, j)]
     groups = [tuple(s for s in alone if s.value == unit) for unit in _UNITS]
-    chosen, after = _best([(s,) for s in alone], share)
-    together, after_together = _best([g for g in groups if len(g) > 1], share)
-    if after_together < LEVELS.drop_by_scale * after:
-        chosen, after = together, after_together
+    shares = {trial: share(trial) for trial in (*((s,) for s in alone), *filter(None, groups))}
+    # several angles are of another unit where that explains far more than that of one
+    chosen = min(
+        shares, key=lambda t: shares[t] / (LEVELS.drop_by_scale if len(t) > 1 else 1), default=()
+    )
+    after = shares.get(chosen, 1.0)
     for before, is_clear in ((share(()), True), (unheld, False)):
         if after < min(LEVELS.drop_by_scale * before, before - LEVELS.least_by_scale):
             return Evidence(chosen, before, after, is_clear)
     return None
 
 
-def _best(
-    trials: Sequence[tuple[ScaleOfAngle, ...]], share: Callable[[Sequence[ScaleOfAngle]], float]
-) -> tuple[tuple[ScaleOfAngle, ...], float]:
-    """The trial that leaves least, and what it leaves."""
-    shares = [share(trial) for trial in trials]
-    return min(zip(trials, shares, strict=True), key=lambda x: x[1], default=((), 1.0))
-
-
 def _other_scales(views: Sequence[RecordView], j: int) -> Iterator[ScaleOfAngle]:
     """Scales of an angle other than the declared one, with which it does not turn too fast."""
     c = views[0].experiment.coordinates[j]
-    card = views[0].coordinate_card(c.name)
+    card = views[0].coordinate_card(j)
     if c.kind != "angular" or not any(v.moving[j] for v in views) or (card and card.sine):
         return
     if card is None or card.unit != "counts":
         declared = card.factor() / card.scale if card else 1.0
-        scales = [
-            ScaleOfAngle(j, "unit", unit, factor / declared) for unit, factor in _UNITS.items()
-        ]
+        scales = [ScaleOfAngle(j, "unit", u, factor / declared) for u, factor in _UNITS.items()]
     else:
-        counts = card.counts_per_revolution or 0.0
-        scales = [
-            ScaleOfAngle(j, "counts_per_revolution", f"{times * counts:.6g}", 1 / times)
-            # of the declared ones: edges that are counted or not
-            for times in ((2.0, 0.5, 4.0, 0.25) if counts else ())
-        ]
+        counts, key = card.counts_per_revolution, "counts_per_revolution"
+        # edges that are counted or not
+        times = (2.0, 0.5, 4.0, 0.25) if counts else ()
+        scales = [ScaleOfAngle(j, key, f"{x * (counts or 0):.6g}", 1 / x) for x in times]
     for scale in scales:
         is_declared = abs(scale.factor - 1) < 1e-6
         if not (is_declared or any(v.wild_share(j, scale.factor) for v in views)):

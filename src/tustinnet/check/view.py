@@ -1,9 +1,8 @@
 """A record as the checks look at it: with its velocities, its noise, and its lines in the card."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,8 +15,6 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.signals import transients
 from tustinnet.signals.outliers import sensor_noise
 from tustinnet.words.sentence import Severity
-
-Block = TypeVar("Block", CoordinateCard, InputCard)
 
 
 @dataclass(frozen=True)
@@ -37,6 +34,11 @@ class RecordView:
         """The time base and the encoders as logged."""
         e = self.experiment
         return e.recording or describe_recording(e.t, e.q, e.dt)
+
+    @cached_property
+    def samples(self) -> Float[np.ndarray, "n c"]:
+        """Coordinates and inputs side by side, (n, n_q + n_u)."""
+        return np.concatenate([self.experiment.q, self.experiment.u], axis=1)
 
     @cached_property
     def velocity(self) -> Float[np.ndarray, "n n_q"]:
@@ -76,12 +78,17 @@ class RecordView:
 
     def seconds(self, sample: int) -> float:
         """Time of a sample from the first one on [s]."""
-        t = self.experiment.t
-        return float(t[min(sample, len(t) - 1)] - t[0])
+        return float(self.experiment.t[sample] - self.experiment.t[0])
 
-    def coordinate_card(self, name: str) -> CoordinateCard | None:
-        """The block of a coordinate in the card."""
-        return find_block(self.card.coordinates, name) if self.card else None
+    def channel_card(self, name: str) -> CoordinateCard | InputCard | None:
+        """The block of a coordinate or input in the card."""
+        blocks = (*self.card.coordinates, *self.card.inputs) if self.card else ()
+        return next((block for block in blocks if block.name == name), None)
+
+    def coordinate_card(self, j: int) -> CoordinateCard | None:
+        """The block of a coordinate, by its index in the record, in the card."""
+        block = self.channel_card(self.experiment.coordinates[j].name)
+        return block if isinstance(block, CoordinateCard) else None
 
     def finding(
         self,
@@ -91,10 +98,11 @@ class RecordView:
         time: float | None = None,
         *,
         severity: Severity | None = None,
-        is_velocity: bool = False,
+        column: str = "",
+        is_of_all: bool = False,
         **values: Any,
     ) -> Finding:
-        """A finding in this record, with the column of its channel.
+        """A finding in this record.
 
         Args:
             code: name of the check.
@@ -102,32 +110,19 @@ class RecordView:
             channel: name of a coordinate or input.
             time: where it begins [s].
             severity: its severity, where it is not the usual one of the check.
-            is_velocity: whether it concerns the velocity column of the coordinate.
+            column: the column of the log, where it is not that of the channel.
+            is_of_all: whether it is about all records, not this one.
             values: what its sentence names.
         """
         finding = make_finding(code, **values)
+        block = self.channel_card(channel)
+        own_column = None if block is None else block.column
         return replace(
             finding,
             severity=severity or finding.severity,
             mend=mend,
-            records=(self.experiment.name,),
+            records=() if is_of_all else (self.experiment.name,),
             channel=channel,
-            column=column_of(self.card, channel, is_velocity=is_velocity),
+            column=column or ("" if own_column is None else str(own_column)),
             time=time,
         )
-
-
-def find_block(blocks: Sequence[Block], name: str) -> Block | None:
-    """The block of a card with a name."""
-    return next((block for block in blocks if block.name == name), None)
-
-
-def column_of(card: Card | None, channel: str, *, is_velocity: bool = False) -> str:
-    """The column of a coordinate or input as the card names it, empty without a card."""
-    if card is None:
-        return ""
-    coordinate = find_block(card.coordinates, channel)
-    if coordinate is not None and is_velocity and coordinate.velocity is not None:
-        return str(coordinate.velocity.column)
-    block = coordinate or find_block(card.inputs, channel)
-    return "" if block is None else str(block.column)

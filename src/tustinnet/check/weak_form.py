@@ -27,29 +27,19 @@ class Windows:
     stride: int
     dt: float
 
-    def average(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
-        """Averages of signals in every window, (m, c)."""
-        return self._apply(signals, self.weights()[0])
-
-    def average_derivative(self, signals: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
-        """Averages of the first derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self.weights()[1])
-
-    def average_second_derivative(
-        self, signals: Float[np.ndarray, "n c"]
+    def average(
+        self, signals: Float[np.ndarray, "n c"], derivative: int = 0
     ) -> Float[np.ndarray, "m c"]:
-        """Averages of the second derivatives of signals in every window, (m, c)."""
-        return self._apply(signals, self.weights()[2])
-
-    def weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Weights of the samples for the average and those of both derivatives."""
-        return _weights(self.half, self.dt)
-
-    def _apply(self, signals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Averages of signals, or of their first or second derivatives, in every window, (m, c)."""
+        weights = self.weights(derivative)
         if len(signals) < len(weights):
             return np.zeros((0, signals.shape[1]))
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
         return windows[:: self.stride] @ weights
+
+    def weights(self, derivative: int) -> Float[np.ndarray, " w"]:
+        """Weights of the samples of a window for the average of a derivative, 0 for none."""
+        return _weights(self.half, self.dt)[derivative]
 
 
 @lru_cache(maxsize=64)

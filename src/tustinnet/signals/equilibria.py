@@ -53,13 +53,12 @@ def find_held_equilibrium(
     for k in sorted(first_samples):
         # velocities at the stretch's edge are made of positions before it
         x, begin, middle = np.concatenate([q, v], axis=1), k + _AHEAD, (k + len(q)) // 2
-        rate, *halves = (
-            _fastest_growth(x[part], u[part], dt)
-            for part in (slice(begin, None), slice(begin, middle), slice(middle, None))
-        )
-        is_in_both = all(rate / _ALIKE < half < rate * _ALIKE for half in halves)
+        rate = _fastest_growth(x[begin:], u[begin:], dt)
         # with fewer e-folds within the stretch it might be drift
-        if is_in_both and rate * (len(q) - k) * dt > 10.0:
+        if rate * (len(q) - k) * dt > 10.0 and all(
+            rate / _ALIKE < _fastest_growth(x[half], u[half], dt) < rate * _ALIKE
+            for half in (slice(begin, middle), slice(middle, None))
+        ):
             return HeldEquilibrium(k, 1 / rate)
     return None
 

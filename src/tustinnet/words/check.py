@@ -50,7 +50,6 @@ CHECK = {
         size="{count:jump} of up to {largest:.5g} {unit}[[, {counts:.0f} counts]]",
     ),
     "encoder wraps": note("an encoder that wraps"),
-    "turn of another": note("the turn of {other}, swapped?"),
     "degrees wrap": note("an angle in degrees that wraps"),
     "radians wrap": note("an angle in radians that wraps"),
     "counter overflows": note("a counter of {bits} bits that overflows"),
@@ -126,8 +125,8 @@ CHECK = {
     ),
     "near copy": warning(
         "two records are nearly equal",
-        size="they differ by {difference:.2%} of their deviation over {share:.0%} of the shorter "
-        "one, {apart:+.3g} s apart",
+        size="they differ by {difference:.2%} of their deviation: a rounded copy, or one "
+        "experiment done twice?",
     ),
     # --- of all ---
     "still input": warning(

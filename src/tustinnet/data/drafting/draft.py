@@ -201,7 +201,7 @@ def draft_examined(
 
     Args:
         examination: what is known of them.
-        by_motion: answers that the motion of the records shows, as `check.draft_scales` finds them.
+        by_motion: answers that the motion of the records shows, as `check.drafting` finds them.
         name: name of the data set; that of the folder by default.
         has_splits: whether the card names the files; otherwise all logs beside it are records.
         system: coordinates and inputs that the card has to have; by default those that the columns
