@@ -68,7 +68,7 @@ class _Prices:
     def __init__(self, t: EvidenceTable) -> None:
         w, columns = WEIGHTS, range(len(t.names))
         positions = np.array([t.says(i, "position") for i in columns])
-        inputs = np.array([t.says(i, "input") for i in columns])
+        inputs = np.array([t.says(i, "input") for i in columns]) | t.is_free
         plain = np.array([r.qualifier is None for r in t.readings])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
@@ -83,6 +83,8 @@ class _Prices:
         self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
         is_copy = (t.repeats > 0) | t.is_alike
         self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)
+        for prices in (self.positions, self.velocities, self.motion):
+            prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):
             np.fill_diagonal(prices, 0.0)
         related = is_copy | (t.slope > 0) | (t.follow > 0)
@@ -92,6 +94,7 @@ class _Prices:
             [
                 [
                     t.stage[u] != t.stage[v]
+                    and not (t.is_free[u] or t.is_free[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
                     for v in columns
                 ]
@@ -157,6 +160,8 @@ class Assignment:
         total -= _sum(self.prices.positions, positions, positions) / 2
         total -= _sum(self.prices.velocities, velocities, velocities) / 2
         total -= _sum(self.prices.motion, inputs, motion)
+        if t.sums and len(positions) > 2:
+            total -= 2 * w.copy * sum({*three} <= {*positions} for three in t.sums)
         if not inputs:
             total -= 0.5 if set_points else w.no_input
         return total - (0.0 if motion else w.no_position)
