@@ -77,12 +77,15 @@ class _Prices:
         is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
-        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
-        self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
+        rates = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
+        self.positions = rates + share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
-        self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
+        # the rate of a base's motion is neither another input nor a motion of the machine
+        of_free = rates * (t.is_free | t.is_free[:, None])
+        motion = t.repeats + 0.75 * w.copy * t.is_alike
+        self.motion = np.where(inputs[:, None], of_free, motion)
         is_copy = (t.repeats > 0) | t.is_alike
-        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)
+        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, of_free)
         for prices in (self.positions, self.velocities, self.motion):
             prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):
@@ -161,7 +164,8 @@ class Assignment:
         total -= _sum(self.prices.velocities, velocities, velocities) / 2
         total -= _sum(self.prices.motion, inputs, motion)
         if t.sums and len(positions) > 2:
-            total -= 2 * w.copy * sum({*three} <= {*positions} for three in t.sums)
+            signals = {*t.signal[positions].tolist()}
+            total -= 2 * w.copy * sum({*t.signal[[*three]].tolist()} <= signals for three in t.sums)
         if not inputs:
             total -= 0.5 if set_points else w.no_input
         return total - (0.0 if motion else w.no_position)

@@ -68,6 +68,7 @@ _STAGE_OF: dict[Quantity, Stage] = {
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+_CLEAR_SLOPE = 3.0  # points, from which on a column is the derivative of another one
 _MOTION_UNITS = {*ANGLE, *LENGTH, *ANGULAR_SPEEDS, *LINEAR_SPEEDS}
 
 
@@ -259,6 +260,7 @@ class EvidenceTable:
         cause: net points for column i as what moves column j, [i, j].
         repeats: prices of using two columns of the same values.
         is_copy: whether two columns differ by rounding only, apart from unit and zero.
+        signal: the first of the columns that are copies of one another, for each.
         sums: columns of which two add up to the third.
         is_free: whether a position moves others and is moved by nothing.
         is_alike: whether two columns are proportional, nearly.
@@ -286,7 +288,7 @@ class EvidenceTable:
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
-        are_apart = self.slope >= 3
+        are_apart = self.slope >= _CLEAR_SLOPE
         sums = find_sums(records)
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
@@ -297,6 +299,7 @@ class EvidenceTable:
                 self.family[column] = min(block.values())
         family = np.array(self.family)
         self.is_copy &= family[:, None] != family  # joints may move as one for a while
+        self.signal = np.argmax(self.is_copy | np.eye(len(family), dtype=bool), axis=1)
         fit, late = find_followers(records)
         self._set_likeness(records, fit)
         self.follow = self._follow_points(fit, late)
@@ -396,7 +399,7 @@ class EvidenceTable:
         w, columns = WEIGHTS, range(len(self.names))
         says = {role: np.array([self.says(i, role) for i in columns]) for role in ROLES}
         is_other = [any(e.role == "other" and e.points >= w.useless for e in o) for o in self.own]
-        positions = says["position"] & ~np.array(is_other)
+        positions = says["position"] & ~np.array(is_other) & (self.slope < _CLEAR_SLOPE).all(axis=0)
         commands = np.array([r.qualifier == "command" for r in self.readings])
         leads = self.follow > 0
         is_own = self.is_copy | leads | (self.slope > 0) | (self.slope.T > 0)

@@ -318,12 +318,14 @@ def find_sines(
             if not are_of_one_angle(samples[first], samples[second]):
                 continue
             pair = first, second
+            pairs = zip(samples[first], samples[second], strict=True)
+            angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
+            others = {n: s for n, s in samples.items() if n not in pair}
+            if any(find_copy(angle, s) is not None for s in others.values()):
+                continue  # the angle itself is there, too
             if {"sin", "sine", "sinus"} & {*readings[first].words}:
                 pair = second, first
             elif not {"cos", "cosine", "cosinus"} & {*readings[first].words}:
-                pairs = zip(samples[first], samples[second], strict=True)
-                angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
-                others = {n: s for n, s in samples.items() if n not in pair}
                 slopes = compare_slopes({first: angle, **others}, times)
                 correlations = [slopes.between(first, n)[0] for n in others]
                 is_reversed = -min(correlations, default=0.0) > max(correlations, default=0.0) + 0.5
