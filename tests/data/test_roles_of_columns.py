@@ -425,3 +425,12 @@ def test_a_letter_t_that_does_not_rise_is_no_time(tmp_path: Path) -> None:
     x, _ = moved_by(tension)
     made = draft(tmp_path, {"x": x, "x_ref": np.round(x, 1), "T1": tension}, clock="time")
     assert uses(made) == {"x": "coordinate", "x_ref": "", "T1": "input"}
+
+
+def test_cosine_and_sine_beside_their_angle_are_not_used(tmp_path: Path) -> None:
+    u = levels(26)
+    angle, _ = moved_by(u)
+    angle = angle + 1e-4 * np.random.default_rng(0).normal(size=N)
+    columns = {"theta": angle, "cos_theta": np.cos(angle), "sin_theta": np.sin(angle), "u": u}
+    uses_of = uses(draft(tmp_path, columns))
+    assert [name for name, use in uses_of.items() if use] == ["theta", "u"]
