@@ -57,7 +57,8 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
     assert by_name["b"].remark == "no quantity of the motion: only noise"
 
 
-BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * ANGLE, "voltage": ANGLE}
+PUSH = ANGLE + 0.2 * np.cos(9 * T)  # nearly as the angle, as an input of a slow machine is
+BELT = {"time": T, "motor_cnt": COUNTS, "carriage_mm": 90 * PUSH, "voltage": PUSH**3}
 # columns; of each coordinate name, column, unit and velocity column; of each input name and unit
 DRAFTS = [
     (
@@ -87,13 +88,13 @@ DRAFTS = [
         [("lift", "N"), ("shaft", "N m")],
     ),
     (
-        {"slide [cm]": ANGLE, "motorCnt 1": COUNTS, "drive (mV)": ANGLE},
+        {"slide [cm]": PUSH, "motorCnt 1": COUNTS, "drive (mV)": PUSH**3},
         [("slide", "slide [cm]", "cm", None), ("motorCnt_1", "motorCnt 1", "counts", None)],
         [("drive", "mV")],
     ),
     # channels of one name keep their units
     (
-        {"motor_rad": ANGLE, "motor_v": ANGLE},
+        {"motor_rad": ANGLE, "motor_v": PUSH},
         [("motor_rad", "motor_rad", "rad", None)],
         [("motor_v", "V")],
     ),
@@ -104,10 +105,10 @@ DRAFTS = [
         [("setpoint", "mm")],
     ),
     # motors have encoders; what counts in equal steps is measured, unless it is named as a drive
-    ({"motor": COUNTS, "torque": ANGLE}, [("motor", "motor", "counts", None)], [("torque", "N m")]),
-    ({"motor": ANGLE, "x": ANGLE}, [("x", "x", "m", None)], [("motor", "1")]),
+    ({"motor": COUNTS, "torque": PUSH}, [("motor", "motor", "counts", None)], [("torque", "N m")]),
+    ({"motor": PUSH, "x": ANGLE}, [("x", "x", "m", None)], [("motor", "1")]),
     (
-        {"pwm": COUNTS, "encoder_a": COUNTS},
+        {"pwm": np.round(100 * PUSH), "encoder_a": COUNTS},
         [("encoder_a", "encoder_a", "counts", None)],
         [("pwm", "1")],
     ),
@@ -149,7 +150,7 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
         "smooth",
         "# check counts in a turn: 4096 is assumed",
         "counts_per_revolution = 4096",
-        """# "voltage" as an input: it moves 'motor_cnt'; 'voltage' in its name""",
+        """# "voltage" as an input: 'voltage' in its name""",
         '# not used: "gain": constant',
         '# not used: "spin_rad_s": a velocity, and the slope of no position',
     ):

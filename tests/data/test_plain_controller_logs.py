@@ -96,8 +96,10 @@ def test_the_pressure_of_the_air_is_no_input(tmp_path):
 def test_speeds_of_one_machine_are_in_one_unit(tmp_path):
     t = np.arange(0, 4, 0.01)
     u = np.sign(np.sin(3 * t)) * 60
-    left = np.convolve(u, np.exp(-np.arange(100) / 20) / 20)[: len(t)] * 5.6
-    rows = np.column_stack([t, left, u, 0.7 * left, 0.7 * u])
+    left, right = (
+        np.convolve(u, np.exp(-np.arange(100) / n) / n)[: len(t)] * 5.6 for n in (20, 16)
+    )
+    rows = np.column_stack([t, left, u, 0.7 * right, 0.7 * u])
     header = "time,leftSpeed,leftCommand,rightSpeed,rightCommand"
     draft = drafted(tmp_path, rows, header)
     assert [c.unit for c in draft.choice.coordinates] == ["rpm", "rpm"]

@@ -373,3 +373,64 @@ def test_columns_that_move_only_elsewhere_are_no_trouble(tmp_path: Path) -> None
 def test_points_are_documented() -> None:
     documentation = type(WEIGHTS).__doc__ or ""
     assert all(f"{name}:" in documentation for name in vars(WEIGHTS))
+
+
+# --- what moves one to one with a coordinate is no second one ---
+
+
+def test_a_copy_of_a_position_in_another_unit_is_no_coordinate(tmp_path: Path) -> None:
+    u = levels(21)
+    x, _ = moved_by(u)
+    pixels = np.round(320 + 240 * x)
+    columns = {"x_px": pixels, "x_mm": (pixels - 320) / 2.4, "sensor_V": 3 - 4 * x, "duty": u}
+    made = draft(tmp_path, columns)
+    assert uses(made) == {"x_px": "", "x_mm": "coordinate", "sensor_V": "", "duty": "input"}
+    assert made.choice.unused["x_px"] == "2.4 times 'x_mm'"
+
+
+def test_joints_that_move_as_one_for_a_while_are_coordinates(tmp_path: Path) -> None:
+    course = np.sin(np.arange(N) / 60)
+    torques = {f"tau_{k}": np.gradient(np.gradient(k * course)) + levels(k) for k in (1, 2)}
+    made = draft(tmp_path, {"q_1": 0.5 * course, "q_2": -1.1 * course, **torques})
+    assert [c.column for c in made.choice.coordinates] == ["q_1", "q_2"]
+
+
+def test_of_two_positions_and_their_difference_two_are_coordinates(tmp_path: Path) -> None:
+    force = levels(22)
+    x, _ = moved_by(force)
+    y, _ = moved_by(x, damping=0.8, stiffness=20)
+    made = draft(tmp_path, {"body (m)": x, "wheel (m)": y, "stroke (m)": x - y, "F (N)": force})
+    assert [c.column for c in made.choice.coordinates] == ["body (m)", "wheel (m)"]
+    assert "the sum or difference" in made.choice.unused["stroke (m)"]
+
+
+def test_a_position_that_nothing_moves_and_that_moves_another_one_is_an_input(
+    tmp_path: Path,
+) -> None:
+    road = np.convolve(levels(23, 20), np.ones(8) / 8, "same") / 50
+    body, _ = moved_by(road)
+    made = draft(tmp_path, {"road (mm)": 100 * road, "body (mm)": 100 * body})
+    assert uses(made) == {"road (mm)": "input", "body (mm)": "coordinate"}
+    assert "nothing moves it, and it moves 'body (mm)'" in made.text
+
+
+def test_a_function_of_a_position_is_not_moved_by_it(tmp_path: Path) -> None:
+    angle = np.convolve(levels(24, 15), np.ones(30) / 30, "same")
+    made = draft(tmp_path, {"angle (rad)": angle, "tip (m)": 0.4 * np.sin(angle) + 0.1 * angle**2})
+    assert "angle (rad)" in [c.column for c in made.choice.coordinates]
+
+
+def test_a_letter_t_that_does_not_rise_is_no_time(tmp_path: Path) -> None:
+    tension = levels(25)
+    x, _ = moved_by(tension)
+    made = draft(tmp_path, {"x": x, "x_ref": np.round(x, 1), "T1": tension}, clock="time")
+    assert uses(made) == {"x": "coordinate", "x_ref": "", "T1": "input"}
+
+
+def test_cosine_and_sine_beside_their_angle_are_not_used(tmp_path: Path) -> None:
+    u = levels(26)
+    angle, _ = moved_by(u)
+    angle = angle + 1e-4 * np.random.default_rng(0).normal(size=N)
+    columns = {"theta": angle, "cos_theta": np.cos(angle), "sin_theta": np.sin(angle), "u": u}
+    uses_of = uses(draft(tmp_path, columns))
+    assert [name for name, use in uses_of.items() if use] == ["theta", "u"]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
 from tustinnet.data.merged_topics import FEW_VALUES, MISSING, NOTE, find_merged_topics
@@ -185,8 +185,14 @@ def _split_if_merged(
     columns: Columns, table: "pl.DataFrame", dialect: Dialect, path: Path
 ) -> Columns | None:
     """The columns with times of their own of a table of merged topics; None of another one."""
+    import polars as pl
+
     cells = dict(zip(columns.names, table.get_columns(), strict=True))
-    present = {name: _has_value(column) for name, column in cells.items()}
+    has_value = ~pl.all().fill_null("").str.contains(_NO_VALUE)
+    present = {
+        name: column.to_numpy()
+        for name, column in zip(columns.names, table.select(has_value).get_columns(), strict=True)
+    }
     topics = find_merged_topics(present, lambda name: columns[name])
     if not topics:
         return None
@@ -205,10 +211,6 @@ def _split_if_merged(
         clocks={name: topic.clock for name, topic in topics.items()},
         units={n: columns.units[t.source] for n, t in topics.items() if t.source in columns.units},
     )
-
-
-def _has_value(cells: "pl.Series") -> Bool[np.ndarray, " n"]:
-    return (~cells.fill_null("").str.contains(_NO_VALUE)).to_numpy()
 
 
 @dataclass(frozen=True)

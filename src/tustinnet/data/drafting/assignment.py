@@ -68,7 +68,7 @@ class _Prices:
     def __init__(self, t: EvidenceTable) -> None:
         w, columns = WEIGHTS, range(len(t.names))
         positions = np.array([t.says(i, "position") for i in columns])
-        inputs = np.array([t.says(i, "input") for i in columns])
+        inputs = np.array([t.says(i, "input") for i in columns]) | t.is_free
         plain = np.array([r.qualifier is None for r in t.readings])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
@@ -77,12 +77,17 @@ class _Prices:
         is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
-        self.positions = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
-        self.positions += share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
+        rates = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
+        self.positions = rates + share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
-        self.motion = np.where(inputs[:, None], 0.0, t.repeats + 0.75 * w.copy * t.is_alike)
+        # the rate of a base's motion is neither another input nor a motion of the machine
+        of_free = rates * (t.is_free | t.is_free[:, None])
+        motion = t.repeats + 0.75 * w.copy * t.is_alike
+        self.motion = np.where(inputs[:, None], of_free, motion)
         is_copy = (t.repeats > 0) | t.is_alike
-        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0)
+        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, of_free)
+        for prices in (self.positions, self.velocities, self.motion):
+            prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):
             np.fill_diagonal(prices, 0.0)
         related = is_copy | (t.slope > 0) | (t.follow > 0)
@@ -92,6 +97,7 @@ class _Prices:
             [
                 [
                     t.stage[u] != t.stage[v]
+                    and not (t.is_free[u] or t.is_free[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
                     for v in columns
                 ]
@@ -157,6 +163,9 @@ class Assignment:
         total -= _sum(self.prices.positions, positions, positions) / 2
         total -= _sum(self.prices.velocities, velocities, velocities) / 2
         total -= _sum(self.prices.motion, inputs, motion)
+        if t.sums and len(positions) > 2:
+            signals = {*t.signal[positions].tolist()}
+            total -= 2 * w.copy * sum({*t.signal[[*three]].tolist()} <= signals for three in t.sums)
         if not inputs:
             total -= 0.5 if set_points else w.no_input
         return total - (0.0 if motion else w.no_position)

@@ -17,8 +17,9 @@ from tustinnet.data.drafting.relations import (
     Slopes,
     Table,
     find_causes,
-    find_errors,
+    find_copies,
     find_followers,
+    find_sums,
 )
 from tustinnet.data.drafting.vocabulary import CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
@@ -67,6 +68,8 @@ _STAGE_OF: dict[Quantity, Stage] = {
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+_CLEAR_SLOPE = 3.0  # points, from which on a column is the derivative of another one
+_MOTION_UNITS = {*ANGLE, *LENGTH, *ANGULAR_SPEEDS, *LINEAR_SPEEDS}
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,9 @@ class Weights:
             of a copy, and for one and a half.
         alike: correlation from which on two columns are proportional, nearly.
         circle: deviation of a radius, relative to it.
+        small: control error in the last quarter of a record, by the size of what is controlled.
+        moved: points of a cause, from which on a position moves another one.
+        unmoved: points of a cause, below which nothing moves a position.
     """
 
     letter: float = 2.0
@@ -145,6 +151,9 @@ class Weights:
     copies: tuple[float, float] = (0.7, 0.9)
     alike: float = 0.95
     circle: float = 0.03
+    small: float = 0.5
+    moved: float = 2.0
+    unmoved: float = 1.0
 
 
 WEIGHTS = Weights()
@@ -166,8 +175,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     is_stated = bool(reading.stated(reading.quantities))
     for quantity, weight in reading.quantities.items():
         word, role = reading.word[quantity], _ROLE_OF[quantity]
-        if is_stated and (len(word) == 1 or word in CONTAINERS):
-            continue  # `acc_x` is no position x, `joint_torque` none of a joint
+        if (is_stated and (len(word) == 1 or word in CONTAINERS)) or word == "t":
+            continue  # `acc_x` is no position x, `joint_torque` none of a joint; `T1` is no clock
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
         if word == "[us]" and not reading.stated(q for q in reading.quantities if q != "time"):
             role, weight = "input", w.letter  # of pulses that drive a servo, as it is no clock
@@ -208,8 +217,8 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
         return [Evidence("other", 2 * w.useless, "nearly constant, as a supply or the air")]
     if numbers.binary:
         return [
-            Evidence("other", 0.5 * w.held, "only two values"),
-            Evidence("input", 0.5 * w.held, "only two values"),
+            Evidence("other", 0.75 * w.held, "only two values"),
+            Evidence("input", 0.25 * w.held, "only two values"),
             *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity")),
         ]
     if numbers.levels:
@@ -250,6 +259,10 @@ class EvidenceTable:
         follow: points for column i as the set point of column j, [i, j].
         cause: net points for column i as what moves column j, [i, j].
         repeats: prices of using two columns of the same values.
+        is_copy: whether two columns differ by rounding only, apart from unit and zero.
+        signal: the first of the columns that are copies of one another, for each.
+        sums: columns of which two add up to the third.
+        is_free: whether a position moves others and is moved by nothing.
         is_alike: whether two columns are proportional, nearly.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
         family: the family of each column; those of one family have one role.
@@ -269,28 +282,45 @@ class EvidenceTable:
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
-        self._add_circles(records)
-        self._add_errors(records)
-        self.points = np.array(
-            [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
-        )
+        self.is_copy = find_copies(records, [numbers[n].count or 0.0 for n in readings])
         self.slope = _slope_points(slopes, self.readings)
         self.blocks = find_blocks(self.names, self.slope)
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
-        fit, late = find_followers(records)
-        self._set_likeness(records, fit)
-        self.follow = self._follow_points(fit, late)
-        self.cause = self._cause_points(find_causes(records))
-        self.family = find_families(self.readings, self.slope)
+        are_apart = self.slope >= _CLEAR_SLOPE
+        sums = find_sums(records)
+        self.sums = [(i, j, k) for i, j, k in sums if k is not None]
+        for three in self.sums:
+            are_apart[np.ix_(three, three)] = True
+        self.family = find_families(self.readings, are_apart)
         for block in self.blocks:
             for column in block.values():
                 self.family[column] = min(block.values())
+        family = np.array(self.family)
+        self.is_copy &= family[:, None] != family  # joints may move as one for a while
+        self.signal = np.argmax(self.is_copy | np.eye(len(family), dtype=bool), axis=1)
+        fit, late = find_followers(records)
+        self._set_likeness(records, fit)
+        self.follow = self._follow_points(fit, late)
+        gains, moves_at_once = find_causes(records)
+        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gains))
+        self.cause = push - WEIGHTS.back * push.T
+        self._add_circles(records)
+        self._add_errors(records, sums)
+        self._add_copies()
+        self._add_free_motions(push, moves_at_once)
+        self.points = self._sum_points()
         self.stage = [stage_of(r) for r in self.readings]
         places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
         joints = [_joint_of(r) for r in self.readings]
         self.joint = [joint if joint in places else None for joint in joints]
+
+    def _sum_points(self) -> Float[np.ndarray, "c r"]:
+        """The points of the evidence so far, by column and role."""
+        return np.array(
+            [[sum(e.points for e in own if e.role == role) for role in ROLES] for own in self.own]
+        )
 
     def says(self, column: int, role: Role) -> bool:
         """Whether the name of a column speaks of a role, most of all."""
@@ -319,10 +349,27 @@ class EvidenceTable:
                     text = f"of a circle on which '{self.names[k]}' is the angle"
                     self.own[i].append(Evidence("other", w.useless, text))
 
-    def _add_errors(self, records: Sequence[Table]) -> None:
-        """Evidence on control errors, on what is controlled, and on its set point."""
-        w = WEIGHTS
-        for error, controlled, goal in find_errors(records):
+    def _add_errors(
+        self, records: Sequence[Table], sums: Sequence[tuple[int, int, int | None]]
+    ) -> None:
+        """Evidence on control errors, on what is controlled, and on its set point.
+
+        Of two columns the error is the one that a controller makes small. Of three positions, of
+        which none is named a set point, the last is one too many.
+        """
+        w, readings = WEIGHTS, enumerate(self.readings)
+        ends = np.concatenate([record[3 * len(record) // 4 :] for record in records])
+        size = np.sqrt(np.mean(ends**2, axis=0))
+        is_plain = [self.says(i, "position") and not r.qualifier for i, r in readings]
+        for error, controlled, goal in [*sums, *((j, i, k) for i, j, k in sums)]:
+            three = [i for i in (error, controlled, goal) if i is not None]
+            if len(three) > 2 and all(is_plain[i] for i in three):
+                if error < controlled:
+                    text = "the sum or difference of two other positions"
+                    self.own[max(three)].append(Evidence("other", w.derived, text))
+                continue
+            if size[error] > w.small * size[controlled]:
+                continue
             text = f"'{self.names[controlled]}' and it add up to a set point: a control error"
             self.own[error].append(Evidence("other", w.useless, text))
             text = f"less than its set point by '{self.names[error]}'"
@@ -331,6 +378,44 @@ class EvidenceTable:
             if goal is not None:
                 text = f"the sum of '{self.names[controlled]}' and its error"
                 self.own[goal].append(Evidence("set point", w.useless, text))
+
+    def _add_copies(self) -> None:
+        """Evidence against all copies but one: in a unit of motion, and of most points."""
+        most = self._sum_points().max(axis=1)
+        is_foreign = [reading.unit not in _MOTION_UNITS for reading in self.readings]
+        ranks = [(is_foreign[i], -most[i], i) for i in range(len(self.names))]
+        for i, j in np.argwhere(self.is_copy).tolist():
+            if ranks[i] < ranks[j]:
+                text = f"'{self.names[i]}' in another unit, or from another zero"
+                self.own[j].append(Evidence("other", WEIGHTS.derived, text))
+
+    def _add_free_motions(self, push: Pairs, moves_at_once: Bool[np.ndarray, "c c"]) -> None:
+        """Evidence on positions that nothing moves and that move others, as that of a road.
+
+        Args:
+            push: points for column i as what helps to foresee column j, [i, j].
+            moves_at_once: whether column j moves with column i in the same sample.
+        """
+        w, columns = WEIGHTS, range(len(self.names))
+        says = {role: np.array([self.says(i, role) for i in columns]) for role in ROLES}
+        is_other = [any(e.role == "other" and e.points >= w.useless for e in o) for o in self.own]
+        positions = says["position"] & ~np.array(is_other) & (self.slope < _CLEAR_SLOPE).all(axis=0)
+        commands = np.array([r.qualifier == "command" for r in self.readings])
+        leads = self.follow > 0
+        is_own = self.is_copy | leads | (self.slope > 0) | (self.slope.T > 0)
+        is_own |= (says["velocity"] | says["acceleration"])[:, None]
+        pushed = np.where(is_own & ~says["input"][:, None], 0.0, push).max(axis=0)
+        has_goal = (leads & commands[:, None]).any(axis=0)
+        family = np.array(self.family)
+        moves = (push > w.moved) & positions & (family[:, None] != family) & ~moves_at_once
+        moves &= ~np.outer(has_goal, has_goal)
+        self.is_free = positions & ~commands & (pushed < w.unmoved) & moves.any(axis=1)
+        for i in np.flatnonzero(self.is_free).tolist():
+            j = int(np.argmax(np.where(moves[i], push[i], 0.0)))
+            role: Role = "set point" if leads[i, j] else "input"
+            text = f"nothing moves it, and it moves '{self.names[j]}'"
+            self.own[i].append(Evidence(role, w.useless, text))
+            self.own[i].append(Evidence("position", -w.useless, ""))
 
     def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
         """Sets which columns have the same values."""
@@ -348,10 +433,6 @@ class EvidenceTable:
         commands = np.array([[r.qualifier == "command"] for r in self.readings])
         is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
         return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
-
-    def _cause_points(self, gain: Pairs) -> Pairs:
-        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gain))
-        return push - WEIGHTS.back * push.T
 
 
 def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
@@ -373,10 +454,13 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     return points
 
 
-def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c"]) -> list[int]:
+def find_families(readings: Sequence[NameReading], are_apart: Bool[np.ndarray, "c c"]) -> list[int]:
     """The number of the family of each column: names that differ by numbers, axes or members only.
 
-    A family of which one is the derivative of another, or that all columns belong to, is none.
+    Args:
+        readings: the meaning of the names.
+        are_apart: which columns are derivatives or sums of one another. A family of such columns
+            is none, and none is one to which all columns belong.
     """
     known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
     groups: dict[tuple[str, ...], list[int]] = {}
@@ -387,7 +471,7 @@ def find_families(readings: Sequence[NameReading], slope: Float[np.ndarray, "c c
         groups.setdefault(key, []).append(i)
     families = [*range(len(readings))]
     for members in groups.values():
-        if len(members) < len(readings) and slope[np.ix_(members, members)].max() < 3:
+        if len(members) < len(readings) and not are_apart[np.ix_(members, members)].any():
             for i in members:
                 families[i] = members[0]
     return families

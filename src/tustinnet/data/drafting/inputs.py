@@ -27,8 +27,9 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
         unit = "%" if 1.5 < numbers.largest <= 100 else "1"
     leads = findings.verdicts[column].leads
     if not unit and leads is not None:
-        known = [c.unit for c in choice.coordinates if c.column == leads and not c.assumed]
-        unit = findings.readings[leads].unit or next(iter(known), "")
+        followers = [c for c in choice.coordinates if c.column == leads]
+        unit = findings.readings[leads].unit or next((c.unit for c in followers), "")
+        assumed = tuple("unit" for c in followers if c.assumed)
     if not unit:
         units = (u for q, u in _QUANTITY_UNITS.items() if q in reading.quantities)
         unit, assumed = next(units, "1"), ("unit",)

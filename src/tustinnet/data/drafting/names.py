@@ -101,7 +101,7 @@ _LAST_PARTS = sorted(
             *QUALIFIERS.values(),
         )
         for w in ws
-        if len(w) >= 5
+        if len(w) >= 3
     ),
     key=len,
     reverse=True,
@@ -304,8 +304,8 @@ def _split_compound(word: str) -> list[str]:
         return [word]
     rest = word.removesuffix(end)
     rest = rest[:-1] if rest[:-1] in _VOCABULARY else rest  # without the s that joins them
-    # a part of three letters must be a word
-    return [rest, end] if len(rest) > 3 or rest in _VOCABULARY else [word]
+    # beside a part of a few letters there must be a word: `sollweg` has two, `kolben` is none
+    return [rest, end] if rest in _VOCABULARY or min(len(rest), len(end) - 1) > 3 else [word]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Values
@@ -25,9 +25,11 @@ class RelationLevels(NamedTuple):
     Attributes:
         copy: share of the variance in which copies differ, rounding aside.
         sum: share of the smaller deviation, in which a sum may differ: columns are rounded.
-        small: control error in the last quarter of a record, by the size of what is
-            controlled.
+        exact: share of the variance in which copies differ, as programs compute them.
+        rounded: the same of copies that are rounded to coarse steps, at most.
         one: squared correlation of columns that are one signal: their sums say nothing.
+        at_once: slope of the news of two columns, by their deviations, of which one is a function
+            of the other.
         circle: size of a value, above which a column is no cosine.
         on_circle: deviation of cosine^2 + sine^2 from 1.
         of_angle: range of a cosine or sine, at least.
@@ -35,8 +37,10 @@ class RelationLevels(NamedTuple):
 
     copy: float = 2e-5
     sum: float = 0.02
-    small: float = 0.5
+    exact: float = 1e-9
+    rounded: float = 5e-3
     one: float = 0.98
+    at_once: float = 0.2
     circle: float = 1.05
     on_circle: float = 0.02
     of_angle: float = 0.3
@@ -144,42 +148,56 @@ def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
     return best, lags
 
 
-def find_errors(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
-    """Control errors: columns that add up with another one to a third, or to a constant.
-
-    Of both the error is the one that a controller makes small.
+@np.errstate(all="ignore")  # of values whose squares are too large
+def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
+    """Columns that add up with another one to a third, or to a constant.
 
     Args:
         records: the columns of each record.
 
     Returns:
-        The error, what is controlled, and its set point, None of one that is constant.
+        Both columns, and that of their sum, None of one that is constant.
     """
-    ends = np.concatenate([record[3 * len(record) // 4 :] for record in records])
-    size = np.sqrt(np.mean(ends**2, axis=0))
     deviations = np.concatenate([record - record.mean(axis=0) for record in records])
     products = deviations.T @ deviations / len(deviations)
     squares = np.diag(products)
-    found: list[tuple[int, int, int | None]] = []
-    for i, j in permutations(range(len(size)), 2):
+    sums: list[tuple[int, int, int | None]] = []
+    for i, j in combinations(range(len(squares)), 2):
         limit = RELATION.sum**2 * min(squares[i], squares[j])
-        if not (size[i] < RELATION.small * size[j] and limit > 0):
-            continue
         are_one = products[i, j] ** 2 > RELATION.one * squares[i] * squares[j]
         total = squares[i] + squares[j] + 2 * products[i, j]
         # mean squares of the sum of both less each other column
         left = total + squares - 2 * (products[i] + products[j])
         left[[i, j]] = np.inf
-        goal = int(np.argmin(left))
+        third = int(np.argmin(left))
         if total < limit:
-            found.append((i, j, None))
-        elif left[goal] < limit and not are_one:
-            found.append((i, j, goal))
-    return found
+            sums.append((i, j, None))
+        elif left[third] < limit and not are_one:
+            sums.append((i, j, third))
+    return sums
+
+
+@np.errstate(all="ignore")  # constants repeat nothing
+def find_copies(records: Sequence[Table], steps: Sequence[float]) -> Bool[np.ndarray, "c c"]:
+    """Which columns repeat one another in another unit or from another zero, but for rounding.
+
+    Args:
+        records: the columns of each record.
+        steps: the step of the values of each column, 0 where it has none.
+    """
+    covariance = np.atleast_2d(np.cov(np.concatenate(records).T))
+    squares = np.diag(covariance)
+    slope = covariance / squares[:, None]  # of column j by column i, [i, j]
+    left = squares - slope * covariance
+    rounding = np.square(steps)
+    # both are rounded, by a twelfth of the square of their steps, and once more by a program
+    limit = (rounding + slope**2 * rounding[:, None]) / 6 + RELATION.exact * squares
+    is_copy = (left < limit) & (left < RELATION.rounded * squares)
+    return is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool)
 
 
 @np.errstate(all="ignore")
-def find_causes(records: Sequence[Table]) -> Pairs:
+def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"]]:
     """How much the past of each column helps to foresee each other one beyond its own past.
 
     The own past has as many samples as the Bayesian information criterion takes, so that a smooth
@@ -191,10 +209,11 @@ def find_causes(records: Sequence[Table]) -> Pairs:
 
     Returns:
         The logarithm of the ratio of the variances of the forecasts of column j without and with
-        column i, [i, j]; 0 where it is not significant.
+        column i, [i, j]; 0 where it is not significant. And whether column j moves with column i
+        in the same sample, as a function of it does and no effect.
     """
     size = records[0].shape[1]
-    gains = np.zeros((size, size))
+    gains, moves_at_once = np.zeros((size, size)), np.zeros((size, size), bool)
     # samples over which causes are averaged: fast ones, and slow ones in noise
     for width in (1, 4, 12):
         blocks = [
@@ -210,12 +229,17 @@ def find_causes(records: Sequence[Table]) -> Pairs:
             for lag in range(_OWN_LAGS + 1)
         ]
         for j in range(size):
-            gains[:, j] = np.maximum(gains[:, j], _gains_of(lagged, j))
-    return gains
+            gain, is_at_once = _gains_of(lagged, j)
+            gains[:, j] = np.maximum(gains[:, j], gain)
+            moves_at_once[:, j] |= is_at_once & (width == 1)
+    return gains, moves_at_once
 
 
-def _gains_of(lagged: Sequence[Table], j: int) -> Values:
-    """The gains of all columns for the forecast of column j, given all columns by their lag."""
+def _gains_of(lagged: Sequence[Table], j: int) -> tuple[Values, Bool[np.ndarray, " c"]]:
+    """The gains of all columns for the forecast of column j, given all columns by their lag.
+
+    And whether column j has news in the sample in which they have them.
+    """
     target, n = lagged[0][:, j], len(lagged[0])
     own = np.column_stack([np.ones(n), *(table[:, j] for table in lagged[1:])])
     basis = np.linalg.qr(own)[0]
@@ -226,7 +250,7 @@ def _gains_of(lagged: Sequence[Table], j: int) -> Values:
     order = int(np.argmin((n * np.log(left) + orders * np.log(n))[2:])) + 3
     basis = basis[:, :order]
     rest = target - basis @ products[:order]
-    first, second = (table - basis @ (basis.T @ table) for table in lagged[1:3])
+    news, first, second = (table - basis @ (basis.T @ table) for table in lagged[:3])
     squares = (first**2).sum(axis=0)
     is_new = squares > 1e-10 * n
     squares = np.where(is_new, squares, np.inf)
@@ -237,7 +261,11 @@ def _gains_of(lagged: Sequence[Table], j: int) -> Values:
     unexplained = float(rest @ rest) + noise
     gain = np.log(unexplained / np.maximum(unexplained - explained, noise))
     gain[j] = 0.0
-    return np.where(gain > 2 * np.log(n) / n, gain, 0.0)
+    news -= first * ((first * news).sum(axis=0) / squares)
+    news -= second * ((second * news).sum(axis=0) / np.where(others > 1e-10 * n, others, np.inf))
+    sizes = (news**2).sum(axis=0)
+    slopes = np.where(sizes > 1e-14 * n, (news.T @ rest) / np.maximum(sizes, 1e-14 * n), 0.0)
+    return np.where(gain > 2 * np.log(n) / n, gain, 0.0), np.abs(slopes) > RELATION.at_once
 
 
 @np.errstate(all="ignore")
@@ -290,12 +318,14 @@ def find_sines(
             if not are_of_one_angle(samples[first], samples[second]):
                 continue
             pair = first, second
+            pairs = zip(samples[first], samples[second], strict=True)
+            angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
+            others = {n: s for n, s in samples.items() if n not in pair}
+            if any(find_copy(angle, s) is not None for s in others.values()):
+                continue  # the angle itself is there, too
             if {"sin", "sine", "sinus"} & {*readings[first].words}:
                 pair = second, first
             elif not {"cos", "cosine", "cosinus"} & {*readings[first].words}:
-                pairs = zip(samples[first], samples[second], strict=True)
-                angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
-                others = {n: s for n, s in samples.items() if n not in pair}
                 slopes = compare_slopes({first: angle, **others}, times)
                 correlations = [slopes.between(first, n)[0] for n in others]
                 is_reversed = -min(correlations, default=0.0) > max(correlations, default=0.0) + 0.5

@@ -37,7 +37,7 @@ _STRONG: dict[Quantity, str] = {
     "velocity": "vel velocity velocities speed omega tacho tachometer dot qdot "
     "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
-    "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd spanning",
+    "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
     "stell aktion",
@@ -50,7 +50,7 @@ _STRONG: dict[Quantity, str] = {
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
     "batt fric friction reibung humidity rssi checksum crc supply versorgung latency erpm reward "
-    "energy energie",
+    "energy energie tcp ee eef",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
