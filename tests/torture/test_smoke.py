@@ -12,7 +12,7 @@ def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     # in a process of its own: people run the package without the type checks of the test set-up
     command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz,headers,verbs"]
     done = subprocess.run(
-        [*command, "--cases", "32", "--jobs", "1", "--minutes", "9", "--out", str(tmp_path)],
+        [*command, "--cases", "64", "--jobs", "1", "--minutes", "9", "--out", str(tmp_path)],
         cwd=ROOT,
         capture_output=True,
         text=True,
