@@ -69,6 +69,7 @@ def test_a_code_has_one_sentence():
     assert len(WORDS) == len(CHECK) + len(IDENTIFICATION) + len(PREPARATION) + len(SELECTION)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("code", WORDS)
 def test_a_sentence_is_used_and_can_be_read(code):
     is_used = re.search(rf'"{code}"', SOURCE.replace(f'    "{code}": ', ""))

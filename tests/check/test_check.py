@@ -48,6 +48,7 @@ def test_a_planted_fault_is_named_at_its_record_and_channel(fault: Fault, tmp_pa
         assert tomllib.loads(f"parts = [{line}]" if "[splits]" in named.mend else line)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("machine", ["unbalanced-disc", "positioning-axis"])
 def test_clean_logs_have_no_severe_finding_and_no_warning(machine: str, tmp_path: Path) -> None:
     assert serious(check_folder(logs_of(machine).write(tmp_path / "logs"))) == []
@@ -131,6 +132,7 @@ def wheel(seed: int) -> list[np.ndarray]:
     return tables
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit", ["rad", "deg", "rev"])
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_wheel_without_gravity_is_in_its_unit(unit: str, seed: int, tmp_path: Path) -> None:

@@ -173,6 +173,7 @@ def test_a_plan_in_which_nobody_can_take_part_is_refused(tmp_path, out, capsys):
     assert not (out / MODEL).exists()
 
 
+@pytest.mark.thorough
 def test_where_every_candidate_fails_each_is_told_and_nothing_is_saved(tmp_path, out, capsys):
     write_logs(Machine(coordinates=7), tmp_path / "logs")
     two = ONE.replace('"NAME" }', '"mechanism.toml" }, { name = "other", recipe = "mechanism" }')

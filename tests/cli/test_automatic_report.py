@@ -48,6 +48,7 @@ def fit(folder, tiny_recipe, tmp_path, capsys):
     return run
 
 
+@pytest.mark.thorough
 def test_a_fit_leaves_a_report_of_the_validation_records(fit, folder, tmp_path, capsys):
     page = tmp_path / "run" / "report.html"
     printed, _ = fit()

@@ -85,6 +85,7 @@ FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", FOLDERS)
 def test_a_folder_that_cannot_be_read_is_refused(case, folder, refused):
     change, names = FOLDERS[case]
@@ -235,6 +236,7 @@ def test_options_that_a_fit_does_not_take(options, names, folder, small_recipe, 
     assert not out.exists()
 
 
+@pytest.mark.thorough
 def test_what_a_network_has_no_use_for(folder, run_folder, small_recipe, tmp_path, refused):
     out = tmp_path / "none"
     fit = ("fit", folder, "--recipe", small_recipe, "--out", out)

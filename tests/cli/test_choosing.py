@@ -96,6 +96,7 @@ def test_only_the_usual_plan_on_this_machine_has_a_usual_budget(plan, on_cluster
     assert options.budget == seconds
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

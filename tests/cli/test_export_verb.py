@@ -373,6 +373,7 @@ def loaded(tmp_path) -> tuple[object, ...]:
     return model, "--system", file, "--to"
 
 
+@pytest.mark.thorough
 def test_a_model_with_values_by_group_needs_the_group(loaded, model, out, refused, capsys):
     asked = (*loaded, "plain", "--out", out)
     refused(*asked, names="no group 'load', which 'mass' is per; expected one of 1kg, 2kg")

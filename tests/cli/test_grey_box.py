@@ -255,6 +255,7 @@ def test_a_function_that_the_energies_call_may_move_but_not_change(
     assert "has changed since the model was identified" in err
 
 
+@pytest.mark.thorough
 def test_several_models_stand_side_by_side(
     identified, run_folder, folder, system, tmp_path, capsys
 ):

@@ -76,12 +76,14 @@ def test_init_asks_what_the_columns_do_not_say(logs, answers, capsys):
     assert coordinate["counts_per_revolution"] == 2048
 
 
+@pytest.mark.thorough
 def test_init_without_a_terminal_assumes_and_says_so(logs, capsys):
     err = tustinnet(capsys, "init", logs)[2]
     assert "no terminal to ask at: as with --yes" in err
     assert "assumed: counts in a turn" in err
 
 
+@pytest.mark.thorough
 def test_a_fit_says_in_a_line_what_the_card_assumes(logs, tmp_path, capsys):
     tustinnet(capsys, "init", logs, "--yes")
     load_records_to_fit(str(logs), None, tmp_path / "RUN")
@@ -161,6 +163,7 @@ def test_fit_drafts_a_card_into_its_own_folder(tmp_path, capsys):
     assert "dataset.toml: there already" in tustinnet(capsys, *words)[2]
 
 
+@pytest.mark.thorough
 def test_links_that_leave_the_folder_are_read_only_if_that_is_said(
     logs, tmp_path, capsys, monkeypatch
 ):

@@ -212,6 +212,7 @@ def test_nothing_is_written_among_the_records(verb, place, refused):
         refused(*asked(place, place.logs), *more, names=told)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "verb", [verb for verb in FOLDERS if verb not in ("evaluate", "fit by a plan")]
 )
@@ -221,6 +222,7 @@ def test_a_folder_that_another_run_has_is_left_to_it(verb, place, refused):
         refused(*asked(place, place.out), names="another run is writing there")
 
 
+@pytest.mark.thorough
 def test_a_fit_keeps_its_folder_until_the_report_is_there(place, tiny_recipe, monkeypatch, capsys):
     """Another one would write its model beside the figures and the report of this one."""
     asked, _ = FOLDERS["fit"]

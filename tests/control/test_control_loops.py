@@ -155,6 +155,7 @@ def test_what_is_reached_late_is_held_for_as_long_as_it_is_to_be():
     assert len(run.inputs) == pytest.approx(reached + 200, abs=2)
 
 
+@pytest.mark.thorough
 def test_saturation_is_said():
     model = grey_box()
     estimator = ExtendedKalmanFilter(model, NOISE)

@@ -84,6 +84,7 @@ def test_the_same_in_c_and_no_solver_scripts(tmp_path):
     assert any("disturbances" in note for note in export.notes)
 
 
+@pytest.mark.thorough
 def test_inputs_that_act_late_are_disturbed_late():
     """The gain of the disturbance stands between those of states and of earlier commands."""
     task = ControlTask({"s": 0.0}, delay=2, observer=True)
@@ -104,6 +105,7 @@ def test_a_lag_behind_the_disturbed_input_begins_by_the_inputs_of_the_record():
     np.testing.assert_array_equal(state, [*expected, 0.0])
 
 
+@pytest.mark.thorough
 def test_derivatives_of_the_disturbed_model_are_those_of_its_step():
     model = observe_disturbances(level_slide(), input_limits(level_slide()))
     x, u = jnp.array([0.1, -0.3, 0.7]), jnp.array([2.0])

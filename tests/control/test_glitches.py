@@ -100,6 +100,7 @@ def test_a_first_sample_that_is_none_is_waited_for():
         Swinging(lost_after=0)
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=8)
 @given(
     st.lists(st.one_of(st.just(0.0), st.floats(), st.sampled_from(WRONG)), min_size=1, max_size=60)

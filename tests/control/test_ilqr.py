@@ -63,6 +63,7 @@ def least_squares(model, cost, start, steps, limits):
     return found.x.reshape(steps, n_u), found.cost
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("machine", [double_integrator, two_masses])
 def test_a_linear_problem_is_solved_in_one_iteration(machine):
     model = machine(limit=1e3)

@@ -64,6 +64,7 @@ def test_weights_follow_from_the_records_and_from_what_is_named():
     assert stiffer.gain[0, 0] > 2 * named.gain[0, 0]
 
 
+@pytest.mark.thorough
 def test_dry_friction_is_a_force_whatever_the_speed_at_which_it_is_rounded():
     """At the point itself it is viscous friction of `force / width`, here up to 5000 N s/m."""
     gains = []
@@ -107,6 +108,7 @@ def test_dry_friction_of_a_joint_without_input_does_not_turn_the_feedback_round(
         np.testing.assert_allclose(gain, frictionless, rtol=0.8)
 
 
+@pytest.mark.thorough
 def test_records_of_a_whirling_machine_do_not_turn_the_feedback_round():
     """Forces grow with squared speeds: about a point they are none, however fast records are."""
     pendubot = replace(

@@ -31,6 +31,7 @@ def test_far_from_limits_it_is_linear_feedback():
         np.testing.assert_allclose(mpc.inputs(k, x), linear.inputs(k, x), rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_it_balances_whole_turns_away_and_within_limits():
     model = example("qube")
     step = tn.compiled_step(model)
@@ -44,6 +45,7 @@ def test_it_balances_whole_turns_away_and_within_limits():
     assert np.abs(inputs).max() > 5
 
 
+@pytest.mark.thorough
 def test_it_moves_to_another_goal_and_forgets_after_a_reset():
     model = double_integrator()
     step = tn.compiled_step(model)
@@ -110,6 +112,7 @@ def test_a_limit_of_a_state_is_kept_where_linear_feedback_breaks_it():
     assert fastest[1] < 0.301
 
 
+@pytest.mark.thorough
 def test_converged_it_commands_what_ipopt_finds(tmp_path):
     casadi = pytest.importorskip("casadi")
     model, steps = example("qube"), 20

@@ -27,6 +27,7 @@ def driven(plant, q: list[float], seed: int = 0) -> np.ndarray:
     return np.stack(states)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["qube memory", "qube hybrid", "qube network", "gru"])
 def test_a_model_is_its_rollout(name):
     model = example(name)

@@ -113,6 +113,7 @@ def test_after_a_reader_that_was_ended_the_next_process_reads(
     assert read_columns(path.with_name("log.npz"))["x"].tolist() == [0, 1, 2]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "act",
     [

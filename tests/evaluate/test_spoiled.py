@@ -30,6 +30,7 @@ def test_clean_records_raise_no_alarm(system_file):
         assert find_without_model(e, held_equilibrium(e)) == []
 
 
+@pytest.mark.thorough
 def test_a_hand_is_named_at_its_record_and_time(system_file):
     (part,) = find_by_model(fit("hand", system_file), records("hand"))
     assert (part.record, part.cause) == ("run2", "unlogged force")

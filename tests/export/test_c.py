@@ -272,6 +272,7 @@ def test_the_filter_is_that_of_the_package(name, compiled):
         called(library, "model_estimate_predict", kept, np.ascontiguousarray(u[samples].ravel()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["qube network", "hybrid"])
 def test_the_filter_survives_wrong_positions_as_in_python(name, compiled):
     of, generator = source(name), np.random.default_rng(0)

@@ -136,6 +136,7 @@ def test_a_model_without_inputs_steps():
     np.testing.assert_allclose(step(np.array([1.0, 2.0]), np.zeros(0)), [2.0, 2.0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["network", "grey box"])
 def test_a_compiled_step_equals_the_models_step(kind):
     if kind == "network":

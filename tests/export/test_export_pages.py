@@ -48,6 +48,7 @@ def test_the_page_on_c(place):
     typed("cd pendulum-c\ngcc -std=c99 -Wall -Wextra -Werror -c controller.c", place)
 
 
+@pytest.mark.thorough
 def test_the_page_on_fmus(place, capsys):
     export, build = blocks("FMU", "sh")
     # the command of fmpy is where Python's are, which need not be in the path

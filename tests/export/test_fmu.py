@@ -407,6 +407,7 @@ def told(content: bytes | str) -> Xml.Element:
         return Xml.fromstring(archive.read("modelDescription.xml"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", ["qube hybrid", "first-order"])
 def test_it_is_built_again_from_its_own_sources(name, version, written, tmp_path):

@@ -103,6 +103,7 @@ for (const u of {json.dumps(u.tolist())}) {{
 """
 
 
+@pytest.mark.thorough
 @by_node
 @pytest.mark.parametrize("name", ["network memory", "gru", "qube memory", "qube network"])
 def test_500_steps_in_node_are_a_rollout(name, tmp_path):

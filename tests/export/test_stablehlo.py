@@ -113,6 +113,7 @@ def test_bytes_depend_on_the_model_only_and_hold_no_path():
         assert str(Path(tn.__file__).parent).encode() not in content
 
 
+@pytest.mark.thorough
 def test_the_documented_lines_run(tmp_path):
     for file, content in made(example_source("qube")).items():
         (tmp_path / file).write_bytes(content)

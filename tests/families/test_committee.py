@@ -125,6 +125,7 @@ def test_internal_states_have_the_number_of_their_member_and_the_longest_warm_up
     assert together.warm_up == 8
 
 
+@pytest.mark.thorough
 def test_what_all_agree_on_stays_in_single_precision():
     still = [with_dtype(network(i).with_zero_output(), np.float32) for i in range(7)]
     together = tn.committee(still)

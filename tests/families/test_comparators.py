@@ -52,6 +52,7 @@ def test_it_trains(trained):
         assert member.result.validation_rmse == pytest.approx(member.mean, rel=2e-2)
 
 
+@pytest.mark.thorough
 def test_it_resumes_saves_loads_and_shows(trained, pendulum, capsys):
     run, fit = trained
     before = (run.folder / MODEL).read_bytes()
@@ -77,6 +78,7 @@ def test_it_is_cross_validated(pendulum):
     assert {s.record for s in found.scores} == {e.name for e in pendulum}
 
 
+@pytest.mark.thorough
 def test_a_gru_that_says_nothing_keeps_its_velocity_and_forgets(pendulum):
     channels = pendulum.channels
     scaling = learn_scaling(list(pendulum))
@@ -88,6 +90,7 @@ def test_a_gru_that_says_nothing_keeps_its_velocity_and_forgets(pendulum):
     assert np.abs(following[2:] - x[2:]).max() > 1e-3
 
 
+@pytest.mark.thorough
 def test_a_grus_equations_are_those_of_its_docstring():
     channels = Channels((tn.Coordinate("a", "linear"),), (), 0.1)
     one = jnp.ones(1)

@@ -86,6 +86,7 @@ def test_the_network_may_remember_beside_the_physics():
     np.testing.assert_allclose(following[3:], correction.relax(x[3:], speed), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_correction_that_fades_at_rest_leaves_a_free_integrator_where_it_is(tmp_path):
     free = dataclasses.replace(SWING, name="free", potential=None)
     model = tn.discretise(swing_model(system=free), DT)

@@ -271,6 +271,7 @@ def test_a_recipe_with_memory_remembers_half_unless_it_says_otherwise(pendulum):
         np.testing.assert_allclose(model.initial_internal(x), [expected], rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_linear_map_beside_the_network_begins_as_least_squares_say(pendulum, tmp_path):
     train = tuple(e[:60] for e in pendulum.split("train"))
     recipe = tn.read_recipe("standard", ["model.linear=true", "model.hidden=[4]"])

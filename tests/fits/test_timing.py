@@ -135,6 +135,7 @@ def test_records_without_inputs_have_no_timing():
     assert determine_timing(data).data is data
 
 
+@pytest.mark.thorough
 def test_what_was_found_stands_among_the_findings_of_an_identification():
     data = records("zero-order", DT)
     result = tn.identify(data, SWING)

@@ -34,6 +34,7 @@ def with_still(data: tn.DataSet, kind: Kind, value: float) -> tn.DataSet:
     return tn.DataSet("with still", tuple(records))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", [0.0, 0.3])
 @pytest.mark.parametrize("kind", ["angular", "linear"])
 def test_its_units_are_one(pendulum: tn.DataSet, kind: Kind, value: float) -> None:

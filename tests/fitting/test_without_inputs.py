@@ -84,6 +84,7 @@ def test_every_family_trains_on_them_and_is_judged(of, keys, splits, tmp_path):
         assert run.best.result.validation_rmse == pytest.approx(run.best.mean, rel=1e-2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("changes", [[], ["search.initial=anchored", "search.refine=model-20"]])
 def test_a_system_is_identified_from_them_and_from_one(changes):
     for splits in (WITH_VALIDATION, ("train",)):
@@ -93,6 +94,7 @@ def test_a_system_is_identified_from_them_and_from_one(changes):
         assert values["gravity"] == pytest.approx(TRUTH["gravity"], rel=0.01)
 
 
+@pytest.mark.thorough
 def test_long_free_runs_have_a_gradient_without_inputs(monkeypatch):
     nothing, begin = np.zeros((2, 30, 0)), np.array([[0.4, 0.1], [1.0, -0.2]])
 

@@ -112,6 +112,7 @@ def test_what_identifies_loads_its_solvers_only_where_it_needs_them():
     assert not {"scipy.optimize", "scipy.signal", "scipy.spatial"} & set(loaded)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("verb", ["evaluate", "fit"])
 def test_results_are_printed_before_matplotlib_is_loaded(verb, folder, model, tmp_path):
     figures = tmp_path / "figures"

@@ -189,6 +189,7 @@ def test_within_a_dead_zone_an_input_does_nothing():
     np.testing.assert_allclose(found[4], (2.0 - 0.3) / 0.5, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_behind_a_lag_a_system_moves_by_what_the_actuator_has_reached():
     lagging, plain = nominal(added(CART, "lag")), nominal(CART)
     assert lagging.internal == ("lag:force",)
@@ -216,6 +217,7 @@ def test_a_lag_stands_beside_other_memory():
     np.testing.assert_allclose(balanced, [0.0, 2.0, 0.0], atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_lag_may_stand_before_an_actuator_of_the_system():
     twice = nominal(added(LAGGING, "lag"))
     x, z, u = jnp.array([0.3, -0.8]), jnp.array([0.5, 1.5]), jnp.array([2.0])

@@ -86,6 +86,7 @@ STATES = ("angle.integral", "angle.filtered_velocity", "voltage.delayed1", "volt
 WITH_INTEGRAL = (*GAINS, tn.Parameter("angle.ki", "V/rad/s", 60.0, 60.0, 60.0, fixed=True))
 
 
+@pytest.mark.thorough
 def test_integral_filter_and_delay_are_those_of_a_sampled_controller():
     """Step by step against the law written by hand, also where the voltage is at its limit."""
     record = held_swings(1, law=LAW, kind="pid", **LAW)[0]
@@ -117,6 +118,7 @@ def test_integral_filter_and_delay_are_those_of_a_sampled_controller():
     assert score.rmse < 3 * COUNT
 
 
+@pytest.mark.thorough
 def test_an_integral_begins_with_what_holds_the_system():
     record = held_swings(1, law={"ki": 60.0}, kind="pid", ki=60.0)[0]
     closed = with_controller(SWING, record.channels, WITH_INTEGRAL)

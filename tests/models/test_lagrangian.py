@@ -97,6 +97,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite():
         assert np.linalg.eigvalsh(mass).min() > 0
 
 
+@pytest.mark.thorough
 def test_energy_is_kept_without_damping_and_input():
     """To 1e-8 of m g l over 10 s at steps of half a millisecond."""
     free = model(b1=0.0, b2=0.0)
@@ -106,6 +107,7 @@ def test_energy_is_kept_without_damping_and_input():
     assert np.abs(energy - energy[0]).max() < 1e-8 * p["mass"] * G * p["centre"]
 
 
+@pytest.mark.thorough
 def test_the_integrator_is_of_fourth_order():
     x0, u = jnp.array([0.2, 2.5, 3.0, 6.0]), jnp.full((5, 1), 0.01)
 

@@ -42,6 +42,7 @@ def features(data: tn.DataSet, learn) -> np.ndarray:
     return np.asarray(jax.vmap(lambda x, u: scaling.features(channels, x, u))(x, u))
 
 
+@pytest.mark.thorough
 def test_a_small_angle_counts_as_much_as_one_that_turns():
     data = shaft()
     plain, standard = (features(data, f) for f in (learn_scaling, learn_standard_scaling))

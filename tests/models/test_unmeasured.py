@@ -46,6 +46,7 @@ MEASURED = replace(
 VALUES = {"cart": jnp.asarray(2.0)}
 
 
+@pytest.mark.thorough
 def test_the_motion_is_that_of_the_system_with_a_sensor():
     """States are in another order: measured positions and velocities come first."""
     q, h, v, w = 0.3, -0.4, 0.7, 1.1

@@ -121,6 +121,7 @@ def test_numbers_that_are_copies_of_an_input_are_known():
     assert program.copies("x", "u") == [None, None, 0, None, None]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives_are_zero_where_structure_says_so(name):
     source = example_source(name)

@@ -85,6 +85,7 @@ def test_kinks_have_the_derivatives_that_jax_gives_them(at):
     same(jacobians(program, x, u)[0], np.asarray(jax.jacfwd(function)(x, u)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name != "operations"])
 def test_loops_vectors_and_matrices_are_differentiated(name):
     source = stepping(PROGRAMS[name])
@@ -95,6 +96,7 @@ def test_loops_vectors_and_matrices_are_differentiated(name):
         same(result[i], np.asarray(jax.jit(jax.jacfwd(source.function, i))(x, u)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_of_every_family_are_differentiated(name):
     source = example_source(name)

@@ -63,6 +63,7 @@ def test_vmap_equals_a_loop(seed):
     np.testing.assert_allclose(together, np.stack([x for x, _ in runs]), rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.thorough
 def test_gradient_equals_finite_differences():
     model = network(3, 0.01)
     x, u = random_run(model, 3, 25)
@@ -80,6 +81,7 @@ def test_gradient_equals_finite_differences():
         np.testing.assert_allclose(gradient[i, j], estimate, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_long_rollout_and_its_gradient_equal_the_plain_ones(monkeypatch):
     model = network(5, 0.01)
     x, u = random_run(model, 5, 75)

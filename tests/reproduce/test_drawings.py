@@ -20,6 +20,7 @@ def labels(figure):
     return [text for axes in figure.axes for text in axes.texts if text.get_text()]
 
 
+@pytest.mark.thorough
 @both
 @pytest.mark.parametrize("ending", [".png", ".svg"])
 def test_drawings_are_written(tmp_path, draw, ending):

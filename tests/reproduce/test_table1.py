@@ -62,6 +62,7 @@ def test_the_test_records_come_in_the_papers_order(layout):
     assert names == [*falls, "wN_2V", "wN_2_5V", "wN_3V", "wN_3_5V"]
 
 
+@pytest.mark.thorough
 def test_the_json_says_split_units_start_records_and_rows(layout):
     content = json.loads(json.dumps(table1.as_json(authors_rows(layout, "test"), "test")))
     assert (content["split"], content["units"], content["x0"]) == ("test", "rad", "file")
@@ -225,6 +226,7 @@ def test_reproduce_writes_tables_and_figures_and_trains_on_no_test_record(
         assert (out / name).is_file()
 
 
+@pytest.mark.thorough
 def test_a_row_that_starts_otherwise_than_the_table_says_so(layout):
     row = authors_rows(layout, "test")[0]
     scores = tuple(replace(score, start="warm-up-20") for score in row.scores)

@@ -89,6 +89,7 @@ def test_a_horizon_that_no_record_has_is_refused_before_anything_is_fitted(tmp_p
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_the_header_of_a_fold_s_model_has_the_horizon_of_its_scores(tmp_path):
     recipe = tn.read_recipe(parse_toml(GREY), ["search.horizon=1.0"])
     options = make_cross_validation_options(recipe, system=SWING, folds=3)

@@ -415,6 +415,7 @@ def test_a_selection_is_refused_where_another_is(alone):
         selected(choice.context.folder.parent)
 
 
+@pytest.mark.thorough
 def test_resumed_it_does_no_job_twice_and_comes_to_the_same(alone):
     choice, _ = alone
     before = (choice.context.folder / "model.safetensors").read_bytes()
@@ -688,6 +689,7 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
     assert not any("stopped by the budget" in s.text for s in resumed.findings)
 
 
+@pytest.mark.thorough
 def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones(
     tmp_path, monkeypatch
 ):
@@ -736,6 +738,7 @@ def test_one_record_is_cut_and_told(tmp_path):
     assert len(choice.result("network").rmse()) == 6
 
 
+@pytest.mark.thorough
 def test_test_records_take_part_in_nothing(tmp_path):
     data = swings()
     kept = replace(data[0], split="test")

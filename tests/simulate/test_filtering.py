@@ -46,6 +46,7 @@ def test_it_finds_states_that_nobody_measured():
     assert np.all(result.deviations[-1] < result.deviations[0])
 
 
+@pytest.mark.thorough
 def test_of_a_linear_model_it_is_the_filter_of_the_textbook():
     model, record, _ = run(LINEAR, 30)
     zero = jnp.zeros(3)

@@ -80,6 +80,7 @@ def test_the_order_is_four_while_the_input_follows_a_straight_line():
     assert np.abs(orders - 4).max() < 0.35
 
 
+@pytest.mark.thorough
 def test_a_band_limited_input_is_followed_far_more_closely_than_by_straight_lines():
     """Up to 0.3 of the sampling rate, over 40 periods in the middle of a record."""
     t = np.arange(160) * DT
@@ -96,6 +97,7 @@ def test_a_band_limited_input_is_followed_far_more_closely_than_by_straight_line
     assert errs("band-limited") < 1e-3 * errs("first-order") < 1e-3 * errs("zero-order")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("hold", "order"), [("zero-order", 1), ("first-order", 2)])
 def test_the_order_in_the_sampling_period_is_that_of_the_hold(hold, order):
     """Of a smooth input, what happens between the samples is lost to the hold."""

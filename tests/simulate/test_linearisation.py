@@ -34,6 +34,7 @@ def differences(function, at: np.ndarray) -> np.ndarray:
     return np.stack([(function(at + s) - function(at - s)) / (2 * h) for s in steps], axis=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("model", "function"), [(MODEL, MODEL.derivative), (DISCRETE, DISCRETE.step)]
 )

@@ -35,6 +35,7 @@ def simulated(model, x0: np.ndarray, counts: int | None = None) -> tn.Experiment
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("creeping", [False, True])
 def test_exact_positions_give_back_the_state_they_came_from(creeping):
     model = tn.discretise(grey_box(creeping), DT, substeps=2)
@@ -77,6 +78,7 @@ def test_samples_before_a_release_are_left_out(held_samples):
     assert error_after_a_hand(model, np.array([1.0, 2.0]), held_samples) < 2 * np.pi / 2048
 
 
+@pytest.mark.thorough
 def test_internal_states_do_not_lead_away_from_the_motion_after_a_release():
     # from the parabola of the held samples the search does not find it in its few turns
     members = [

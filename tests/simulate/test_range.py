@@ -10,6 +10,7 @@ from tustinnet.simulate.range import Range, join_ranges, recorded_range
 from tustinnet.systems.qube_servo2_twin import twin
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["physics", "linear", "committee"])
 def test_positions_velocities_internal_states_and_inputs_are_told(name):
     model = example(name)

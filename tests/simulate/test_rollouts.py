@@ -143,6 +143,7 @@ class Twice(TustinNet):
         return self.network.output(jnp.tanh(second(jnp.tanh(second(z)))))
 
 
+@pytest.mark.thorough
 def test_a_layer_that_acts_twice_has_the_gradient_of_both():
     plain = network((ANGLE,), (3, 3), None, "tanh", False, 0)
     model = with_dtype(Twice(plain.network, plain.channels), np.float64)

@@ -23,6 +23,7 @@ def models(run_folder) -> list[Path]:
     return [run_folder / f"seed-{seed}" / "model.safetensors" for seed in (0, 1)]
 
 
+@pytest.mark.thorough
 def test_the_file_names_members_and_their_records(models, folder, tmp_path):
     file = tmp_path / "both.safetensors"
     tn.save_committee(models, file)

@@ -172,6 +172,7 @@ def test_a_robot_of_mujoco_moves_as_there():
         assert_near(bias, expected[1])
 
 
+@pytest.mark.thorough
 def test_locked_joints_are_a_part_of_the_link_that_carries_them():
     whole = tn.load_system(ROBOTS / "scara.urdf")
     part = tn.load_robot(ROBOTS / "scara.urdf", locked={"lift": -0.1, "elbow": 0.7})
@@ -339,6 +340,7 @@ def test_a_motor_behind_an_elastic_gear_moves_by_itself(hanging):
     assert float(loose[1]) == pytest.approx((0.3 * (speed - v) - weight) / inertia, rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_an_encoder_at_the_motor_changes_what_is_measured_alone(hanging):
     """The robot moves as with an encoder at the link; motor and link change their places."""
     load = partial(tn.load_robot, hanging, elastic={"hip": 60.0}, backlash={"hip": 0.02})

@@ -133,6 +133,7 @@ def play(there, period: float, q0: np.ndarray, speeds: np.ndarray) -> np.ndarray
     return q
 
 
+@pytest.mark.thorough
 def test_goals_are_integrals_as_in_mujoco(tmp_path):
     """Goals reach both ends of their ranges; MuJoCo's error is that of its steps of 0.02 ms."""
     system, there = load(tmp_path, SERVOS[2])

@@ -155,6 +155,7 @@ def log(logger: Logger) -> tuple[tn.Experiment, ...]:
     return log_runs(model(), channels, runs(), logger, np.random.default_rng(0))
 
 
+@pytest.mark.thorough
 def test_without_jitter_and_counts_a_log_is_a_rollout():
     for e, run in zip(log(Logger(jitter=0.0, counts=False, substeps=4)), runs(), strict=True):
         expected = tn.rollout(tn.discretise(model(), 0.01, 4), run.x0, run.u[:-1])

@@ -424,6 +424,7 @@ def test_a_task_tells_its_plan_before_training_and_goes_on_from_a_state(prepared
     assert same_bits(resumed.model, restore_untrained(prepared, 0, one(model)).simplify())
 
 
+@pytest.mark.thorough
 def test_fit_returns_a_folded_model_that_computes_what_was_trained(whole, prepared):
     [result] = train_plan(prepared)
     assert result.finished

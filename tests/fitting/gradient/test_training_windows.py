@@ -149,6 +149,7 @@ def test_validation_weights_sum_to_one_within_each_record(pendulum):
     np.testing.assert_allclose(runs.weight.sum(axis=(1, 2)), 1.0, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_validation_runs_over_a_horizon_score_as_evaluation_does(pendulum):
     model, start = model_of(pendulum), start_named("derived-6")
     runs = make_free_runs(model, list(pendulum), start, 1.0)

@@ -107,6 +107,7 @@ def test_what_is_not_linear_in_its_levels_is_no_candidate(system):
         tn.identify(data, system, recipe)
 
 
+@pytest.mark.thorough
 def test_the_cutoff_is_not_fooled_by_noise_of_positions(system):
     """At 1 kHz with counts of an encoder and stamps that jitter, of a motion of 1 Hz."""
     data = record_in_loop(system, true_values(system, 1), 2, 4.0, dt=0.001)

@@ -189,6 +189,7 @@ def test_a_filtered_sample_counts_by_the_band_that_is_left(twin):
     assert part.weight * len(compared) == pytest.approx(independent, rel=0.15)
 
 
+@pytest.mark.thorough
 def test_parameters_without_any_effect_bar_no_record(monkeypatch, result, twin, system):
     """Rounding leaves information of either sign on what no motion tells, as a link at the base."""
     exact = identification._matrices

@@ -163,6 +163,7 @@ def test_the_lag_of_an_input_that_never_changes_is_refused():
         with_added(SWING, ["lag"], falls(), {})
 
 
+@pytest.mark.thorough
 def test_a_friction_that_is_not_there_is_told():
     findings = tn.identify(data_set(records()), KNOWN_GAIN, recipe("coulomb")).findings
     assert any("'angle.coulomb' is 0, its lower bound" in f.text for f in findings)
@@ -290,6 +291,7 @@ def test_springs_of_no_coordinate_are_added_where_none_turns_around():
         with_added(SWING, ["spring"], [whole_turns], {})
 
 
+@pytest.mark.thorough
 def test_their_parameters_are_fixed_and_begun_like_any_other():
     some = recipe("coulomb", "cubic", **{"angle.cubic": 0.1, "angle.smooth_speed": 0.05})
     result = tn.identify(data_set(rubbed()), KNOWN_GAIN, some, begin={"angle.coulomb": 0.01})
@@ -300,6 +302,7 @@ def test_their_parameters_are_fixed_and_begun_like_any_other():
         tn.identify(data_set(rubbed()), KNOWN_GAIN, recipe("cubic", **{"angle.viscous": 0.1}))
 
 
+@pytest.mark.thorough
 def test_a_system_with_values_per_group_takes_forces():
     per = changed("damping", KNOWN_GAIN, per="oil")
     made = [replace(e, groups=(("oil", "thin"),)) for e in rubbed()]
@@ -311,6 +314,7 @@ def test_a_system_with_values_per_group_takes_forces():
     assert values["damping[thin]"] == pytest.approx(TRUTH["damping"], rel=0.01)
 
 
+@pytest.mark.thorough
 def test_forces_and_sensors_go_together():
     made = [replace(e, q=e.q + 0.03) for e in rubbed()]
     some = recipe("coulomb", "cubic").model_copy()

@@ -58,6 +58,7 @@ def test_a_delay_of_parts_of_a_period_is_found_within_its_interval(hold):
         assert result.values[name] == pytest.approx(value, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_model_with_a_delay_is_restored_with_it(tmp_path):
     result = tn.identify(late(0.5 * DT), SYSTEM, RECIPE)
     tn.save(result.model, tmp_path / "m.safetensors")

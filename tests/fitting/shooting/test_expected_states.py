@@ -71,6 +71,7 @@ def test_the_derivatives_are_those_of_finite_differences():
         assert 2 * result.gx[0, i] == pytest.approx(by_state, rel=1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("initial", ["anchored", "derived-6"])
 def test_what_is_remembered_is_identified(initial):
     changes = ["search.loss=position", f"search.initial={initial}"]
@@ -138,6 +139,7 @@ def test_derivatives_by_parameters_and_delays_hold_where_states_follow_inputs(le
     assert not pieces.x0[:, 2].any()
 
 
+@pytest.mark.thorough
 def test_a_lag_is_identified_with_the_state_that_records_begin_with():
     result = tn.identify(data_set(driven()), LAGGING, tn.read_recipe("grey", []))
     values = {e.name: e.value for e in result.estimates}
@@ -147,6 +149,7 @@ def test_a_lag_is_identified_with_the_state_that_records_begin_with():
         assert result.initial_states[e.name][2] == pytest.approx(0.4 * e.u[0, 0], abs=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", ["derived-6", "model-20"])
 def test_a_refit_begins_with_the_states_that_inputs_say(start):
     changes = [f"search.refine={start}", "search.initial=anchored"]

@@ -186,6 +186,7 @@ def base_parameters(vector: jax.Array) -> jax.Array:
     return jnp.log(base / (p["pendulum_mass"] * p["pendulum_centre"]))
 
 
+@pytest.mark.thorough
 def test_the_rotary_pendulums_null_space_is_that_of_its_base_parameters(rotary):
     confounded = directions(LOOSE, rotary, LOOSE_SPACE)
     vector = LOOSE_SPACE.to_vector(LOOSE.nominal())

@@ -320,6 +320,7 @@ def test_right_signs_are_not_doubted(clean):
     assert not any("reversed" in f.text for f in clean.findings)
 
 
+@pytest.mark.thorough
 def test_a_prior_pulls_a_parameter_that_the_records_say_little_of():
     experiments = [noisy(e, 0.05, i)[:60] for i, e in enumerate(records())]
     loose = tn.identify(data_set(experiments), SWING)
@@ -350,6 +351,7 @@ def test_few_records_say_nothing_of_how_they_disagree():
     assert "4 records disagree" in every.findings[-1].text
 
 
+@pytest.mark.thorough
 def test_white_residuals_are_called_independent_and_others_are_not():
     white = tn.identify(data_set([noisy(e, 0.01, i) for i, e in enumerate(records())]), SWING)
     assert abs(white.autocorrelation[0]) < 0.1

@@ -151,6 +151,7 @@ def require_alike(actual: NormalProducts, expected: NormalProducts, order: np.nd
             np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-12, err_msg=part.name)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ["jax", "llvm"])
 def test_both_engines_find_the_same_products(pieces, states, normal, engine, monkeypatch):
     monkeypatch.setenv("TUSTINNET_ENGINE", engine)

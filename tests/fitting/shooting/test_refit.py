@@ -98,6 +98,7 @@ def test_where_the_model_is_right_the_truth_stays():
         assert value == pytest.approx(TRUTH[name], rel=0.02, abs=1e-3), name
 
 
+@pytest.mark.thorough
 def test_what_a_recipe_fixes_is_not_refined():
     identification = tn.identify(data_set(creeping()), SYSTEM, recipe("model.fixed.gravity=1.3"))
     assert identification.refit is not None
@@ -105,6 +106,7 @@ def test_what_a_recipe_fixes_is_not_refined():
     assert values_of(identification)["gravity"] == 1.3
 
 
+@pytest.mark.thorough
 def test_parameters_stay_within_their_ranges():
     narrow = changed("gravity", lower=1.6, nominal=1.65, upper=5.0)  # the truth is below
     identification = tn.identify(
@@ -156,6 +158,7 @@ def test_parameters_per_group_are_refined_for_their_records():
     assert identification.refit.after < 0.01
 
 
+@pytest.mark.thorough
 def test_a_delay_stays_as_it_was_found():
     data = data_set([read_by_encoder(e) for e in records()])
     identification = tn.identify(data, SYSTEM, recipe('model.free=["voltage.delay"]'))

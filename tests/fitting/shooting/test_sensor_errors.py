@@ -45,6 +45,7 @@ def test_a_file_keeps_them(result, tmp_path):
     np.testing.assert_allclose(again.step(x, u), result.model.step(x, u), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_stands_for_the_same_is_said():
     loose = tn.read_recipe("grey", ['model.free=["voltage.gain"]'])
     message = " ".join(map(str, tn.identify(data_set(records()), SWING, loose).findings))
@@ -94,6 +95,7 @@ def test_an_input_that_is_never_used_has_no_bias():
         sensor_parameters(SWING, ["voltage.bias"], falls())
 
 
+@pytest.mark.thorough
 def test_they_are_fixed_and_begun_like_any_other():
     recipe = tn.read_recipe(
         "grey", ['model.free=["angle.bias", "voltage.gain"]', "model.fixed.angle.bias=0.035"]

@@ -46,6 +46,7 @@ def fit(experiments: list[tn.Experiment]) -> tuple[np.ndarray, Uncertainty]:
     return fitted.vector, certain
 
 
+@pytest.mark.thorough
 def test_both_covariances_are_those_of_repeated_draws_of_white_noise():
     vectors, naive, clustered = [], [], []
     for draw in range(40):
@@ -119,6 +120,7 @@ def test_fewer_than_four_records_leave_only_the_residuals():
     assert certain.quantile_for_records(3) == pytest.approx(1.96, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_segments_of_few_records_see_errors_that_last():
     """Against repeated draws of errors that are alike for eight samples."""
     vectors, naive, by_segments = [], [], []
