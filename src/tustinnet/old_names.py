@@ -21,16 +21,7 @@ VERBS = {
     "residuals": "tustinnet evaluate MODEL DATA --residuals",
 }
 # verbs of the command that read records
-_READING = (
-    "init",
-    "inspect",
-    "fit",
-    "cross-validate",
-    "simulate",
-    "evaluate",
-    "control",
-    "report",
-)
+_READING = ("init", "inspect", "fit", "cross-validate", "simulate", "evaluate", "control", "report")
 # options of verbs
 OPTIONS = {
     (verb, "--strict"): "tustinnet inspect DATA --strict, before it"

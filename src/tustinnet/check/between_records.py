@@ -196,10 +196,10 @@ def _find_suspects(model: MotionModel) -> list[int]:
 
     Poor is a residual that is large, or that is a large share of the file's accelerations.
     """
-    known = model.weights > 0
+    is_sound = model.weights > 0
     shares = model.costs / np.maximum([model.size(e) for e in model.equations], 1e-300)
-    poorness = np.fmax(*(x / max(np.median(x[known]), 1e-300) for x in (model.costs, shares)))
-    suspects = [int(r) for r in np.argsort(-poorness) if known[r] and poorness[r] > LEVELS.poor]
+    poorness = np.fmax(*(x / max(np.median(x[is_sound]), 1e-300) for x in (model.costs, shares)))
+    suspects = [int(r) for r in np.argsort(-poorness) if is_sound[r] and poorness[r] > LEVELS.poor]
     return suspects[: LEVELS.most_suspects]
 
 

@@ -188,7 +188,7 @@ class MotionModel:
         return float(np.median(self.costs[others])) if others.any() else np.inf
 
     def novelty(self, equations: Equations, index: int) -> float:
-        """How far the motion of a set is from that of the others: 1 where it is alike.
+        """Distance of the motion of a set from that of the others: 1 where it is alike.
 
         It is the mean leverage of its windows under the regressors of all others, in units of
         their own. Where it is large the model extrapolates, and its failure says nothing.

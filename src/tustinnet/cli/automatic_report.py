@@ -69,12 +69,7 @@ class AutomaticReport:
         """
         if not self.is_enabled:
             return ""
-        command = report_command(
-            models,
-            self.data,
-            out,
-            {**options, "--card": self.card},
-        )
+        command = report_command(models, self.data, out, {**options, "--card": self.card})
         try:
             path = write_page(command)
         except Exception as error:

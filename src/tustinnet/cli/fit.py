@@ -128,12 +128,7 @@ def fit(
         card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)
     earlier: run_folder.Earlier = "resume" if resume else "discard" if overwrite else "refuse"
     fit_options = FitOptions(
-        load=partial(
-            load_records_to_fit,
-            data,
-            card,
-            out,
-        ),
+        load=partial(load_records_to_fit, data, card, out),
         out=out,
         system=found_system,
         earlier=earlier,

@@ -32,11 +32,7 @@ def load_records_to_fit(data: str, card: Path | None, out: Path) -> "tn.DataSet"
         )
     ]
     disk.require_outputs(outputs, overwrite=True, read=list_input_files(data, card))
-    records = loading.load_folder(
-        folder,
-        located_card,
-        on_message=console.print,
-    )
+    records = loading.load_folder(folder, located_card, on_message=console.print)
     kept = leave_out_short([*records], DERIVED.usual, ())
     records = replace(records, experiments=tuple(kept))
     findings = tn.check(records, located_card)

@@ -60,12 +60,8 @@ def load_folder(
     if loaded and card.dt is None:
         dt = _common_period([record.experiment for record in loaded], card)
         if dt is not None:
-            return load_folder(
-                folder,
-                card.model_copy(update={"dt": dt}),
-                on_message=on_message,
-                required=required,
-            )
+            card = card.model_copy(update={"dt": dt})
+            return load_folder(folder, card, on_message=on_message, required=required)
     remaining = {record.experiment.split for record in loaded}
     for split, error in errors:
         if on_message is None or split not in remaining:

@@ -68,7 +68,6 @@ _STAGE_OF: dict[Quantity, Stage] = {
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
-_CLEAR_SLOPE = 3.0  # points, from which on a column is the derivative of another one
 _MOTION_UNITS = {*ANGLE, *LENGTH, *ANGULAR_SPEEDS, *LINEAR_SPEEDS}
 
 
@@ -119,6 +118,7 @@ class Weights:
         small: control error in the last quarter of a record, by the size of what is controlled.
         moved: points of a cause, from which on a position moves another one.
         unmoved: points of a cause, below which nothing moves a position.
+        clear_slope: points, from which on a column is the derivative of another one.
     """
 
     letter: float = 2.0
@@ -154,6 +154,7 @@ class Weights:
     small: float = 0.5
     moved: float = 2.0
     unmoved: float = 1.0
+    clear_slope: float = 3.0
 
 
 WEIGHTS = Weights()
@@ -288,7 +289,7 @@ class EvidenceTable:
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
-        are_apart = self.slope >= _CLEAR_SLOPE
+        are_apart = self.slope >= WEIGHTS.clear_slope
         sums = find_sums(records)
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
@@ -399,7 +400,9 @@ class EvidenceTable:
         w, columns = WEIGHTS, range(len(self.names))
         says = {role: np.array([self.says(i, role) for i in columns]) for role in ROLES}
         is_other = [any(e.role == "other" and e.points >= w.useless for e in o) for o in self.own]
-        positions = says["position"] & ~np.array(is_other) & (self.slope < _CLEAR_SLOPE).all(axis=0)
+        positions = (
+            says["position"] & ~np.array(is_other) & (self.slope < WEIGHTS.clear_slope).all(axis=0)
+        )
         commands = np.array([r.qualifier == "command" for r in self.readings])
         leads = self.follow > 0
         is_own = self.is_copy | leads | (self.slope > 0) | (self.slope.T > 0)

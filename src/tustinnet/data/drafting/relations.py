@@ -167,12 +167,12 @@ def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
         are_one = products[i, j] ** 2 > RELATION.one * squares[i] * squares[j]
         total = squares[i] + squares[j] + 2 * products[i, j]
         # mean squares of the sum of both less each other column
-        left = total + squares - 2 * (products[i] + products[j])
-        left[[i, j]] = np.inf
-        third = int(np.argmin(left))
+        residual = total + squares - 2 * (products[i] + products[j])
+        residual[[i, j]] = np.inf
+        third = int(np.argmin(residual))
         if total < limit:
             sums.append((i, j, None))
-        elif left[third] < limit and not are_one:
+        elif residual[third] < limit and not are_one:
             sums.append((i, j, third))
     return sums
 
@@ -188,11 +188,11 @@ def find_copies(records: Sequence[Table], steps: Sequence[float]) -> Bool[np.nda
     covariance = np.atleast_2d(np.cov(np.concatenate(records).T))
     squares = np.diag(covariance)
     slope = covariance / squares[:, None]  # of column j by column i, [i, j]
-    left = squares - slope * covariance
+    residual = squares - slope * covariance
     rounding = np.square(steps)
     # both are rounded, by a twelfth of the square of their steps, and once more by a program
     limit = (rounding + slope**2 * rounding[:, None]) / 6 + RELATION.exact * squares
-    is_copy = (left < limit) & (left < RELATION.rounded * squares)
+    is_copy = (residual < limit) & (residual < RELATION.rounded * squares)
     return is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool)
 
 
