@@ -74,12 +74,18 @@ class LackingToo(Plain):
 
 
 @pytest.fixture(autouse=True)
-def _targets(monkeypatch):
-    """Targets of this file take the place of the package's own."""
-    for name in list(TARGETS.places):
-        monkeypatch.delitem(TARGETS.places, name)
+def _targets():
+    """Targets of this file take the place of the package's own.
+
+    All at once: names that are put back one by one come back in another order.
+    """
+    before = dict(TARGETS.places)
+    TARGETS.places.clear()
     for target in (Plain(), Other(), Wrong(), Single(), Lacking()):
-        monkeypatch.setitem(TARGETS.places, target.name, target)
+        TARGETS.register(target.name, target)
+    yield
+    TARGETS.places.clear()
+    TARGETS.places.update(before)
 
 
 @pytest.fixture
@@ -113,10 +119,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 # --- what is written ---
 
 
-def test_matrices_are_about_the_operating_point_that_is_named(
-    model, out, capsys, refused, monkeypatch
-):
-    monkeypatch.setitem(TARGETS.places, "mat", Matrices())
+def test_matrices_are_about_the_operating_point_that_is_named(model, out, capsys, refused):
+    TARGETS.register("mat", Matrices())
     given = ("export", model, "--to", "mat", "--at", "angle=0.5rad, torque=-1", "--out", out)
     code, _, err = tustinnet(capsys, *given)
     assert code == 0, err
@@ -194,9 +198,9 @@ def test_several_targets_get_a_folder_each(model, out, capsys):
     }
 
 
-def test_all_are_all_that_are_known(model, out, monkeypatch, capsys):
+def test_all_are_all_that_are_known(model, out, capsys):
     for name in ("wrong", "lacking"):
-        monkeypatch.delitem(TARGETS.places, name)
+        del TARGETS.places[name]
     code, _, err = tustinnet(capsys, "export", model, "--to", "all", "--out", out)
     assert code == 0
     assert "note: other: not run here: no reader of texts here" in err
