@@ -189,6 +189,7 @@ def test_where_every_candidate_fails_each_is_told_and_nothing_is_saved(tmp_path,
     assert not (out / "summary.json").exists()
 
 
+@pytest.mark.thorough
 def test_a_horizon_longer_than_every_record_is_whole_records(tmp_path, out, capsys):
     write_logs(Machine(samples=200), tmp_path / "logs")
     plan = write_plan(tmp_path, "horizon = 1000.0\n" + ONE.replace("NAME", "linear.toml"))

@@ -141,6 +141,7 @@ def test_nothing_is_written_where_nothing_is_wanted(tmp_path):
     assert report.write([tmp_path], tmp_path / "report.html", fails, {}) == ""
 
 
+@pytest.mark.thorough
 def test_the_demo_and_the_table_leave_a_report(
     folder, pendulum, trained_once, tmp_path, monkeypatch, capsys
 ):

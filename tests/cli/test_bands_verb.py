@@ -34,6 +34,7 @@ def validation(folder: Path) -> tn.DataSet:
     return tn.load(folder).split("validation")
 
 
+@pytest.mark.thorough
 def test_a_calibrated_model_simulates_and_is_judged_with_bands(place, tmp_path, capsys):
     banded, folder = place.banded, place.logs
     given = ("--system", place.system, "--start", "derived-6", "--split", "validation")

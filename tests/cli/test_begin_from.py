@@ -40,6 +40,7 @@ def header_of(path) -> dict:
 STILL = ("--set", "stages.*.epochs=1", "--set", "stages.*.rate=1e-30", "--quiet", "--no-report")
 
 
+@pytest.mark.thorough
 def test_a_network_goes_on_with_its_own_recipe_and_says_where_it_is_from(
     run_folder, folder, small_recipe, tmp_path, capsys, refused
 ):
@@ -121,6 +122,7 @@ keep = "last"
     assert make_task(data, str(recipe), origin=Origin(origin)).folds[0].physics is not physics
 
 
+@pytest.mark.thorough
 def test_an_identification_begins_at_the_values_of_another(grey, folder, tmp_path, capsys, refused):
     model, given = grey.model, ("--system", grey.system, "--quiet", "--no-report")
     out = tmp_path / "again"

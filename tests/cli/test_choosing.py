@@ -163,6 +163,7 @@ def test_a_system_file_that_does_not_run_is_one_line_before_anything(
     assert not out.exists()
 
 
+@pytest.mark.thorough
 def test_an_earlier_selection_that_is_overwritten_leaves_nothing(folder, tmp_path, out, capsys):
     text = NETWORK_ONLY.replace("small.toml", "linear")
     plan = plan_in(tmp_path, text)

@@ -56,6 +56,7 @@ def held(held_once, tmp_path) -> Path:
     return Path(shutil.copytree(held_once.out, tmp_path / "held"))
 
 
+@pytest.mark.thorough
 def test_a_controller_holds_the_pendulum_upright(held_once):
     out, text, _ = held_once
     assert "unstable" in text
@@ -101,6 +102,7 @@ def test_a_motion_from_a_file_is_followed(model, tmp_path, capsys):
     assert "neither --at nor --follow" in messages
 
 
+@pytest.mark.thorough
 def test_what_fails_on_another_plant_is_not_written(model, system, tmp_path, capsys):
     weak = tmp_path / "weak.py"
     weak.write_text(system.read_text().replace('p: p["gain"]', 'p: -p["gain"]'))
@@ -118,6 +120,7 @@ def test_what_fails_on_another_plant_is_not_written(model, system, tmp_path, cap
     assert (out / "controller.c").is_file()
 
 
+@pytest.mark.thorough
 def test_a_swing_up_by_records_with_options_of_all_kinds(model, folder, system, tmp_path, capsys):
     out = tmp_path / "swung"
     code, text, messages = tustinnet(
@@ -204,6 +207,7 @@ def test_integral_action_and_a_second_controller_in_the_same_folder(model, tmp_p
     assert (out / "controller.json").read_bytes() == first
 
 
+@pytest.mark.thorough
 def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     out, pieces = tmp_path / "moved", model.with_name("pieces.safetensors")
     scores = read_header(model)["scores"] | {"horizon": 0.5}

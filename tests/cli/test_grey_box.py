@@ -109,6 +109,7 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
         run_fit(fit, tmp_path / "run")
 
 
+@pytest.mark.thorough
 def test_a_second_fit_does_not_overwrite_the_first(identified, folder, system, capsys):
     arguments = ["fit", folder, "--recipe", "grey", "--system", system, "--out", identified]
     arguments += ["--no-report"]
@@ -473,6 +474,7 @@ def test_a_system_file_is_run_once_and_leaves_nothing_beside_it(
 GREY = ["--recipe", "grey", "--system", "{}"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

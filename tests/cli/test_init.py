@@ -141,6 +141,7 @@ def test_a_folder_without_a_card_names_init(logs, capsys):
         assert f"`tustinnet init {logs}` writes one" in err
 
 
+@pytest.mark.thorough
 def test_fit_drafts_a_card_into_its_own_folder(tmp_path, capsys):
     folder, out = tmp_path / "LOGS", tmp_path / "RUN"
     folder.mkdir()
@@ -194,6 +195,7 @@ def test_a_lerobot_data_set_is_given_by_its_folder(version, tmp_path, capsys):
     assert len(tn.load(folder)) == 3
 
 
+@pytest.mark.thorough
 def test_logs_of_deeper_folders_are_taken(logs, tmp_path, capsys):
     (tmp_path / "2026/march").mkdir(parents=True)
     for file in list(logs.iterdir()):

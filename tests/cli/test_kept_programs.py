@@ -39,5 +39,6 @@ def test_small_programs_are_kept_in_a_folder_of_ones_own(tmp_path):
     assert kept(tmp_path, JAX_COMPILATION_CACHE_DIR=str(tmp_path))
 
 
+@pytest.mark.thorough
 def test_what_variables_say_of_small_programs_holds(tmp_path):
     assert not kept(tmp_path, **{"JAX_COMPILATION_CACHE_DIR": str(tmp_path), LEAST: "100"})

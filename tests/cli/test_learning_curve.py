@@ -116,6 +116,7 @@ def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():
     assert {e.name for e in first} < {e.name for e in second}
 
 
+@pytest.mark.thorough
 def test_a_point_without_a_model_says_why_and_no_point_at_all_is_an_error(system, monkeypatch):
     records = [record(f"r{k}", 80, k, "train", forced=True) for k in range(6)]
     data = tn.DataSet("six", tuple(records))

@@ -276,6 +276,7 @@ def test_an_export_is_not_written_beside_the_model(place, refused):
     refused(*asked(place, place.model.parent), "--overwrite", names="holds something else")
 
 
+@pytest.mark.thorough
 def test_figures_are_replaced_where_that_is_asked_for(place, capsys, refused, tmp_path):
     drawn = tmp_path / "drawn"
     for verb, asked in (

@@ -126,6 +126,7 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert (more / "model.safetensors").exists()
 
 
+@pytest.mark.thorough
 def test_a_python_file_with_options_is_kept_with_its_robot(logs, tmp_path, capsys, monkeypatch):
     """The robot is found beside the code, wherever the command runs."""
     code_file = tmp_path / "system" / "arm.py"

@@ -51,6 +51,7 @@ def fit(capsys, logs: Path) -> str:
     return out + err
 
 
+@pytest.mark.thorough
 def test_gains_are_found_from_goals_and_positions(tmp_path, capsys):
     header = "t,present_position_rad,goal_position_rad"
     limit = 'forcerange="-4 4"'

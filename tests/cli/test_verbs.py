@@ -113,6 +113,7 @@ def test_inspect_as_json_with_a_figure(folder, tmp_path, capsys):
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_fit_reports_the_spread_of_several_seeds_and_keeps_model_and_figures(
     folder, small_recipe, tmp_path, capsys
 ):
@@ -131,6 +132,7 @@ def test_fit_reports_the_spread_of_several_seeds_and_keeps_model_and_figures(
     assert figures == {"training.png", "fall3.png", "noise2.png"}
 
 
+@pytest.mark.thorough
 def test_fit_takes_seeds_by_name_and_changes_of_the_recipe(folder, small_recipe, tmp_path, capsys):
     code, out, _ = tustinnet(
         capsys,
@@ -225,6 +227,7 @@ def test_fit_does_not_write_among_the_records(folder, small_recipe, capsys):
     assert not list(folder.glob("seed-*"))
 
 
+@pytest.mark.thorough
 def test_fit_says_what_looks_wrong_in_the_records(folder, tiny_recipe, tmp_path, capsys):
     card = folder / "dataset.toml"
     card.write_text(card.read_text().replace("4096", "3000"))
@@ -266,6 +269,7 @@ def test_strict_refuses_records_in_which_something_looks_wrong(folder, capsys):
     assert tustinnet(capsys, "inspect", folder)[0] == 0
 
 
+@pytest.mark.thorough
 def test_fit_leaves_out_records_that_cannot_be_used(folder, tiny_recipe, tmp_path, capsys):
     text = (folder / "fall1.csv").read_text().splitlines()
     rows = [",".join([row.split(",")[0], "nan", "nan"]) for row in text[1:]]
@@ -354,6 +358,7 @@ def test_a_remark_names_all_records_of_a_few_and_the_first_ones_of_many(pendulum
         assert advice == "note: how to mend them: tustinnet inspect 'my logs' --card a.toml"
 
 
+@pytest.mark.thorough
 def test_fit_and_cross_validate_say_first_what_looks_wrong_and_what_never_moves(
     folder, tiny_recipe, tmp_path, capsys
 ):

@@ -78,6 +78,7 @@ def largest_errors(design, friction: float) -> tuple[float, float]:
     return float(errors[: steps + 1].max()), float(errors[-1].max())
 
 
+@pytest.mark.thorough
 def test_an_arm_follows_a_motion_on_its_model_and_with_twice_the_friction(design):
     assert design.has_computed_torque
     along, end = largest_errors(design, 1.0)
@@ -115,6 +116,7 @@ def test_a_motion_between_points_is_smooth_and_weights_ask_for_other_feedback(ar
     assert not weighted.has_computed_torque
 
 
+@pytest.mark.thorough
 def test_the_inputs_of_a_plan_accelerate_the_machine_as_it_should(arm, design):
     x, u = design.plan.x, design.plan.u
     middle, lagrangian = (x[1:] + x[:-1]) / 2, arm.continuous

@@ -67,6 +67,7 @@ def grey_box() -> tn.Model:
     return tn.discretise(system.model(values), 0.01, 2)
 
 
+@pytest.mark.thorough
 def test_a_grey_box_balances_the_unseen_twin_through_encoders():
     model = grey_box()
     estimator = ExtendedKalmanFilter(model, NOISE)
@@ -256,6 +257,7 @@ def test_a_table_says_over_which_variants_a_controller_works():
         assess_robustness(kinds, Regulator(model), estimator, starts[:2], UPRIGHT, 10)
 
 
+@pytest.mark.thorough
 def test_a_network_has_no_physics_and_a_committee_has_members():
     network = example("qube network")
     names = [kind.name for kind in make_variants(network, NOISE, count=1)]

@@ -99,6 +99,7 @@ def test_a_delay_of_the_inputs_is_known():
     np.testing.assert_array_equal(layout.matrix @ history.add(u[0]), np.zeros(2))
 
 
+@pytest.mark.thorough
 def test_noise_of_a_right_model_is_that_of_its_encoder():
     records = [quantised(f"run{i}", voltage(250, i)) for i in range(4)]
     right = tn.discretise(swing_model(), DT, 4)
@@ -128,6 +129,7 @@ def test_noise_of_a_right_model_is_that_of_its_encoder():
     assert "of no use to it" in check_filter(other, records[2:], found).sentences[1]
 
 
+@pytest.mark.thorough
 def test_noise_of_internal_states_and_of_an_unknown_resolution_is_found():
     model = tn.discretise(swing_model(system=CREEPING), DT, 2)
     generator = np.random.default_rng(1)

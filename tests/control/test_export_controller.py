@@ -187,6 +187,7 @@ def exported(tmp_path_factory):
     return write
 
 
+@pytest.mark.thorough
 @needs_gcc
 @pytest.mark.parametrize("name", MARKED)
 def test_its_loop_in_c_is_that_of_python(name, exported):
@@ -246,6 +247,7 @@ def test_the_program_runs_the_loop_of_python(tmp_path):
     assert np.abs(rows[-100:, 2]).max() < 0.01
 
 
+@pytest.mark.thorough
 @needs_gcc
 def test_in_c_it_begins_again_after_a_fall_as_in_python():
     model, tracking = pendulum(), swing_up()
@@ -421,6 +423,7 @@ def test_nothing_that_changes_is_kept_outside_of_its_structures(exported):
         assert not {"malloc", "calloc", "free"} & {words[-1] for words in lines}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("file", ["", JSON, MAT])
 @pytest.mark.parametrize("name", ["late", "motion", "late motion", "swing-up", "cart"])
 def test_what_is_read_is_what_was_written(name, file, exported):
@@ -502,6 +505,7 @@ def problem(scripts, monkeypatch):
     del sys.modules["problem"]
 
 
+@pytest.mark.thorough
 def test_ipopt_ends_near_the_plan(problem):
     plan = motion().plan
     states, inputs = problem.first_guess()
@@ -517,6 +521,7 @@ def test_ipopt_ends_near_the_plan(problem):
     np.testing.assert_allclose(states[:, :2], plan.x[:, :2], atol=0.02)
 
 
+@pytest.mark.thorough
 def test_the_problem_of_a_feedback_begins_with_a_line(tmp_path):
     export_controller(pendulum(), balance(), noise(pendulum()), tmp_path, start=START, **COST)
     found = runpy.run_path(str(tmp_path / "problem.py"))
@@ -605,6 +610,7 @@ def test_without_casadi_there_are_no_scripts(tmp_path, monkeypatch):
     assert any("tustinnet[casadi]" in note for note in result.notes)
 
 
+@pytest.mark.thorough
 @needs_gcc
 @pytest.mark.parametrize(
     "gains", [lambda: predictive(balance(2)), lambda: balance(2), motion, late_motion]

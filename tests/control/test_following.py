@@ -42,6 +42,7 @@ def test_files_that_are_no_reference_are_refused(text, message, tmp_path):
         read_reference(tmp_path / "none.csv", example("qube").channels)
 
 
+@pytest.mark.thorough
 def test_a_motion_is_followed_while_the_pendulum_hangs(tmp_path):
     (file := tmp_path / "ref.csv").write_text(ROWS)
     model = example("qube")

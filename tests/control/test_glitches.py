@@ -217,6 +217,7 @@ def test_while_it_is_lost_the_inputs_are_the_safe_ones():
             tn.control.lqr(*at_goal, limits=LIMITS, safe=safe)
 
 
+@pytest.mark.thorough
 def test_a_plan_waits_for_the_state_or_begins_again():
     unknown = np.full(4, np.nan)
     tracking = swing_up()

@@ -189,6 +189,7 @@ def test_plans_are_made_on_every_family(name):
         np.testing.assert_allclose(slope[:, j], change, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["hybrid", "network taps", "first-order"])
 def test_a_held_command_is_a_record_whose_input_is_held(name):
     model = example(name)

@@ -88,6 +88,7 @@ def test_dry_friction_is_a_force_whatever_the_speed_at_which_it_is_rounded():
     np.testing.assert_allclose(gains[2], expected, rtol=0.05)
 
 
+@pytest.mark.thorough
 def test_dry_friction_of_a_joint_without_input_does_not_turn_the_feedback_round():
     """Stuck joints make one rigid pendulum of two; feedback for that pushes the wrong way."""
     gains = []
@@ -252,6 +253,7 @@ def test_wrong_arguments_are_refused(options, words):
         lqr(double_integrator(), **arguments)
 
 
+@pytest.mark.thorough
 def test_feedback_along_a_plan_brings_disturbed_starts_to_its_end():
     model = example("qube")
     limits = {"voltage": (-10.0, 10.0)}

@@ -26,6 +26,7 @@ def log_of(run) -> tn.Experiment:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("observer", [False, True])
 def test_the_inputs_of_its_own_log_are_those_of_the_controller(observer):
     run, design = play_on_a_slope(replace(TASK, observer=observer))
@@ -38,6 +39,7 @@ def test_the_inputs_of_its_own_log_are_those_of_the_controller(observer):
     assert played.disturbance[0] == pytest.approx(-3.0, abs=0.5)
 
 
+@pytest.mark.thorough
 def test_shifted_columns_and_other_controllers_are_found():
     run, design = play_on_a_slope(TASK)
     log = log_of(run)

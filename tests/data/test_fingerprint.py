@@ -22,6 +22,7 @@ def known(e: tn.Experiment, others: list[tn.Experiment]) -> bool:
     return is_among(e, [make_fingerprint(other, quanta) for other in others], quanta)
 
 
+@pytest.mark.thorough
 def test_copies_and_parts_of_a_record_are_known_by_its_fingerprint(runs):
     for e in runs:
         rounded = np.array([[float(f"{x:.6g}") for x in row] for row in e.q])

@@ -239,6 +239,7 @@ def test_the_measured_records_have_padded_velocities_and_nothing_else(real_data:
         assert all("padded" in text for text in inspect_experiment(e).suspicious), e.name
 
 
+@pytest.mark.thorough
 def test_records_of_the_twin_have_padded_velocities_and_nothing_else() -> None:
     for e in twin(0):
         assert all("padded" in text for text in inspect_experiment(e).suspicious), e.name
@@ -312,5 +313,6 @@ def test_the_hold_begins_where_the_swing_up_ends() -> None:
     assert report.held.sample == 100
 
 
+@pytest.mark.thorough
 def test_nothing_is_held_where_motion_is_stable(pendulum: tn.DataSet) -> None:
     assert all(inspect_experiment(e).held is None for e in [*pendulum, *twin(0)])

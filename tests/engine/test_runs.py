@@ -74,6 +74,7 @@ lengths_of_runs = st.sampled_from(LENGTHS)
 seeds_of_runs = st.integers(0, 2**16)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("equations", [CONTINUOUS, DISCRETE, SAMPLED])
 @SMALL
 @given(seed=seeds_of_runs, lengths=lengths_of_runs, substeps=st.integers(1, 3))

@@ -63,6 +63,7 @@ def of_system() -> tuple[tn.Model, list[tn.Experiment]]:
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("made", [of_network, of_system])
 def test_internal_states_start_as_the_record_led_to_them(made, monkeypatch):
     model, records = made()

@@ -74,6 +74,7 @@ def test_expected_errors_are_those_of_least_squares():
     assert np.array_equal(again.q, design.q), "by the seed"
 
 
+@pytest.mark.thorough
 def test_a_design_tells_more_than_random_motions_and_keeps_the_limits_of_actuators():
     system = tn.load_system(SCARA)
     within = {"roll": (-3.0, 3.0), "roll_dot": (-6.0, 6.0), "shoulder_ddot": (-9.0, 9.0)}

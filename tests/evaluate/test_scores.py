@@ -66,6 +66,7 @@ def test_errors_that_say_nothing_of_new_records_have_no_expected_range(errors):
     assert metrics.expected_range(errors) is None
 
 
+@pytest.mark.thorough
 def test_free_runs_of_unequal_records_equal_their_own_rollouts(model, pendulum):
     runs = tn.free_run(model, list(pendulum), "derived-6")
     assert [len(r) for r in runs] == [len(e) for e in pendulum]

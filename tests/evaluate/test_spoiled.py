@@ -24,6 +24,7 @@ def fit(spoilt: str, system_file):
     return tn.fit(tn.DataSet("runs", records(spoilt)), "grey", system=system_file).model
 
 
+@pytest.mark.thorough
 def test_clean_records_raise_no_alarm(system_file):
     assert find_by_model(fit("", system_file), records()) == []
     for e in records():

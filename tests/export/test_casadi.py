@@ -54,6 +54,7 @@ def stepped(tmp_path_factory):
     return place
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_casadi_alone_steps_as_every_model_does(stepped, name):
     states, inputs, found = (np.load(stepped / name / f"{f}.npy") for f in ("x", "u", "x_next"))
@@ -181,6 +182,7 @@ def test_a_function_of_layers_can_be_expanded():
     np.testing.assert_allclose(step.expand()(x, u).full(), step(x, u).full(), rtol=1e-14)
 
 
+@pytest.mark.thorough
 def test_physics_is_sx_and_networks_are_mx():
     found = [tn.casadi_step(example(name)).class_name() for name in ("qube", "qube hybrid")]
     assert found == ["SXFunction", "MXFunction"]

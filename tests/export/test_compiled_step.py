@@ -64,6 +64,7 @@ def test_it_follows_a_whole_rollout_for_any_mix_of_coordinates(coordinates):
     np.testing.assert_allclose(x, expected[-1], rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_it_carries_internal_states_along():
     model = network((SLIDE, ARM), relaxation_times=(0.1, 0.7), output_bias=True)
     step, x = tn.compiled_step(model), np.linspace(0.1, 0.8, 8)
@@ -73,6 +74,7 @@ def test_it_carries_internal_states_along():
     np.testing.assert_allclose(x, expected[-1], rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_linear_map_beside_the_network_counts():
     model = network((SLIDE, ARM), relaxation_times=(0.1,), linear=True)
     beside = random_affine(*model.network.shape, jax.random.key(2))

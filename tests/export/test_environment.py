@@ -258,6 +258,7 @@ def belt_file(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", [None, [5.0, 5.0 * RADIUS, 0.0, 0.0]])
 def test_random_starts_do_not_stretch_a_stiff_belt(belt_file, start):
     envs = gymnasium.make_vec(ID, 300, model=belt_file, system=BELT, start=start).unwrapped
@@ -403,6 +404,7 @@ assert not jax.config.jax_enable_x64 and jax.numpy.ones(1).dtype == np.float32
     np.testing.assert_allclose([float(x) for x in done.stdout.split()], expected, rtol=1e-13)
 
 
+@pytest.mark.thorough
 def test_the_pages_programs_run_as_they_stand(run_folder, monkeypatch):
     programs = blocks("Gymnasium", "python")
     monkeypatch.chdir(run_folder)

@@ -162,6 +162,7 @@ def test_an_importer_finds_nothing_wrong(name, version, written):
         assert files == ["model.c", "fmu.c", "fmi3.c"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_communication_step_of_several_periods_holds_the_input(version, written):
     of = source("qube network")
@@ -225,6 +226,7 @@ class Instance:
         return self.x()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["first-order", "hybrid"])
 def test_what_an_importer_tells_of_later_inputs_is_used(name, written):
     of, u = source(name), inputs(source(name), 60)

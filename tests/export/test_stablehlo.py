@@ -87,6 +87,7 @@ def elsewhere(script: str, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_a_free_run_sees_samples_as_the_step_does():
     source = example_source("band-limited")
     x0, w = (of[0] for of in source.samples(1))

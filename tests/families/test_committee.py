@@ -108,6 +108,7 @@ def test_those_alike_run_as_one_and_the_others_beside_them():
     np.testing.assert_allclose(stepped(folded, x, u), stepped(together, x, u), rtol=1e-4)
 
 
+@pytest.mark.thorough
 def test_internal_states_have_the_number_of_their_member_and_the_longest_warm_up_counts():
     together = tn.committee(every_family())
     assert together.internal == (
@@ -190,6 +191,7 @@ def loaded(seed: int) -> tn.HybridModel:
     return tn.HybridModel(tn.discretise(model, DT), network(seed))
 
 
+@pytest.mark.thorough
 def test_members_take_the_values_of_a_records_group():
     together = tn.committee([loaded(0), loaded(1)])
     loads = ("light", "heavy", "light", "heavy")

@@ -244,6 +244,7 @@ def test_training_corrects_what_the_physics_leaves_and_the_file_keeps_it(records
         run_fit(prepared(other), folder, "resume")
 
 
+@pytest.mark.thorough
 def test_the_physics_takes_no_more_steps_than_its_own_errors_are_worth(records):
     fine = tn.discretise(swing_model(), DT, 8)
 

@@ -166,6 +166,7 @@ def arrays(path: Path) -> dict[str, bytes]:
     return {name: a.tobytes() for name, a in safetensors.numpy.load_file(path).items()}
 
 
+@pytest.mark.thorough
 def test_it_trains_and_better_than_it_began(place, pendulum):
     log = [json.loads(x) for x in (place / "run/seed-0/log.jsonl").read_text().splitlines()]
     assert log[-1]["loss"] < 0.8 * log[0]["loss"]
@@ -217,6 +218,7 @@ def test_it_is_cross_validated(pendulum):
     assert len(found.scores) == 10
 
 
+@pytest.mark.thorough
 def test_it_corrects_physics_and_is_corrected(place, pendulum, tmp_path):
     (tmp_path / "bare.py").write_text(SYSTEM)
     bare = tn.load_system(tmp_path / "bare.py")

@@ -188,6 +188,7 @@ def test_results_of_every_kind_of_run_are_discarded_and_nothing_else(tmp_path):
     assert not (tmp_path / "seed-0").exists()
 
 
+@pytest.mark.thorough
 def test_a_diverged_training_is_resumed_with_its_whole_log(folder, tiny_recipe, tmp_path):
     tiny_recipe.write_text(tiny_recipe.read_text().replace("rate = 3e-3", "rate = 1e3"))
     first = run(tn.load(folder), small(tiny_recipe), [0], tmp_path / "run")
@@ -214,6 +215,7 @@ def test_a_folder_that_is_removed_while_it_is_written_into_ends_the_run(
         run_fit(fit, place, "refuse", Listener(on_epoch=remove))
 
 
+@pytest.mark.thorough
 def test_a_run_without_validation_records_is_judged_on_its_training_records(
     pendulum, tiny_recipe, tmp_path
 ):

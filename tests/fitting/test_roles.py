@@ -77,6 +77,7 @@ def with_short_validation(pendulum: tn.DataSet) -> tn.DataSet:
     return tn.DataSet("toy", (*pendulum, short))
 
 
+@pytest.mark.thorough
 def test_a_training_leaves_short_validation_records_out(pendulum, tiny_recipe, tmp_path):
     data, messages = with_short_validation(pendulum), []
     recipe = read_recipe(tiny_recipe, ["start=model-20", "stages.*.epochs=1"])

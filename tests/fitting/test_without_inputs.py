@@ -52,12 +52,13 @@ WITH_VALIDATION = ("train", "train", "validation", "validation")
 @pytest.mark.parametrize(
     ("of", "keys", "splits"),
     [
-        ("gru", {}, WITH_VALIDATION),
+        pytest.param("gru", {}, WITH_VALIDATION, marks=pytest.mark.thorough),
         ("hybrid", {}, WITH_VALIDATION),
-        (
+        pytest.param(
             "with memory, taps and a linear map",
             {"horizon": 0.8, "start": "model-10"},
             WITH_VALIDATION,
+            marks=pytest.mark.thorough,
         ),
         ("neural-ode", {}, ("train",)),
     ],

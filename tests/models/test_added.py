@@ -107,6 +107,7 @@ def nominal(system: LagrangianSystem) -> tn.LagrangianModel:
     return system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("base", [CART, BARE], ids=lambda s: s.name)
 @pytest.mark.parametrize("law", AGAINST)
 def test_a_force_acts_on_its_coordinate_alone(base, law):
@@ -259,6 +260,7 @@ def test_a_law_without_a_coordinate_is_one_at_each():
     ]
 
 
+@pytest.mark.thorough
 def test_dry_frictions_of_a_coordinate_share_the_speed_at_which_they_turn():
     system = added(SWING, "coulomb", "coulomb_by_position")
     assert system.added_parameters == ("angle.coulomb", "angle.smooth_speed", "angle.rubbing")

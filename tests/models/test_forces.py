@@ -37,6 +37,7 @@ def test_viscous_friction_takes_a_damping_per_coordinate():
     np.testing.assert_allclose(found, [0.2, -1.5])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", [coulomb, stribeck])
 def test_dry_friction_is_odd_and_smooth_through_rest(friction):
     found = np.asarray(jax.vmap(friction)(SPEEDS))

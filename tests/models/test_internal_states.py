@@ -238,6 +238,7 @@ def test_a_memory_says_which_of_its_states_are_searched_for():
         replace(MEMORY, searched=("spin",))
 
 
+@pytest.mark.thorough
 def test_sensor_errors_change_all_of_them():
     kinds = dict.fromkeys("hmf", True) | {"c": False}
     gain, bias, drive = 1.3, 0.2, 0.8
@@ -256,6 +257,7 @@ def test_sensor_errors_change_all_of_them():
     np.testing.assert_allclose(begun, [*angle, 0.9 * drive * u[0], SHARE * x[1]], rtol=1e-11)
 
 
+@pytest.mark.thorough
 def test_a_sampled_controller_holds_while_everything_else_moves():
     """Steps against those of Runge and Kutta by hand, under the law by hand, with a delay."""
     kinds = dict.fromkeys("hmfc", True)

@@ -76,6 +76,7 @@ def layered(x, outer, inner):
     return outer @ hidden + inner.T @ hidden
 
 
+@pytest.mark.thorough
 def test_layers_that_are_given_have_the_gradients_of_jax():
     generator = np.random.default_rng(0)
     matrices = {"outer": (4, 12), "inner": (12, 4)}

@@ -61,6 +61,7 @@ def smooth(x: jax.Array) -> list:
     return [*(f(x) for f in one), *two, *more]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [3, SIZE])
 def test_every_operation_is_differentiated_as_jax_does_it(size):
     x = np.linspace(0.1, 0.9, size)

@@ -87,6 +87,7 @@ def swinging(*links: tn.Link) -> tn.LagrangianSystem:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_packaged_systems_stay_within_the_picture(name):
     system = tn.load_system(name)

@@ -62,6 +62,7 @@ def test_a_table_that_is_too_wide_for_a_terminal_is_a_block_for_each_row():
     assert "record one" not in told[80, True] + told[12, False]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ahead.svg", "ahead.pdf", "ahead.png"])
 def test_the_bytes_of_a_figure_say_nothing_of_when_it_was_written(name, pendulum, tmp_path):
     folders = [tmp_path / "first", tmp_path / "second"]
@@ -163,6 +164,7 @@ def test_durations_are_told_in_units_of_their_size():
     assert [duration(s) for s in (7.4, 99, 150, 9000)] == ["7 s", "99 s", "2 min", "2.5 h"]
 
 
+@pytest.mark.thorough
 def test_a_training_tells_how_long_epochs_take_apart_from_compiling(pendulum, tiny_recipe):
     reports = []
     # as wide as nothing else here: nothing is compiled yet

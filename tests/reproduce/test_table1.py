@@ -122,6 +122,7 @@ def test_tables_come_in_markdown_and_latex(layout):
     assert table.latex().count(r"\\") == len(table.rows) + 1
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn_for_every_record_and_figure_4_for_the_papers(layout, tmp_path):
     data = tn.load(layout)
     assert figures.choose_experiment(data, "test", None) == "fallTest4"

@@ -21,6 +21,7 @@ def test_the_share_of_others_is_of_all_processors(others, share, monkeypatch):
     assert measured.share == pytest.approx(share)
 
 
+@pytest.mark.thorough
 def test_a_busy_machine_is_named_with_the_budget_that_does_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(OtherPrograms, "share", 0.6)
     said: list[str] = []

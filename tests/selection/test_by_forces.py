@@ -142,6 +142,7 @@ def test_resumed_nothing_is_fitted_again_but_the_last_model(made):
     assert again.choice.result("grey").unexplained == made.choice.result("grey").unexplained
 
 
+@pytest.mark.thorough
 def test_columns_that_forces_show_to_be_mistaken_end_the_search(tmp_path):
     """Torques that are exchanged: no candidate that follows could be worth its time."""
     (arm := tmp_path / "arm.urdf").write_text(ARM)
@@ -195,6 +196,7 @@ def applicable(plan: str, system: LagrangianSystem | None, data=None) -> tuple[l
     return [c.name for c in candidates], "; ".join(f.text for f in findings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plan", packaged_plans())
 def test_packaged_plans_begin_with_forces_where_they_tell_all_parameters(plan):
     names, _ = applicable(plan, SWING)
@@ -263,6 +265,7 @@ def test_forces_of_the_true_system_explain_records_and_those_of_another_do_not()
     assert much > 4 * little
 
 
+@pytest.mark.thorough
 def test_a_robot_is_judged_in_the_loop_of_its_controller(tmp_path):
     robot = tn.load_robot(PENDULUM)
     data = record_in_loop(robot, true_values(robot, 0), 4, 2.0, knows_controller=True)

@@ -220,6 +220,7 @@ def test_a_machine_with_other_packages_does_nothing(machine, monkeypatch):
         done(machine, RunContext(swings(), SCORING, Path("x")), Job("l", read_recipe("linear"), 0))
 
 
+@pytest.mark.thorough
 def test_a_folder_that_a_worker_does_not_share_ends_the_selection(machine, tmp_path, monkeypatch):
     context = RunContext(swings(), SCORING, tmp_path / "there")
     elsewhere = replace(context, folder=tmp_path / "here")

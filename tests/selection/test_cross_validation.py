@@ -48,6 +48,7 @@ def options_for(kind: str) -> CrossValidationOptions:
     return make_cross_validation_options(hybrid, system=SWING, physics=grey, folds=3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["network", pytest.param("hybrid", marks=pytest.mark.thorough)])
 def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp_path):
     options, made = options_for(kind), [Counting() for _ in range(3)]

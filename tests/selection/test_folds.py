@@ -195,6 +195,7 @@ def done(pendulum) -> tuple[CrossValidationResult, list[TrainingPlan], list[FitR
         return cross_validate(pendulum, asked), plans, results
 
 
+@pytest.mark.thorough
 def test_every_record_is_scored_by_all_seeds(done, pendulum):
     found, _, _ = done
     scored = sorted((s.record, s.seed) for s in found.scores)

@@ -99,6 +99,7 @@ def alone(tmp_path_factory):
 # --- what is chosen ---
 
 
+@pytest.mark.thorough
 def test_a_difference_on_a_single_record_is_said_to_be_on_too_few(made):
     def on_one(result: CandidateResult) -> CandidateResult:
         first, *_ = result.fits_by_fold[0]
@@ -426,6 +427,7 @@ def test_resumed_it_does_no_job_twice_and_comes_to_the_same(alone):
     assert (choice.context.folder / "model.safetensors").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_a_job_of_other_records_is_done_again(tmp_path):
     data = swings()
     first, _ = selected(tmp_path, text=SOLVED)
@@ -787,6 +789,7 @@ folds = 3
 """
 
 
+@pytest.mark.thorough
 def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
     plan = plan_in(tmp_path, MECHANISM)
     with pytest.raises(InputError, match=r"only without a system: mechanism, hybrid"):

@@ -119,6 +119,7 @@ def test_a_stiff_controller_hides_when_its_input_acts():
     assert found.verdict in ("unclear", "none")
 
 
+@pytest.mark.thorough
 def test_two_inputs_are_told_apart():
     one = [simulate(Truth(delay=1.0), seed) for seed in range(4)]
     other = [simulate(Truth(), seed + 20) for seed in range(4)]

@@ -122,6 +122,7 @@ def test_members_side_by_side_are_done_one_by_one():
         np.testing.assert_allclose(states, jax.jit(run)(model), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_machine_code_cannot_do_is_left_to_jax(monkeypatch):
     assert layered_steps(physics(), (1,), np.float64) is None  # no layers
 

@@ -71,6 +71,7 @@ def test_a_constant_under_a_zero_order_hold_is_integrated_exactly():
     np.testing.assert_allclose(result[:, 0], 0.3 + 3.5 * t**2, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_order_is_four_while_the_input_follows_a_straight_line():
     e = pushed(np.linspace(-30.0, 40.0, 5), "first-order", 0.1)
     model = body("first-order", gravity=20.0)

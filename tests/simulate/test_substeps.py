@@ -43,6 +43,7 @@ def swings() -> list[tn.Experiment]:
     return result
 
 
+@pytest.mark.thorough
 def test_tighter_tolerances_take_more_substeps_and_are_kept(swings):
     tolerances = [1e-1, 1e-3, 1e-6]
     chosen = [tn.choose_substeps(MODEL, swings, tolerance) for tolerance in tolerances]

@@ -26,6 +26,7 @@ def exact() -> tn.DataSet:
     return duffing_twin(exact=True)
 
 
+@pytest.mark.thorough
 def test_there_are_multisines_and_noise_that_grows(twin):
     lengths = {split: [len(e) for e in twin.split(split)] for split in twin.splits}
     assert lengths == {"train": [4096] * 6, "validation": [4096] * 2, "test": [8192]}

@@ -49,6 +49,7 @@ def test_a_coordinate_that_turns_around_has_no_spring():
     assert "angle.spring" not in MECHANISM.for_records([turned]).nominal()
 
 
+@pytest.mark.thorough
 def test_with_the_right_values_it_moves_as_the_cart_does():
     """`CART` divided by the cart's inertia of 2 kg."""
     values = {

@@ -148,6 +148,7 @@ def test_a_urdf_is_written_in_mujocos_format_with_its_armatures(name, tmp_path):
     assert [limits.position for limits in again.limits] == [x.position for x in system.limits]
 
 
+@pytest.mark.thorough
 def test_an_export_says_what_the_same_torques_do_without_an_armature(tmp_path):
     system = tn.load_system(ROBOTS / "double_pendulum.urdf")
     nominal = system.nominal()

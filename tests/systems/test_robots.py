@@ -93,6 +93,7 @@ def test_equations_of_random_chains_are_those_of_mujoco(seed, tmp_path):
         assert_near(bias, expected[1])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [5, 7])
 def test_a_mimic_joint_moves_as_the_joint_that_it_follows(seed, tmp_path):
     """By the equations of all joints and the constant ratios between them."""
@@ -240,6 +241,7 @@ def test_friction_by_name_adds_to_that_of_every_joint():
     np.testing.assert_allclose(extra, level * np.tanh(np.asarray(v) / widths), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_friction_by_a_recipe_is_that_of_the_robots_option():
     robot, names = ROBOTS / "scara.urdf", ("stribeck", "load", "curve")
     by_option, plain = tn.load_robot(robot, friction=names), tn.load_robot(robot)

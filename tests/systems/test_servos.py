@@ -63,6 +63,7 @@ def accelerations_in_mujoco(there, points: np.ndarray) -> np.ndarray:
     return np.stack(found)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("actuators", SERVOS)
 def test_servos_accelerate_as_in_mujoco_and_are_written(actuators, tmp_path):
     """Within and beyond all limits, with the values of the file and with others."""

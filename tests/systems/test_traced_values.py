@@ -52,6 +52,7 @@ def simulated(system):
     return states[0, -1], x
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "body",
     [

@@ -40,6 +40,7 @@ def test_the_seed_decides_everything(twin):
     assert not same(twin, qube_servo2_twin.twin(1))
 
 
+@pytest.mark.thorough
 def test_there_are_as_many_records_as_were_published(twin):
     counts = {
         split: (len(of(twin.split(split), "_fall")), len(of(twin.split(split), "_noise")))

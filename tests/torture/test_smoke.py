@@ -5,9 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.thorough
 def test_a_few_cases_and_the_corpus_have_no_finding(tmp_path):
     # in a process of its own: people run the package without the type checks of the test set-up
     command = [sys.executable, "-m", "tests.torture", "--parts", "corpus,fuzz,headers,verbs"]

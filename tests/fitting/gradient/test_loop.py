@@ -137,6 +137,7 @@ def test_the_second_stage_starts_from_the_best_weights_with_a_fresh_optimiser(wh
     assert float(state.progress.plateau.rate[0]) == pytest.approx(1e-3)
 
 
+@pytest.mark.thorough
 def test_the_best_weights_are_those_of_the_lowest_validation_free_run(whole, prepared):
     model, progress, reports, _ = whole
     lowest = min(r.validation for r in reports if r.stage == "second")
@@ -149,6 +150,7 @@ def mirrored_records(prepared: TrainingPlan) -> TrainingPlan:
     return dataclasses.replace(prepared, records=jax.tree.map(jnp.negative, prepared.records))
 
 
+@pytest.mark.thorough
 def test_a_mirrored_window_is_that_of_the_mirrored_records(prepared, monkeypatch):
     # the clip limits nothing: it keeps these programs apart from those of other tests
     quick = {"epochs": 2, "clip": 1e6, "keep": "training", "plateau": None}
@@ -194,6 +196,7 @@ def decaying_whole(decaying):
     return run(decaying)
 
 
+@pytest.mark.thorough
 def test_the_weights_of_the_last_epoch_can_be_kept(decaying_whole):
     model, progress, _, states = decaying_whole
     assert [p.best_epoch for p in progress] == [7, 7]
@@ -402,6 +405,7 @@ def test_after_a_rollback_training_can_finish(longer):
     assert mine[events[0] + 1].rate == pytest.approx(mine[events[0]].rate / 2)
 
 
+@pytest.mark.thorough
 def test_many_seeds_and_rates_are_fitted_at_once(pendulum, prepared):
     recipe = prepared.recipe.model_copy(update={"stages": prepared.recipe.stages[:1]})
     results = fit_many(pendulum, recipe, seeds=[0, 1], rates=[1.0, 0.5])

@@ -71,6 +71,7 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system, slipping, wit
     assert better < worse
 
 
+@pytest.mark.thorough
 def test_a_motor_that_turns_with_two_joints_is_found(system):
     channel = "elbow+roll"
     data = twin(system, f"armature:{channel}", f"viscous:{channel}", armature=0.05, viscous=0.3)
@@ -133,6 +134,7 @@ def test_the_wrist_of_a_measured_arm_is_found(real_data):
     assert np.mean(held_out) < 0.15
 
 
+@pytest.mark.thorough
 def test_forces_of_a_record_are_those_that_a_fit_names(slipping, without):
     data, result = slipping, without
     (record,) = data.split("validation")

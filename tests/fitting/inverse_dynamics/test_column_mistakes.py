@@ -52,11 +52,13 @@ def sentences(data: tn.DataSet, system: LagrangianSystem, changes: Sequence[str]
     return [f.text for f in findings if f.code in codes]
 
 
+@pytest.mark.thorough
 def test_right_columns_are_not_doubted(system: LagrangianSystem, twin: tn.DataSet) -> None:
     assert sentences(twin, system) == []
     assert describe_beyond_limits(system, [*twin]) == ()
 
 
+@pytest.mark.thorough
 def test_what_counts_otherwise_than_the_file_has_it_is_a_finding(
     twin: tn.DataSet, tmp_path: Path
 ) -> None:

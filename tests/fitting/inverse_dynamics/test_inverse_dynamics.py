@@ -43,6 +43,7 @@ def result(system, twin) -> tn.Identification:
     return tn.identify(twin, system, "inverse-dynamics")
 
 
+@pytest.mark.thorough
 def test_forces_are_explained_on_records_that_were_held_out(result):
     joints = ["shoulder", "elbow", "lift", "roll"]
     errors = {(e.split, e.coordinate): e for e in result.force_errors}
@@ -140,6 +141,7 @@ def test_no_record_is_kept_from_the_fit_to_choose_something():
     assert tn.read_recipe("grey").needs_validation
 
 
+@pytest.mark.thorough
 def test_slow_records_are_scored_over_as_many_samples_as_a_start_needs(system, truth):
     data = record_in_loop(system, truth, count=2, seconds=12.0)
     slow = [

@@ -50,6 +50,7 @@ def result() -> tn.Identification:
     return tn.identify(data_set(rubbed()), KNOWN_GAIN, usual)
 
 
+@pytest.mark.thorough
 def test_dry_friction_and_a_cubic_spring_are_found_with_the_parameters(result):
     values = {e.name: (e.value, e.unit) for e in result.estimates}
     assert values["angle.coulomb"] == (pytest.approx(RUBBED["angle.coulomb"], rel=0.005), "N m")
@@ -130,6 +131,7 @@ def test_the_lag_of_an_actuator_is_found_and_kept_in_a_file(tmp_path):
     np.testing.assert_allclose(again.initial_state(x[:2], u), [0.3, -1.0, 2.0])
 
 
+@pytest.mark.thorough
 def test_ends_of_travel_are_found():
     """Of a link that a motor drives from one end to the other, where it hardly bounces."""
     driven = [simulated(f"driven{k}", [0.0, 0.0], 5 * voltage(200, k)) for k in (1, 2, 3)]
@@ -143,6 +145,7 @@ def test_ends_of_travel_are_found():
     assert values["gravity"][0] == pytest.approx(TRUTH["gravity"], rel=0.05)
 
 
+@pytest.mark.thorough
 def test_the_dead_zone_of_an_input_is_found_and_kept_in_a_file(tmp_path):
     truth = {"voltage.dead_zone": 0.4}
     made = driven_again(with_added(SWING, ["dead_zone"], records(), {}), truth)

@@ -28,6 +28,7 @@ def result(balancing) -> tn.Identification:
     return tn.identify(balancing, SYSTEM, grey("initial=anchored"))
 
 
+@pytest.mark.thorough
 def test_held_records_are_identified_over_the_segments_that_they_allow(balancing, result):
     assert result.converged
     assert worst(result, TRUTH) < 0.05
@@ -62,6 +63,7 @@ def test_validation_is_over_the_horizon_found(balancing, result):
     assert tn.evaluate(result.model, validation, result.start)[0].rmse > 1.0
 
 
+@pytest.mark.thorough
 def test_records_that_swing_stay_whole_beside_one_that_is_held():
     """A held record of the swing: noise on its input answers to where it is."""
     top = 0.4 + np.pi

@@ -25,6 +25,7 @@ def result(records) -> tn.Identification:
     return tn.identify(records, SWING)
 
 
+@pytest.mark.thorough
 def test_records_are_simulated_as_a_whole(records, result):
     """Upright is unstable, and nothing is cut into segments: the controller holds it."""
     assert result.converged
@@ -82,6 +83,7 @@ def test_a_model_file_keeps_the_loop(records, result, tmp_path):
         assert len(set(scores)) == 1
 
 
+@pytest.mark.thorough
 def test_a_law_that_is_not_the_cards_is_said():
     """Without its feed-forward and with another gain the voltage is another one."""
     result = tn.identify(

@@ -114,6 +114,7 @@ def driven(system=LAGGING) -> list[tn.Experiment]:
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("length", [None, 50])
 def test_derivatives_by_parameters_and_delays_hold_where_states_follow_inputs(length):
     space = make_search_space(LATE, {}, {})

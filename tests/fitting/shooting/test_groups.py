@@ -131,6 +131,7 @@ def test_without_a_record_a_model_of_several_groups_does_not_step():
     assert at.b[1, 0] == pytest.approx(GAIN * DT / (0.16 * 0.21), rel=0.05)
 
 
+@pytest.mark.thorough
 def test_values_are_fixed_for_all_groups_or_for_one():
     result = tn.identify(data_set(list(both())), PER, fixed={"mass": 0.42, "mass[1kg]": 0.21})
     assert result.fixed["mass[1kg]"] == 0.21

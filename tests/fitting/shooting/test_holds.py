@@ -115,6 +115,7 @@ def test_the_model_and_its_file_have_the_hold_that_was_found(system, recipe, tmp
         tn.evaluate(model, [logged("first-order", 0)], "derived-6")
 
 
+@pytest.mark.thorough
 def test_what_begins_with_such_a_model_keeps_its_hold(tmp_path):
     unknown = [without_hold(logged("band-limited", seed)) for seed in range(3)]
     data = tn.DataSet("d", tuple(unknown))

@@ -106,6 +106,7 @@ def differences(function, at: np.ndarray) -> np.ndarray:
     return np.stack([(function(at + d) - function(at - d)) / (2 * h) for d in steps], axis=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("periodic", [False, True])
 def test_products_are_those_of_finite_differences(pieces, states, normal, periodic):
     if periodic:

@@ -30,6 +30,7 @@ def result() -> tn.Identification:
     return tn.identify(data_set([read_by_encoder(e) for e in records()]), "mechanism", "mechanism")
 
 
+@pytest.mark.thorough
 def test_a_mechanism_is_found_from_its_records_alone(result):
     model = result.model.continuous
     assert isinstance(model, LagrangianModel)
@@ -157,6 +158,7 @@ def offering(*parameters: Parameter) -> tn.LagrangianSystem:
     )
 
 
+@pytest.mark.thorough
 def test_a_reversed_sign_is_looked_for_where_terms_are_optional():
     spring = Parameter("spring", "N m/rad", 0.0, -5.0, 5.0, optional=True)
     system = replace(SWING, parameters=(*SWING.parameters, spring))

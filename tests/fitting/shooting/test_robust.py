@@ -40,6 +40,7 @@ def student() -> tn.Identification:
 TRUE = TRUTH | {"angle.bias": BIAS, "voltage.gain": INPUT_GAIN}
 
 
+@pytest.mark.thorough
 def test_zero_and_gain_are_found_within_their_intervals_despite_spikes(student):
     for e in student.estimates:
         assert e.interval is not None
