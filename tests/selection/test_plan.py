@@ -7,7 +7,8 @@ import pytest
 from small_selection import plan_in
 
 from tustinnet.errors import InputError
-from tustinnet.selection.plan import Average, packaged_plans, read_plan
+from tustinnet.fitting.recipe import IdentificationRecipe
+from tustinnet.selection.plan import Average, Candidate, packaged_plans, read_plan
 
 
 def broken(folder, old: str, new: str):
@@ -37,6 +38,18 @@ def test_a_candidate_may_change_its_recipe(tmp_path):
     )
     hyper: Any = read_plan(path).candidate("network").content.model
     assert hyper.hidden == (3,)
+
+
+def test_a_search_that_begins_with_forces_is_over_pieces_but_for_its_own_horizon():
+    def horizon(**keys) -> float | None:
+        candidate = Candidate.model_validate({"name": "grey", "recipe": "best-grey", **keys})
+        recipe = candidate.recipe_over(0.5)
+        assert isinstance(recipe, IdentificationRecipe)
+        return recipe.search.horizon
+
+    assert horizon() is None
+    assert horizon(begins_with=("forces",)) == 0.5
+    assert horizon(begins_with=("forces",), set=("search.horizon=2.0",)) == 2.0
 
 
 @pytest.mark.parametrize(
