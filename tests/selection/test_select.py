@@ -19,7 +19,7 @@ import tustinnet as tn
 from tustinnet.control.plants import load_rivals
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.metrics import expected_range, mean_and_error
 from tustinnet.fits import deadline
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
@@ -285,6 +285,23 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     lost = replace(choice, reference=replace(choice.reference, scores=(small,)))
     (short,) = [f.text for f in lost.findings if f.code == "nothing follows"]
     assert short.startswith("nothing follows these records better than standing still; look at ")
+
+
+def test_a_committee_on_few_records_is_expected_to_be_as_good_as_its_member_on_the_others(made):
+    choice, name = made.choice, "hybrid, seeds averaged"
+    whole = choice.candidates.committees[name]
+    few = replace(whole.result, fits_by_fold={0: whole.result.fits_by_fold[0]})
+    committees = {**choice.candidates.committees, name: replace(whole, result=few)}
+    candidates = replace(choice.candidates, committees=committees)
+    cut = replace(choice, candidates=candidates, best=name)
+    member = choice.result("hybrid").rmse()
+    expected = {record: few.rmse().get(record, error) for record, error in member.items()}
+    assert cut.candidates.expected_errors(name) == expected
+    told = cut.findings[1].text
+    assert f"of {len(member)} records that its models were not fitted to, " in told
+    assert f", {len(member) - len(few.rmse())} of them by hybrid alone: " in told
+    assert f": {np.mean([*expected.values()]):.3g} " in told
+    assert cut.claim == expected_range(expected.values())
 
 
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:

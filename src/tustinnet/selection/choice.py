@@ -108,18 +108,21 @@ class Choice(Shown):
     def _cloud(self) -> TrainingSupport | None:
         return training_support(self.context.data.channels, self._records)
 
+    @cached_property
+    def _rmse(self) -> dict[str, float]:
+        return self.candidates.expected_errors(self.best)
+
     @property
     def follows(self) -> bool:
         """Whether the chosen one follows the records better than a trivial predictor."""
-        mean, _ = mean_and_error(self.result(self.best).rmse().values())
-        return mean < self.reference.mean
+        return mean_and_error(self._rmse.values())[0] < self.reference.mean
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The accuracy of the chosen model, and the reasons for the choice."""
         best = self.result(self.best)
         chosen = make_finding("chosen", name=self.best, made=self.origins[self.best])
-        mean, _ = mean_and_error(best.rmse().values())
+        mean, _ = mean_and_error(self._rmse.values())
         if not math.isfinite(mean):
             return (chosen, make_finding("records diverge"), *self._unscored, *self.notes)
         return (
@@ -137,7 +140,8 @@ class Choice(Shown):
         )
 
     def _accuracy(self, best: CandidateResult) -> Iterator[Finding]:
-        rmse, total = best.rmse(), len(self._records)
+        rmse, total = self._rmse, len(self._records)
+        alone = len(rmse) - len(best.rmse())
         mean, error = mean_and_error(rmse.values())
         worst = max(rmse, key=lambda record: rmse[record])
         yield make_finding(
@@ -145,6 +149,8 @@ class Choice(Shown):
             horizon=self.context.scoring.horizon,
             records=len(rmse),
             total=total if total > len(rmse) else None,
+            alone=alone or None,
+            member=self.candidates.leading_member(best.name),
             mean=mean,
             error=error,
             unit=self.unit,
@@ -224,12 +230,12 @@ class Choice(Shown):
     @property
     def claim(self) -> ErrorRange | None:
         """The error that a new record is expected to have; None where too few were scored."""
-        return expected_range(self.result(self.best).rmse().values())
+        return expected_range(self._rmse.values())
 
     @property
     def _expectation(self) -> Iterator[Finding]:
         """The error of a new record, and what makes the scores say little of it."""
-        rmse, claim, unit = self.result(self.best).rmse(), self.claim, self.unit
+        rmse, claim, unit = self._rmse, self.claim, self.unit
         if claim is not None:
             yield make_finding(
                 "expected vaguely" if claim.high > _VAGUE * claim.typical else "expected",
@@ -256,7 +262,7 @@ class Choice(Shown):
     def _by_kind(self) -> dict[str, list[float]]:
         """The errors of the chosen candidate by kind of record, as folds know it."""
         by_kind: dict[str, list[float]] = {}
-        for name, error in self.result(self.best).rmse().items():
+        for name, error in self._rmse.items():
             by_kind.setdefault(kind_of(name), []).append(error)
         return by_kind
 

@@ -67,6 +67,14 @@ class SelectionResults:
         """The candidate with the largest share of a committee; of a candidate its own name."""
         return max(self.members(name), key=lambda member: member[1])[0].name
 
+    def expected_errors(self, name: str) -> dict[str, float]:
+        """The RMSE of a candidate or committee by record, as new records may have it.
+
+        A committee may be scored on fewer records than its leading member: on the others it is
+        expected to be as good as that.
+        """
+        return self.result(self.leading_member(name)).rmse() | self.result(name).rmse()
+
     def members(self, name: str) -> list[tuple[CandidateResult, float]]:
         """The candidates that a committee, or a candidate by itself, is made of; their shares."""
         shares = self.committees[name].shares if name in self.committees else {name: 1.0}

@@ -301,7 +301,8 @@ def _choose(
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
-    scored = [e for e in records_without_test(context.data) if e.name in best.rmse()]
+    errors = candidates.expected_errors(best.name)
+    scored = [e for e in records_without_test(context.data) if e.name in errors]
     choice = Choice(
         context,
         candidates,

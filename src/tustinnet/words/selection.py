@@ -18,7 +18,8 @@ SELECTION = {
     "records diverge": warning("free runs of some records diverge", "set `horizon` in the plan"),
     "accuracy": note(
         "free runs [[over {horizon:.3g} s ]]of {records:record}[[ (of {total})]] that its models "
-        "were not fitted to: {mean:.3g}[[ ± {error:.2g}]] {unit}, {share:percent} of the error of "
+        "were not fitted to[[, {alone} of them by {member} alone]]: {mean:.3g}[[ ± {error:.2g}]] "
+        "{unit}, {share:percent} of the error of "
         "{reference} ({reference_error:.3g} {unit}); worst {worst}, {largest:.3g} {unit}"
         "[[{few}, few of them: other records may be much further off]]"
     ),
