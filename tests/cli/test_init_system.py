@@ -205,16 +205,15 @@ def test_links_without_an_inertia_need_a_density_here_too(tmp_path: Path, capsys
         '<child link="l"/></joint></robot>'
     )
     folder = write_logs(tmp_path / "logs", "time_s,hip_rad,hip_torque", np.array([1.0, 5.0]))
-    command = ["init", folder, "--system", file, "--yes"]
-    code, _, err = tustinnet(capsys, *command)
+    code, _, err = tustinnet(capsys, "init", folder, "--system", file, "--yes")
     assert (code, err.count("\n")) == (1, 1)
-    assert "--default-density" in err
-    code, _, err = tustinnet(capsys, *command, "--default-density", "2700")
+    code_file = tmp_path / "arm.py"
+    told = "SYSTEM = tn.load_robot(FILE, default_density=2700.0)"
+    assert told in err
+    code_file.write_text(f"import tustinnet as tn\n{told.replace('FILE', repr('arm.urdf'))}")
+    code, _, err = tustinnet(capsys, "init", folder, "--system", code_file, "--yes")
     assert code == 0, err
-    assert "--default-density 2700 --out RUN" in err
-    code, _, err = tustinnet(capsys, "init", folder, "--default-density", "2700", "--overwrite")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "not applicable without the file of a robot" in err
+    assert f"--system {code_file} --out RUN" in err
 
 
 @pytest.mark.thorough

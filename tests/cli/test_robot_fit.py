@@ -189,10 +189,11 @@ def test_links_without_inertias_get_those_of_their_shapes(logs, tmp_path, capsys
     fit = ("fit", logs, "--recipe", "inverse-dynamics", "--no-report", "--out", tmp_path / "run")
     code, _, err = tustinnet(capsys, *fit, "--system", bare)
     assert (code, err.count("\n")) == (1, 1)
-    assert "--default-density" in err
-    code, _, err = tustinnet(capsys, *fit, "--system", "cart-pole", "--default-density", "2700")
-    assert code == 1
-    assert "--default-density: not applicable without the file of a robot" in err
+    told = "SYSTEM = tn.load_robot(FILE, default_density=2700.0)"
+    assert told in err
+    code, _, err = tustinnet(capsys, *fit, "--system", bare, "--default-density", "2700")
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"a system file: {told}" in err
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from tustinnet.cli.automatic_report import AutomaticReport, after_model, require
 from tustinnet.cli.fit_options import FitOptions, choose_recipe, make_members, require_cores
 from tustinnet.cli.init import draft_into_run
 from tustinnet.cli.models import (
-    find_system_to_fit,
     kept_system,
     read_origin,
     read_recipe_in,
@@ -40,6 +39,7 @@ from tustinnet.report import progress as progress_bars
 from tustinnet.report.page import fit_reports
 from tustinnet.store import files as disk
 from tustinnet.store import log, model_file, run_folder
+from tustinnet.systems import files as system_files
 
 _Plan = Annotated[
     str | None,
@@ -74,7 +74,6 @@ def fit(
     seeds: options.Seeds = None,
     physics: options.Physics = None,
     origin: options.Origin = None,
-    default_density: options.DefaultDensity = None,
     plan: _Plan = None,
     cluster: Annotated[str | None, options.cluster("Without a recipe: use")] = None,
     card: options.Card = None,
@@ -97,7 +96,7 @@ def fit(
     for option, model in (("--physics", physics), ("--from", origin)):
         if model is not None and out.resolve() in model.resolve().parents:
             raise InputError(out, f"the folder of {model}, which {option} names", "another folder")
-    found_system = find_system_to_fit(system, default_density)
+    found_system = None if system is None else system_files.find_system(system)
     selection = None
     if selects:
         refuse_options(

@@ -13,7 +13,7 @@ from tustinnet.check import drafting
 from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import require_apart
 from tustinnet.cli.inspect import print_inspection
-from tustinnet.cli.models import find_system_to_fit, require_readable_robot
+from tustinnet.cli.models import require_readable_robot
 from tustinnet.data import catalog, loading, readers
 from tustinnet.data.drafting import files as log_files
 from tustinnet.data.drafting import findings, system_columns
@@ -37,7 +37,6 @@ def init(
         ),
     ],
     system: options.SystemOfCard = None,
-    default_density: options.DefaultDensity = None,
     yes: Annotated[
         bool,
         typer.Option(
@@ -55,7 +54,7 @@ def init(
     column of a record with what it was taken for. With --system the card has the coordinates and
     inputs of the system, as the joints of a robot, and columns are matched with them.
     """
-    loaded = _load_system(system, default_density)
+    loaded = _load_system(system)
     folder, files = log_files.list_logs(logs)
     outputs = [folder / catalog.CARD_NAME, folder / FIGURE]
     disk.require_outputs(outputs, overwrite=overwrite, read=[folder / file for file in files])
@@ -81,8 +80,7 @@ def init(
             recipe = " --recipe grey"
         elif recipe and loaded.internal:  # of elastic gears
             recipe = " --recipe grey --set search.horizon=0.5"
-        density = "" if default_density is None else f" --default-density {default_density:g}"
-        fit += f"{recipe} --system {shlex.quote(str(system))}{density}"
+        fit += f"{recipe} --system {shlex.quote(str(system))}"
     terminal.messages().print(
         f"card: {folder / catalog.CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
         highlight=False,
@@ -90,14 +88,13 @@ def init(
     )
 
 
-def _load_system(which: str | None, default_density: float | None) -> "tn.LagrangianSystem | None":
+def _load_system(which: str | None) -> "tn.LagrangianSystem | None":
     """The system of a card, if one was named."""
-    require_readable_robot(which)
-    if which is None and default_density is None:
+    if which is None:
         return None
+    require_readable_robot(which)
     devices.prepare_jax()
-    file = find_system_to_fit(which, default_density)
-    return None if file is None else tn.load_system(file).plant
+    return tn.load_system(which).plant
 
 
 def _print_mismatches(draft: "tn.Draft", system: "tn.LagrangianSystem") -> None:

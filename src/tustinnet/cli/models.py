@@ -12,7 +12,7 @@ from tustinnet.fitting import task
 from tustinnet.store import kept_system as kept_systems
 from tustinnet.store import model_file
 from tustinnet.systems import files as system_files
-from tustinnet.systems import loading, robot_reading, robot_shapes
+from tustinnet.systems import loading, robot_reading
 
 
 def load_model(path: Path, system: str | None) -> "tn.Model":
@@ -64,32 +64,6 @@ def read_origin(
                 f"--set {change}", "--from sets the same initial values", "one of them", "omit one"
             )
     return model_file.load_origin(model, kept_system(model) if system is None else system)
-
-
-def find_system_to_fit(
-    system: str | None, default_density: float | None
-) -> "system_files.SystemFile | str | None":
-    """The system of a fit, if one was named.
-
-    Args:
-        system: its name or file.
-        default_density: density by which links of a URDF get inertias [kg/m^3]; None for none.
-
-    Raises:
-        InputError: no such system, or a density for what is no robot.
-    """
-    file = None if system is None else system_files.find_system(system)
-    if default_density is None:
-        return file
-
-    if file is None or isinstance(file, str):
-        raise InputError(
-            "--default-density",
-            "not applicable without the file of a robot",
-            "--system FILE.urdf",
-            "omit it",
-        )
-    return robot_shapes.with_inertias(file, default_density)
 
 
 def require_readable_robot(system: str | None) -> None:

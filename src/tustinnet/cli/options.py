@@ -81,14 +81,6 @@ SystemOfCard = Annotated[
         "FILE.xml of MuJoCo.",
     ),
 ]
-DefaultDensity = Annotated[
-    float | None,
-    typer.Option(
-        metavar="KG/M3",
-        help="With --system FILE.urdf: density by which links without an inertia get that of their "
-        "shapes, as 2700.",
-    ),
-]
 _RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."
 _CLUSTER = (
     "a Ray cluster, given as HOST:PORT of its head node. auto: the cluster in RAY_ADDRESS, else "

@@ -31,13 +31,10 @@ class SystemFile:
     Attributes:
         path: where it was read.
         text: its text.
-        default_density: density by which links of a robot got their inertias in the text
-            [kg/m^3], or None.
     """
 
     path: Path
     text: str
-    default_density: float | None = None
 
     @property
     def sha256(self) -> str:

@@ -81,7 +81,7 @@ def _load_file(file: SystemFile) -> LagrangianSystem:
     """The system of a file."""
     path, text = file.path, file.text
     if not file.is_code:
-        return RobotFile(text, path, RobotOptions(default_density=file.default_density)).load()
+        return RobotFile(text, path, RobotOptions()).load()
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     with _errors_with_place(path), _run_in(path.parent):

@@ -56,8 +56,7 @@ def with_inertias(file: SystemFile, density: float) -> SystemFile:
             "a link that a joint carries, with a shape and without an inertia",
             "leave it out: every link has its inertia",
         )
-    text = write_urdf(file.text, inertias, {})
-    return replace(file, text=text, default_density=density)
+    return replace(file, text=write_urdf(file.text, inertias, {}))
 
 
 def _inertia_of(element: ET.Element, density: float, place: str) -> LinkInertia:

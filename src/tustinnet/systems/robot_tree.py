@@ -295,7 +295,8 @@ class RobotTree:
                 self.path,
                 "links that move have no masses, or all their inertias and centres are 0",
                 "mass, centre and inertia",
-                "give them an <inertial> with these, or that of their shapes by `default_density=`",
+                "give them an <inertial> with these, or that of their shapes: a system file with "
+                "SYSTEM = tn.load_robot(FILE, default_density=2700.0)",
             )
 
 
