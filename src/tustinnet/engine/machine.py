@@ -14,7 +14,7 @@ _WIDTHS = (("avx512f", 8), ("avx", 4))  # numbers of a vector, by what the proce
 _NARROW = 2
 _CACHED_MODULES = 256  # compiled modules
 _LOCK = Lock()  # threads share LLVM's description of the processor: one compiles at a time
-_PASSES, _LEVEL = 1, 2  # how hard LLVM optimises modules, and instructions of the processor
+_LEVEL = 2  # how hard LLVM optimises instructions of the processor
 
 
 class CompiledModule:
@@ -28,9 +28,14 @@ class CompiledModule:
         binding, create = _target()
         target = create()  # the engine takes it and frees it in the end
         module = binding.parse_assembly(text)
-        options = binding.create_pipeline_tuning_options(speed_level=_PASSES)
-        passes = binding.create_pass_builder(target, options)
-        passes.getModulePassManager().run(module, passes)
+        # the usual passes take up to ten times as long, more so of large modules, for code that is
+        # a few percent faster: loops and vectors are written as they are to be
+        options = binding.create_pipeline_tuning_options(speed_level=0)
+        passes = binding.create_new_module_pass_manager()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_new_gvn_pass()
+        passes.run(module, binding.create_pass_builder(target, options))
         self._engine = binding.create_mcjit_compiler(module, target)
         self._engine.finalize_object()
 
