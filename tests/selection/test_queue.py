@@ -284,6 +284,19 @@ def test_a_second_one_of_a_kind_and_what_is_rarely_the_best_come_later():
     ]
 
 
+def test_what_is_cheap_is_tried_before_more_seeds_of_the_best():
+    other = {"name": "another grey", "recipe": "best-grey"}
+    quality = QUALITY | {"another grey": 0.03}
+    seconds = {"linear": 1.0, "grey": 15.0, "another grey": 15.0, "hybrid": 30.0}
+    executor = Pretended(
+        of=lambda job: scored(job, quality[job.candidate], seconds.get(job.candidate, 35.0))
+    )
+    tried({**PLAN, "candidates": [*PLAN["candidates"], other]}).run(executor)
+    more = [job.seeds == (1,) for job in executor.done]
+    assert any(more)
+    assert names(executor).index("another grey") < more.index(True)
+
+
 def test_what_is_ahead_on_few_records_is_fitted_to_more_before_others_of_its_kind_are_tried():
     errors = {"linear": (0.09, 0.09), "grey": (0.3, 0.3), "another network": (0.2, 0.2)}
     errors["network"] = (0.01, 0.088)  # on two records no clear difference
@@ -352,6 +365,20 @@ def test_a_network_is_expected_to_take_longer_where_its_equations_did(left):
     found.run(executor := Pretended(of=spending(left, seconds)))
     assert names(executor) == ["linear", "grey", "network"]
     assert "hybrid: left out, no time was left for it" in found.said
+
+
+def test_a_network_is_expected_to_take_longer_on_a_fold_with_stiffer_equations(left):
+    seconds = {"linear": 1.0, "grey": 5.0, "network": 10.0, "hybrid": 20.0}
+
+    def of(job: Job) -> JobResult:
+        left[0] -= seconds[job.candidate]
+        substeps = {"grey": 32 if job.fold == 1 else 4}.get(job.candidate, 1)
+        return scored(job, QUALITY[job.candidate], seconds[job.candidate], substeps=substeps)
+
+    found = tried({**PLAN, "rounds": [{"folds": 1}, {"folds": 3}]}, Deadline(0.0))
+    found.run(executor := Pretended(of=of))
+    assert [job.fold for job in executor.done if job.candidate == "hybrid"] == [0, 2]
+    assert left[0] < 160
 
 
 def test_a_first_try_leaves_as_much_for_the_others_and_the_last_one_has_all(left):

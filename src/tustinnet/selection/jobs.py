@@ -36,6 +36,7 @@ from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
+from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.folds import FoldSplit, split_into_folds
 from tustinnet.selection.plan import Candidate
@@ -121,6 +122,7 @@ class FitScore:
             explain along these records; of other models, and where forces tell nothing, none.
         column_mistakes: what forces along the records say of their columns: exchanged, in another
             unit, of the other sign.
+        substeps: integration steps in a period; 1 of a model that is not integrated.
     """
 
     seed: int
@@ -130,6 +132,7 @@ class FitScore:
     rmse: RmseByStart
     unexplained: Mapping[str, float] = field(default_factory=dict)
     column_mistakes: tuple[str, ...] = ()
+    substeps: int = 1
 
     @property
     def is_out_of_time(self) -> bool:
@@ -498,6 +501,7 @@ def _score_fits(
                 rmse,
                 unexplained=_unexplained_forces(job, fit, context),
                 column_mistakes=tuple(f.text for f in fit.findings if f.code in COLUMN_MISTAKES),
+                substeps=fit.model.substeps if isinstance(fit.model, Discretised) else 1,
             )
         )
     ended: Ended = "out of time" if any(f.is_out_of_time for f in fits) else "done"

@@ -2,10 +2,10 @@
 
 A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
 more folds and with more seeds. Next is what could change the ranking soonest, which is what takes
-least: first fits of every kind, and further ones of the best by then; after these, further fits of
-others that are among the best, and first fits of second ones of a kind. What is ahead of the best
-on the records that both have, and was scored on too few of them to be sure, is one fit from
-changing the ranking.
+least: first fits of every kind, and those of the best by then to further folds; after these,
+further seeds of it, further fits of others that are among the best, and first fits of second ones
+of a kind. What is ahead of the best on the records that both have, and was scored on too few of
+them to be sure, is one fit from changing the ranking.
 """
 
 import math
@@ -100,6 +100,7 @@ class CandidateQueue:
         self._promising = promising
         self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
         self._seconds_of_usual: dict[float, float] = {}  # of what usually takes so long
+        self._substeps: dict[str, int] = {}  # of the equations that a candidate corrected then
         self._running = list[Job]()
         self._jobs: dict[tuple[str, str], Job] = {}  # all that began, by candidate and name
         self._stopped: dict[tuple[str, str], float] = {}  # seconds of jobs that may go on
@@ -265,9 +266,9 @@ class CandidateQueue:
     ) -> tuple[bool, float]:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
-        First fits and further ones of the best are first, but for first fits of second ones of a
-        kind and of what the plan calls `last`. The cost is the expected seconds, which count more
-        the rarer that is, and for every fold before.
+        First fits and those of the best to further folds are first, but for first fits of second
+        ones of a kind and of what the plan calls `last`. The cost is the expected seconds, which
+        count more the rarer that is, and for every fold before.
 
         Args:
             candidate: the candidate.
@@ -279,15 +280,17 @@ class CandidateQueue:
         if not is_further and candidate.name not in self._promising:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
-        folds = max(len(self.results[candidate.name].fits_by_fold), 1)
-        cost = folds * self._expected(job) * self._options.rarely**power
-        return (not is_best if is_further else power > 0), cost
+        folds = self.results[candidate.name].fits_by_fold
+        cost = max(len(folds), 1) * self._expected(job) * self._options.rarely**power
+        is_rare = job.fold in folds or not is_best if is_further else power > 0
+        return is_rare, cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
 
         More where the equations that it corrects or begins with took longer than usual, or all
-        fits did, as on a machine that others use. Nothing where it is done already.
+        fits did, as on a machine that others use, and where the equations of its fold are stiffer
+        than those that it corrected before. Nothing where it is done already.
         """
         if self._is_on_disk(job):
             return 0.0
@@ -298,8 +301,16 @@ class CandidateQueue:
         }
         related = {*candidate.corrects, *candidate.begins_with} & ratios.keys()
         slower = min((ratios[name] for name in related or ratios), default=1.0)
-        here = max(self._seconds_of_usual.get(usual, usual), slower * usual)
-        return self._seconds.get(job.candidate, here) * len(job.seeds)
+        seconds = max(self._seconds_of_usual.get(usual, usual), slower * usual)
+        if job.candidate in self._seconds:
+            stiffer = self._substeps_of_physics(job) / self._substeps[job.candidate]
+            seconds = stiffer * self._seconds[job.candidate]
+        return seconds * len(job.seeds)
+
+    def _substeps_of_physics(self, job: Job) -> int:
+        """Integration steps in a period of the equations that a job corrects; 1 without these."""
+        physics = self._best_of(self.plan.candidate(job.candidate).corrects, job.fold)
+        return physics.fits_by_fold[job.fold][0].substeps if physics else 1
 
     def _is_on_disk(self, job: Job) -> bool:
         """Whether a run that is resumed has the scores of a job."""
@@ -390,6 +401,7 @@ class CandidateQueue:
         if result.ended != "failed":
             self._seconds[name] = result.seconds / len(job.seeds)
             self._seconds_of_usual[job.recipe.usual_seconds] = self._seconds[name]
+            self._substeps[name] = self._substeps_of_physics(job)
         if result.ended == "out of time":
             self._stopped[name, job.name] = result.seconds
         if result.ended != "done" and not result.earlier:  # what was said when it was done
