@@ -9,18 +9,22 @@ import pytest
 from swinging import CREEPING, DT, SWING, TRUTH, swing_model
 
 import tustinnet as tn
+from tustinnet.families.euler_lagrange import without_ranges
 from tustinnet.families.hybrid import HybridModel
 from tustinnet.families.tustin_net import random_tustin_net
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import run_fit
 from tustinnet.fitting.gradient.plan import groups_alike, make_plan
 from tustinnet.fitting.roles import Roles
+from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.task import Fold, Member, Task, make_task
 from tustinnet.models.blocks import Scaling
 from tustinnet.models.contract import with_dtype
 from tustinnet.models.integrate import Discretised
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.rollout import rollout, rollouts
+from tustinnet.store.model_file import save
+from tustinnet.systems.mechanism import MECHANISM
 
 SYSTEMS = {"swing": SWING, "creeping swing": CREEPING}  # without and with an internal state
 
@@ -281,3 +285,29 @@ def test_folds_whose_physics_takes_other_steps_train_apart(records):
     )
     task = Task(tn.read_recipe(RECIPE), folds, (Member(0, fold=0), Member(0, fold=1)))
     assert [len(group) for group in groups_alike(task)] == [1, 1]
+
+
+def test_mechanisms_of_several_folds_are_corrected_by_one_program(records, tmp_path):
+    """What made them of their records are ranges, which say nothing of values that are found."""
+
+    def mechanism(e: tn.Experiment) -> Discretised:
+        system = MECHANISM.for_records([e])
+        forced = with_added(system, ["coulomb"], [e], {})
+        assert all(p.upper > p.lower for p in forced.parameters if not p.fixed)
+        return tn.discretise(
+            forced.model({name: jnp.asarray(x) for name, x in forced.nominal().items()}), DT
+        )
+
+    found = [mechanism(e) for e in list(records)[:2]]
+    assert jax.tree.structure(found[0]) != jax.tree.structure(found[1])
+    folds = [Fold(Roles((e,), (records[2],)), m) for e, m in zip(records, found, strict=False)]
+    members = (Member(0, fold=0), Member(0, fold=1))
+    task = Task(tn.read_recipe(RECIPE, ["model.substeps=1"]), tuple(folds), members)
+    assert [len(group) for group in groups_alike(task)] == [2]
+    corrected = without_ranges(found[1])
+    values = (map(float, jax.tree.leaves(model)) for model in (corrected, found[1]))
+    assert [*next(values)] == [*next(values)]
+    model = HybridModel(corrected, network(corrected))
+    save(model, tmp_path / "hybrid.safetensors")
+    again = tn.load_model(tmp_path / "hybrid.safetensors")
+    assert jax.tree.structure(again) == jax.tree.structure(model)

@@ -21,7 +21,15 @@ from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.families.descriptions import Description, Entries
-from tustinnet.families.family import Arrays, Header, IdentifiedFamily, IdentifiedHyper, Lines
+from tustinnet.families.family import (
+    Arrays,
+    Header,
+    IdentifiedFamily,
+    IdentifiedHyper,
+    Lines,
+    describe_part,
+    restore_part,
+)
 from tustinnet.models.added import parse_forces, with_forces
 from tustinnet.models.closed_loop import with_controller
 from tustinnet.models.contract import Model
@@ -269,6 +277,20 @@ def _made_for_records(name: str) -> SystemTemplate | None:
         return None
     system = SYSTEMS[name]
     return system if isinstance(system, SystemTemplate) else None
+
+
+def without_ranges(model: Discretised) -> Discretised:
+    """The model of a system that was made for records, without what follows from these alone.
+
+    Ranges of parameters that are found already say nothing. Without them models of several folds
+    are of one system: what one compiles, as a network that corrects it, serves all of them.
+    """
+    header, arrays = describe_part(model, "")
+    if "terms" not in header:
+        return model
+    for key in {"terms", "of_forces", "sensors"} & header.keys():
+        header[key] = [[name, unit, 0.0, 0.0, 0.0, True] for name, unit, *_ in header[key]]
+    return restore_part(header, arrays, "", None, Path())
 
 
 def _describe_parameters(system: LagrangianSystem, names: Iterable[str]) -> list[list[Any]]:

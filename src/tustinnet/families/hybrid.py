@@ -17,6 +17,7 @@ from tustinnet.data.declaration import declare
 from tustinnet.data.experiment import Experiment, VelocitySource, moving_coordinates
 from tustinnet.errors import InputError
 from tustinnet.families.descriptions import Description
+from tustinnet.families.euler_lagrange import without_ranges
 from tustinnet.families.family import (
     Arrays,
     Header,
@@ -254,14 +255,14 @@ class HybridFamily(TrainedFamily):
     def physics_for_training(
         self, hyper: HybridHyper, physics: Model | None, experiments: Sequence[Experiment]
     ) -> Model:
-        """The physics with no more integration steps than its own errors are worth."""
+        """The physics without ranges, with no more integration steps than its errors are worth."""
         if physics is None:
             raise InputError(f"a recipe of kind '{self.kind}'", "no physics", "physics to correct")
         for e in experiments:
             require_fit(physics, e)
         if isinstance(physics, Discretised):
             substeps = hyper.substeps or fewest_substeps(physics, experiments, _INTEGRATION_SHARE)
-            return replace(physics, substeps=substeps)
+            return replace(without_ranges(physics), substeps=substeps)
         if hyper.substeps is not None:
             raise InputError("model.substeps", "physics that is not integrated", "no `substeps`")
         return physics
