@@ -48,8 +48,7 @@ UNSAID = {
         {"unit": "counts", "counts_per_revolution": 4096},
         ["counts_per_revolution"],
     ),
-    "turns": (1.0, {"unit": "rev"}, ["unit"]),
-    "volts": (5.0, {"unit": "rev", "scale": 0.2}, ["unit", "scale"]),
+    "turns": (1.0, {"unit": "rev"}, None),
     "radians": (2 * np.pi, {"unit": "rad"}, None),
 }
 
@@ -69,11 +68,6 @@ def test_the_scale_of_an_angle_that_starts_again_is_proposed_and_asked(
     assert coordinate["kind"] == "angular"
     assert coordinate.get("assumed") == assumed
     assert bool(found.questions) == bool(assumed)
-    if case == "volts":
-        (question,) = found.questions
-        answered = draft_card(tmp_path, files, {question.key: "10"})
-        (coordinate,) = tomllib.loads(answered.text)["coordinates"]
-        assert (coordinate["scale"], coordinate.get("assumed")) == (0.1, None)
 
 
 def test_a_switched_voltage_does_not_wrap() -> None:
@@ -133,6 +127,32 @@ def test_of_proportional_inputs_the_one_that_moves_first_stays(tmp_path: Path) -
     found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
     assert [i.column for i in found.choice.inputs] == ["u_V"]
     assert "proportional to the input 'u_V'" in found.choice.unused["i_A"]
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "questions"),
+    [
+        (["tau_0", "tau_1"], ["N m", "N m"], 1),
+        (["tau_0 [%]", "tau_1 [%]"], ["%", "%"], 0),
+        (["Control Effort"], ["1"], 1),
+        (["cart_x"], ["m"], 1),
+    ],
+)
+def test_a_unit_that_follows_from_a_word_is_assumed_and_asked_once(
+    names: list[str], units: list[str], questions: int, tmp_path: Path
+) -> None:
+    t = 0.01 * np.arange(800)
+    for k in range(2):
+        inputs = np.repeat(np.random.default_rng(k).uniform(-3, 3, (16, len(names))), 50, axis=0)
+        angle = np.cumsum(np.cumsum(inputs.sum(axis=1))) * 1e-4
+        table = np.column_stack([t, angle - angle.mean(), inputs])
+        header = ",".join(["t", "phi_rad", *names])
+        np.savetxt(tmp_path / f"r{k}.csv", table, "%.8g", ",", header=header, comments="")
+    found = draft_card(tmp_path, ["r0.csv", "r1.csv"])
+    assert [i.column for i in found.choice.inputs] == names
+    assert [i.unit for i in found.choice.inputs] == units
+    assert all(i.assumed == ("unit",) * questions for i in found.choice.inputs)
+    assert len(found.questions) == questions
 
 
 @pytest.mark.parametrize("stem", ["x[{}]", "y{}", "x_{}"])

@@ -118,3 +118,14 @@ def test_a_current_at_one_joint_is_no_effect_of_the_force_at_another(
     assert [c.column for c in draft.choice.coordinates] == [*names[1:3]]
     assert [i.column for i in draft.choice.inputs] == [*names[3:]]
     assert not draft.choice.unused
+
+
+def test_what_a_drive_controls_is_a_command_and_a_controllers_effort_no_torque() -> None:
+    assert read_name("control_position").qualifier == "command"
+    assert read_name("control_torque").quantities.keys() == {"control", "torque"}
+    assert read_name("Control Effort").quantity == "control"
+    assert read_name("effort_0").quantity == "torque"
+    assert (read_name("erpm").quantity, read_name("amp_hours_used").quantity) == (
+        "velocity",
+        "other",
+    )

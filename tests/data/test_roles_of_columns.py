@@ -209,6 +209,23 @@ def test_of_the_stages_of_a_drive_the_first_is_the_input(tmp_path: Path) -> None
     assert made.choice.unused["i_A"] == "an effect of 'u_V'"
 
 
+@pytest.mark.parametrize("name", ["hand_torque_Nm", "interaction_force_N"])
+def test_what_acts_from_outside_is_no_stage_of_the_drive(name: str, tmp_path: Path) -> None:
+    current, hand = levels(6), levels(7, 35)
+    x, _ = moved_by(current + hand)
+    made = draft(tmp_path, {"x_m": x, name: hand, "motor_current_A": current})
+    assert [c for c, use in uses(made).items() if use == "input"] == [name, "motor_current_A"]
+
+
+def test_the_counts_of_a_drive_are_the_position_and_its_charge_is_none(tmp_path: Path) -> None:
+    current = levels(9)
+    x, v = moved_by(current)
+    charge = np.cumsum(np.abs(current)) * 1e-4
+    columns = {"tachometer": np.round(900 * x), "erpm": 500 * v, "amp_hours_used": charge}
+    made = draft(tmp_path, columns | {"current_A": current})
+    assert [c.column for c in made.choice.coordinates] == ["tachometer"]
+
+
 def test_copies_and_filtered_values_are_used_once(tmp_path: Path) -> None:
     u = levels(7)
     x, v = moved_by(u)

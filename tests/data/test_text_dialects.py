@@ -269,6 +269,8 @@ def test_settings_above_a_table_are_skipped_and_its_units_taken(tmp_path: Path) 
     assert columns.names == ("X_Value", "Winkel", "Motor", "Comment")
     assert columns["Winkel"][:2].tolist() == [0.5, 1.5]
     assert columns.units == {"Winkel": "deg", "Motor": "Volts"}
+    without_comments = samples.replace("\t\n", "\n")
+    assert read(tmp_path, LVM + without_comments, "log.lvm").names == ("X_Value", "Winkel", "Motor")
     titled = "Test 3;;;;\nBy: me;;;;\nt;x;v;u;i\n" + 5 * "0;1,5;0;0;0\n"
     assert read(tmp_path, titled).names == ("t", "x", "v", "u", "i")
 

@@ -43,6 +43,7 @@ _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
+_COMMENT = "\tComment"  # a last column of LabVIEW, of which rows may have no cell
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
@@ -415,6 +416,9 @@ def _lines(text: str) -> tuple[Lines, list[str]]:
             comments += [] if lines else [comment_text(line)]
         elif line.strip() or "\t" in line:
             lines.append((row, line))
+    for k, (row, line) in enumerate(lines[:_PREAMBLE]):
+        if line.endswith(_COMMENT) and line.count("\t") > lines[-1][1].count("\t"):
+            lines[k] = row, line.removesuffix(_COMMENT)
     return lines, comments
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Int
 
 from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
 from tustinnet.data.drafting.relations import Pairs
+from tustinnet.data.drafting.vocabulary import OUTSIDE
 
 NO_REASON = "nothing else fits"
 _MANY_FAMILIES = 14  # families; of more of them no two are swapped
@@ -78,13 +79,12 @@ class _Prices:
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
         rates = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
-        self.positions = rates + share * t.repeats + 0.75 * w.copy * (t.is_alike & ~is_said)
+        self.positions = rates + share * t.repeats
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
         # the rate of a base's motion is neither another input nor a motion of the machine
         of_free = rates * (t.is_free | t.is_free[:, None])
-        motion = t.repeats + 0.75 * w.copy * t.is_alike
-        self.motion = np.where(inputs[:, None], of_free, motion)
-        is_copy = (t.repeats > 0) | t.is_alike
+        self.motion = np.where(inputs[:, None], of_free, t.repeats)
+        is_copy = t.repeats > 0
         self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, of_free)
         for prices in (self.positions, self.velocities, self.motion):
             prices[t.is_copy] = 3 * w.copy  # whatever their names say
@@ -92,12 +92,13 @@ class _Prices:
             np.fill_diagonal(prices, 0.0)
         related = is_copy | (t.slope > 0) | (t.follow > 0)
         self.are_related = related | related.T
-        # a current at one joint is no effect of the force at another one
+        # a current at one joint is no effect of the force at another one, nor of a hand's
+        is_other = t.is_free | [bool(OUTSIDE & {*r.words}) for r in t.readings]
         self.are_stages = np.array(
             [
                 [
                     t.stage[u] != t.stage[v]
-                    and not (t.is_free[u] or t.is_free[v])
+                    and not (is_other[u] or is_other[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
                     for v in columns
                 ]

@@ -114,8 +114,6 @@ def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:
     ]
     if c.sine is not None:
         lines.append(f"sine = {key(c.sine)}  # its cosine is in `column`")
-    if c.scale != 1:
-        lines.append(f"scale = {c.scale!r}  # {c.unit} in one unit of the column")
     if c.counts is not None:
         lines.append(f"counts_per_revolution = {c.counts}")
     if c.resolution is not None:

@@ -132,11 +132,13 @@ def _why_unused(
     if verdict.role == "constant":
         return "constant"
     for used in (*inputs, *motion):
-        factor = find_copy(findings.samples[used], findings.samples[name])
-        if factor is not None and used in inputs:
-            return f"proportional to the input '{used}'"
-        if factor is not None:
-            return f"{factor:.6g} times '{used}'"
+        if factor := find_copy(findings.samples[used], [findings.samples[name]]):
+            is_input = used in inputs
+            return (
+                f"proportional to the input '{used}'"
+                if is_input
+                else f"{factor:.6g} times '{used}'"
+            )
     reading = findings.readings[name]
     if verdict.role in ("input", "other") and reading.quantity in INPUTS and inputs:
         rest = [u for u in inputs if stage_of(findings.readings[u]) != stage_of(reading)]

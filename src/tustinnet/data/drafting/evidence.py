@@ -113,7 +113,6 @@ class Weights:
             second unclear.
         copies: shares of the variance from which on a column repeats another one, for the price
             of a copy, and for one and a half.
-        alike: correlation from which on two columns are proportional, nearly.
         circle: deviation of a radius, relative to it.
         small: control error in the last quarter of a record, by the size of what is controlled.
         moved: points of a cause, from which on a position moves another one.
@@ -149,7 +148,6 @@ class Weights:
     near: float = 2.0
     slopes: tuple[float, float] = (0.4, 0.8)
     copies: tuple[float, float] = (0.7, 0.9)
-    alike: float = 0.95
     circle: float = 0.03
     small: float = 0.5
     moved: float = 2.0
@@ -264,7 +262,6 @@ class EvidenceTable:
         signal: the first of the columns that are copies of one another, for each.
         sums: columns of which two add up to the third.
         is_free: whether a position moves others and is moved by nothing.
-        is_alike: whether two columns are proportional, nearly.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
         family: the family of each column; those of one family have one role.
         stage: the stage of a drive of which a column speaks.
@@ -283,7 +280,7 @@ class EvidenceTable:
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
-        self.is_copy = find_copies(records, [numbers[n].count or 0.0 for n in readings])
+        self.is_copy = find_copies(records, [numbers[n].count or 0.0 for n in readings]) != 0
         self.slope = _slope_points(slopes, self.readings)
         self.blocks = find_blocks(self.names, self.slope)
         for one, other in itertools.permutations(self.blocks, 2):
@@ -302,7 +299,7 @@ class EvidenceTable:
         self.is_copy &= family[:, None] != family  # joints may move as one for a while
         self.signal = np.argmax(self.is_copy | np.eye(len(family), dtype=bool), axis=1)
         fit, late = find_followers(records)
-        self._set_likeness(records, fit)
+        self.repeats = _repeat_prices(records, fit)
         self.follow = self._follow_points(fit, late)
         gains, moves_at_once = find_causes(records)
         push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gains))
@@ -420,22 +417,21 @@ class EvidenceTable:
             self.own[i].append(Evidence(role, w.useless, text))
             self.own[i].append(Evidence("position", -w.useless, ""))
 
-    def _set_likeness(self, records: Sequence[Table], fit: Pairs) -> None:
-        """Sets which columns have the same values."""
-        with np.errstate(all="ignore"):
-            correlation = np.atleast_2d(np.corrcoef(np.concatenate(records).T))
-        size = np.abs(np.nan_to_num(correlation))
-        self.is_alike: Bool[np.ndarray, "c c"] = size > WEIGHTS.alike
-        same = np.where(size > 0.999, size, np.maximum(fit, fit.T))
-        some, most = WEIGHTS.copies
-        self.repeats = WEIGHTS.copy * np.where(same > most, 1.5, np.where(same > some, 1.0, 0.0))
-
     def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
         w = WEIGHTS
         points = np.minimum(w.follow, 1.5 - 0.5 * np.log(1.001 - np.minimum(fit, 1.0)))
         commands = np.array([[r.qualifier == "command"] for r in self.readings])
         is_one = (fit >= 0.5) & (commands | (late > 0))  # else it is a copy
         return np.where(is_one, points, np.where(commands, -w.no_follow / 3, -w.no_follow))
+
+
+@np.errstate(all="ignore")  # constants repeat nothing
+def _repeat_prices(records: Sequence[Table], fit: Pairs) -> Pairs:
+    """Prices of using two columns that are proportional, or of which one follows the other."""
+    some, most = WEIGHTS.copies
+    share = np.atleast_2d(np.corrcoef(np.concatenate(records).T)) ** 2
+    same = np.where(share > most, share, np.maximum(fit, fit.T))
+    return WEIGHTS.copy * np.where(same > most, 1.5, np.where(same > some, 1.0, 0.0))
 
 
 def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:

@@ -52,7 +52,6 @@ class CoordinateChoice:
         unit: its unit as the card has it.
         counts: encoder counts in a turn, None where not known.
         resolution: encoder count [rad or m], None where not known.
-        scale: units of `unit` in one unit of the column.
         sine: column of the sine of an angle whose cosine the column has, None otherwise.
         velocity: its velocity column, if there is one.
         because: the reasons, a sentence each.
@@ -70,7 +69,6 @@ class CoordinateChoice:
     because: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
-    scale: float = 1.0
     sine: str | None = None
 
 

@@ -2,7 +2,8 @@
 
 from tustinnet.channels import Input
 from tustinnet.data.drafting.findings import Choice, Findings, InputChoice, Question, range_text
-from tustinnet.data.drafting.names import Quantity
+from tustinnet.data.drafting.names import NameReading, Quantity
+from tustinnet.data.drafting.positions import usual_unit
 from tustinnet.data.drafting.system_columns import input_factor
 from tustinnet.data.units import convert_to_si
 
@@ -20,23 +21,29 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
     reading, numbers = findings.readings[column], findings.numbers[column]
     doubts: list[str] = []
     assumed: tuple[str, ...] = ()
-    quantity = reading.quantity
-    key = f"unit {column}"
-    unit = _find_unit(column, findings)
-    if not unit and quantity == "duty":
-        unit = "%" if 1.5 < numbers.largest <= 100 else "1"
+    # those of one quantity are in one unit: one question
+    same = [
+        n
+        for n in findings.columns("input")
+        if (other := findings.readings[n]).quantity == reading.quantity and not other.unit
+    ] or [column]
+    key = f"unit {same[0]}"
+    unit = findings.answers.get(key) or reading.unit
     leads = findings.verdicts[column].leads
     if not unit and leads is not None:
         followers = [c for c in choice.coordinates if c.column == leads]
         unit = findings.readings[leads].unit or next((c.unit for c in followers), "")
         assumed = tuple("unit" for c in followers if c.assumed)
-    if not unit:
-        units = (u for q, u in _QUANTITY_UNITS.items() if q in reading.quantities)
-        unit, assumed = next(units, "1"), ("unit",)
+    if not unit:  # a word says the quantity, but `torque` may be in percent of a drive's
+        unit, assumed = _unit_of_quantity(reading) or "1", ("unit",)
+        if reading.quantity == "duty":
+            unit = "%" if 1.5 < numbers.largest <= 100 else "1"
+        elif reading.kind and {*reading.quantities} == {"position"}:
+            unit, _ = usual_unit(numbers, numbers.largest, reading.kind)
         doubts.append(f"the unit: {unit} is assumed")
-        choice.questions.append(
-            Question(key, f"unit of the input '{column}' (range {range_text(numbers)})", unit)
-        )
+        more = f" (and {', '.join(map(repr, same[1:]))})" if len(same) > 1 else ""
+        text = f"unit of the input '{column}'{more} (range {range_text(numbers)})"
+        choice.questions += [Question(key, text, unit)] if column == same[0] else []
     verdict = findings.verdicts[column]
     if verdict.role == "set point":
         doubts.append("a set point: the model includes the controller")
@@ -53,9 +60,13 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
         channel: the input; a unit of `1` takes any.
         findings: what is known of the columns.
     """
-    numbers, own = findings.numbers[column], _find_unit(column, findings)
+    reading, numbers = findings.readings[column], findings.numbers[column]
+    own = findings.answers.get(f"unit {column}") or reading.unit
+    assumed = () if own else ("unit",)
+    if not own and reading.stated(_QUANTITY_UNITS):
+        own = _unit_of_quantity(reading)
     if channel.unit == "1":
-        return InputChoice(column, channel.name, own or "1", assumed=() if own else ("unit",))
+        return InputChoice(column, channel.name, own or "1", assumed=assumed)
     if not own:
         doubt = f"the unit: {channel.unit} is assumed (range {range_text(numbers)})"
         return InputChoice(column, channel.name, channel.unit, doubts=(doubt,), assumed=("unit",))
@@ -67,13 +78,10 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
     return InputChoice(column, channel.name, base, doubts=(doubt,), scale=size)
 
 
-def _find_unit(column: str, findings: Findings) -> str:
-    """The unit of an input: as answered, as named, or of the quantity that a word says; or ""."""
-    reading = findings.readings[column]
-    if unit := findings.answers.get(f"unit {column}") or reading.unit:
-        return unit
+def _unit_of_quantity(reading: NameReading) -> str:
+    """The usual unit of the quantity of which a name speaks most, "" of none."""
     strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
-    return _QUANTITY_UNITS[strongest] if reading.stated([strongest]) else ""
+    return _QUANTITY_UNITS[strongest] if strongest in reading.quantities else ""
 
 
 def _to_si(unit: str) -> tuple[float, str]:

@@ -68,8 +68,13 @@ def _read_units() -> dict[str, tuple[str, Quantity]]:
 _UNITS = _read_units()
 _NO_ENDINGS = {"in", "inc", "turn", "steps", "step", "impulse", "raw", "bit", "hz"}
 """Units that are words at the end of a name."""
-_UNITS_AS_NAMES = {"deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"}
+_UNITS_AS_NAMES = {
+    *("deg", "degrees", "rad", "radians", "mm", "cm", "rpm", "dps", "counts", "ticks"),
+    *("volt", "volts"),
+}
 """Columns that are called by their unit alone."""
+_DRIVEN = {"pos", "position", "vel", "velocity"}
+"""What a drive controls, as it calls them."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
 _SYMBOL = re.compile(
@@ -176,9 +181,11 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         word[unit_quantity] = f"[{unit}]"
     qualifiers: list[Qualifier] = [mark for mark, texts in QUALIFIERS.items() if texts & {*words}]
     qualifier = qualifiers[0] if qualifiers else None
-    if pairs & {("input", "pos"), ("input", "position"), ("input", "vel"), ("input", "velocity")}:
+    if any(a in ("input", "control") and b in _DRIVEN for a, b in pairs):
         qualifier = "command"  # of a controller, as drives have it
         quantities.pop("control", None)
+    if ("control", "effort") in pairs:  # what a controller gives, of any quantity
+        del quantities["torque"], word["torque"]
     if qualifier is None and "d" in words[1:] and "position" in quantities and "dt" not in words:
         qualifier = "command"  # `q_d`, the desired position, as robots have it
     if qualifier == "measured" and not QUALIFIERS["measured"] - {"m", "sensor"} & {*words}:

@@ -74,11 +74,6 @@ class ColumnLevels(NamedTuple):
         often: share of the samples; a column that jumps more often does not wrap.
         supply: range over largest value, of a supply under load.
         fewest: values of a column that wraps.
-        calm: share of the range; a column with a turn of any size moves by less between its
-            wraps.
-        same_turn: relative deviation of the wraps of a column.
-        within: share of the samples in the middle half of the range; with less a column
-            switches.
     """
 
     changes: float = 0.2
@@ -87,9 +82,6 @@ class ColumnLevels(NamedTuple):
     often: float = 0.2
     supply: float = 0.1
     fewest: int = 20
-    calm: float = 0.15
-    same_turn: float = 0.02
-    within: float = 0.2
 
 
 COLUMN = ColumnLevels()
@@ -108,7 +100,6 @@ class Numbers:
         roughness: root mean square of the steps over the standard deviation.
         levels: whether it is constant most of the time and then changes far.
         wrap: length of a turn in the column's unit, where it jumps by turns.
-        usual_turn: whether that is a turn of a usual unit or encoder.
         count: the step of which all its changes are multiples, None without one.
     """
 
@@ -120,7 +111,6 @@ class Numbers:
     roughness: float = 0.0
     levels: bool = False
     wrap: float | None = None
-    usual_turn: bool = True
     count: float | None = None
 
     @property
@@ -179,8 +169,6 @@ def examine(pieces: Sequence[Values]) -> Numbers:
     has_levels = changes < COLUMN.changes and bool(
         np.median(moving) > _LEAST_LEVEL * np.ptp(levels)
     )
-    usual = None if has_levels else _find_turn(steps, levels)
-    other = None if has_levels or usual else _find_unusual_turn(pieces, extent)
     return Numbers(
         range=extent,
         distinct=len(levels),
@@ -189,8 +177,7 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         changes=changes,
         roughness=float(np.sqrt(np.mean(steps**2)) / np.std(finite)),
         levels=has_levels,
-        wrap=usual or other,
-        usual_turn=other is None,
+        wrap=None if has_levels else _find_turn(steps, levels),
         count=encoder_count(finite),
     )
 
@@ -212,43 +199,6 @@ def _find_turn(steps: Values, levels: Values) -> float | None:
         if near and np.abs(sizes - turn).max() <= 1.5 * others + 1e-3 * turn:
             return float(turn)
     return None
-
-
-def _find_unusual_turn(
-    pieces: Sequence[Values], extent: tuple[float, float] | None
-) -> float | None:
-    """The length of a turn of any size, where a column jumps by it in both directions."""
-    if extent is None or not all(np.isfinite(piece).all() for piece in pieces):
-        return None
-    low, high = extent
-    span = high - low
-    turns: list[float] = []
-    directions: set[float] = set()
-    count = 0
-    for piece in pieces:
-        steps = np.diff(piece)
-        is_jump = np.abs(steps) > span / 2
-        if np.abs(steps[~is_jump]).max(initial=0.0) > COLUMN.calm * span:
-            return None
-        count += int(is_jump.sum())
-        for k in np.flatnonzero(is_jump):
-            around = [steps[j] for j in (k - 1, k + 1) if 0 <= j < len(steps) and not is_jump[j]]
-            if around:  # it also moves on while it jumps
-                turns.append(abs(float(steps[k]) - float(np.mean(around))))
-                directions.add(float(np.sign(steps[k])))
-    everything = np.concatenate(pieces)
-    inside = np.mean(np.abs(everything - (low + high) / 2) < span / 4)
-    if len(directions) < 2 or count > COLUMN.often * len(everything) or inside < COLUMN.within:
-        return None
-    turn = float(np.median(turns))
-    worst = float(np.max(np.abs(np.array(turns) - turn)))
-    if (
-        worst > COLUMN.same_turn * turn + COLUMN.calm * span / 2
-        or not 0.8 * turn < span < 1.05 * turn
-    ):
-        return None
-    whole = bool((everything == np.round(everything)).all())
-    return float(round(turn)) if whole else float(f"{turn:.2g}")
 
 
 def unwrap(piece: Values, turn: float | None) -> Values:

@@ -74,10 +74,7 @@ def describe_coordinate(
     kind = system_kind or _find_kind(column, velocity, input_kind, findings, because)
     assumed: list[str] = []
     unit = _find_unit(column, speed, factor, kind, findings, because)
-    scale = 1.0
-    if unit is None and numbers.wrap is not None:
-        unit, scale = "rev", _share_of_turn(column, numbers.wrap, findings, choice, doubts, assumed)
-    elif unit is None:
+    if unit is None:
         unit = _unit_by_size(column, kind, findings, choice, because, doubts)
         assumed += ["unit"] if kind else ["kind", "unit"]
     known_kind, kind = kind, _kind_of_unit(unit, kind)
@@ -104,7 +101,6 @@ def describe_coordinate(
         tuple(because),
         tuple(doubts),
         tuple(assumed),
-        scale,
     )
 
 
@@ -162,32 +158,11 @@ def _find_unit(
     return None
 
 
-def _unit_of_turn(numbers: Numbers) -> str | None:
-    """The unit in which a turn has the length at which a position starts again, None if unknown."""
+def _unit_of_turn(numbers: Numbers) -> str:
+    """The unit in which a turn has the length at which a position starts again."""
     if numbers.wrap == 360.0:
         return "deg"
-    if numbers.whole:
-        return "counts"
-    return "rad" if numbers.usual_turn and numbers.wrap != 1.0 else None
-
-
-def _share_of_turn(
-    column: str,
-    turn: float,
-    findings: Findings,
-    choice: Choice,
-    doubts: list[str],
-    assumed: list[str],
-) -> float:
-    """Turns in one unit of a position that starts again at a number that no unit explains."""
-    key = f"turn {column}"
-    if key in findings.answers:
-        return 1.0 / float(findings.answers[key])
-    text = f"a turn of '{column}' in its unit (it starts again after {turn:.6g})"
-    choice.questions.append(Question(key, text, f"{turn:.6g}", is_number=True))
-    doubts.append(f"the scale: a turn of {turn:.6g} is assumed, as it wraps")
-    assumed += ["unit"] if turn == 1.0 else ["unit", "scale"]
-    return 1.0 / turn
+    return "counts" if numbers.whole else "rev" if numbers.wrap == 1.0 else "rad"
 
 
 def _kind_of_unit(unit: str, kind: Kind | None) -> Kind:
@@ -285,7 +260,7 @@ def _unit_by_size(
     # positions of one kind, of one machine, are in one unit
     of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
     largest = max(findings.numbers[n].largest for n in (column, *of_kind))
-    unit, is_clear = _usual_unit(numbers, largest, kind or "angular")
+    unit, is_clear = usual_unit(numbers, largest, kind or "angular")
     reason = f"in {unit} by its range {range_text(numbers)}"
     # controllers of drives give the position of an encoder in turns, or in units of the machine
     is_of_encoder = bool(_ENCODERS & {*findings.readings[column].words})
@@ -304,7 +279,7 @@ def _is_of_kind(column: str, kind: Kind, findings: Findings) -> bool:
     return reading.kind == kind and not (reading.unit or numbers.whole or numbers.wrap)
 
 
-def _usual_unit(numbers: Numbers, largest: float, kind: Kind) -> tuple[str, bool]:
+def usual_unit(numbers: Numbers, largest: float, kind: Kind) -> tuple[str, bool]:
     """The usual unit of positions of some size, and whether the size is clear."""
     if numbers.whole and numbers.distinct > 2:
         return "counts", True

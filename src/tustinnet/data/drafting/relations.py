@@ -178,12 +178,18 @@ def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
 
 
 @np.errstate(all="ignore")  # constants repeat nothing
-def find_copies(records: Sequence[Table], steps: Sequence[float]) -> Bool[np.ndarray, "c c"]:
+def find_copies(
+    records: Sequence[Table], steps: Sequence[float], exact: float = RELATION.exact
+) -> Pairs:
     """Which columns repeat one another in another unit or from another zero, but for rounding.
 
     Args:
         records: the columns of each record.
         steps: the step of the values of each column, 0 where it has none.
+        exact: share of the variance in which they may differ besides.
+
+    Returns:
+        The factor of column j, which repeats column i, [i, j]; 0 where it does not.
     """
     covariance = np.atleast_2d(np.cov(np.concatenate(records).T))
     squares = np.diag(covariance)
@@ -191,9 +197,21 @@ def find_copies(records: Sequence[Table], steps: Sequence[float]) -> Bool[np.nda
     residual = squares - slope * covariance
     rounding = np.square(steps)
     # both are rounded, by a twelfth of the square of their steps, and once more by a program
-    limit = (rounding + slope**2 * rounding[:, None]) / 6 + RELATION.exact * squares
+    limit = (rounding + slope**2 * rounding[:, None]) / 6 + exact * squares
     is_copy = (residual < limit) & (residual < RELATION.rounded * squares)
-    return is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool)
+    return np.where(is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool), slope, 0.0)
+
+
+def find_copy(first: Sequence[Values], others: Iterable[Sequence[Values]]) -> float:
+    """The factor of the first of some columns that repeats a column, nearly; 0 where none does.
+
+    Args:
+        first: samples of a column, record by record.
+        others: those of others.
+    """
+    table = np.column_stack([np.concatenate(values) for values in (first, *others)])
+    factors = find_copies([table], np.zeros(table.shape[1]).tolist(), RELATION.copy)[0]
+    return float(next(iter(factors[factors != 0]), 0.0))
 
 
 @np.errstate(all="ignore")
@@ -229,16 +247,18 @@ def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"
             for lag in range(_OWN_LAGS + 1)
         ]
         for j in range(size):
-            gain, is_at_once = _gains_of(lagged, j)
+            gain, slope = _gains_of(lagged, j, now=lagged[: int(width == 1)])
             gains[:, j] = np.maximum(gains[:, j], gain)
-            moves_at_once[:, j] |= is_at_once & (width == 1)
+            moves_at_once[:, j] |= np.abs(slope) > RELATION.at_once
     return gains, moves_at_once
 
 
-def _gains_of(lagged: Sequence[Table], j: int) -> tuple[Values, Bool[np.ndarray, " c"]]:
+def _gains_of(
+    lagged: Sequence[Table], j: int, *, now: Sequence[Table]
+) -> tuple[Values, Values | float]:
     """The gains of all columns for the forecast of column j, given all columns by their lag.
 
-    And whether column j has news in the sample in which they have them.
+    And the slope of its news in a sample by those of the columns `now`; 0 without them.
     """
     target, n = lagged[0][:, j], len(lagged[0])
     own = np.column_stack([np.ones(n), *(table[:, j] for table in lagged[1:])])
@@ -250,40 +270,22 @@ def _gains_of(lagged: Sequence[Table], j: int) -> tuple[Values, Bool[np.ndarray,
     order = int(np.argmin((n * np.log(left) + orders * np.log(n))[2:])) + 3
     basis = basis[:, :order]
     rest = target - basis @ products[:order]
-    news, first, second = (table - basis @ (basis.T @ table) for table in lagged[:3])
-    squares = (first**2).sum(axis=0)
-    is_new = squares > 1e-10 * n
-    squares = np.where(is_new, squares, np.inf)
-    second = second - first * ((first * second).sum(axis=0) / squares)
-    others = (second**2).sum(axis=0)
-    explained = (first.T @ rest) ** 2 / squares
-    explained += np.where(others > 1e-10 * n, (second.T @ rest) ** 2 / others, 0.0)
+    news = [table - basis @ (basis.T @ table) for table in (*lagged[1:3], *now)]
+    explained = np.zeros(lagged[0].shape[1])
+    for k, part in enumerate(news[:2]):
+        squares = (part**2).sum(axis=0)
+        squares = np.where(squares > 1e-10 * n, squares, np.inf)
+        explained += (part.T @ rest) ** 2 / squares
+        for later in news[k + 1 :]:
+            later -= part * ((part * later).sum(axis=0) / squares)
     unexplained = float(rest @ rest) + noise
     gain = np.log(unexplained / np.maximum(unexplained - explained, noise))
     gain[j] = 0.0
-    news -= first * ((first * news).sum(axis=0) / squares)
-    news -= second * ((second * news).sum(axis=0) / np.where(others > 1e-10 * n, others, np.inf))
-    sizes = (news**2).sum(axis=0)
-    slopes = np.where(sizes > 1e-14 * n, (news.T @ rest) / np.maximum(sizes, 1e-14 * n), 0.0)
-    return np.where(gain > 2 * np.log(n) / n, gain, 0.0), np.abs(slopes) > RELATION.at_once
-
-
-@np.errstate(all="ignore")
-def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float | None:
-    """The factor of a column that is another one in another unit, None where it is none.
-
-    Args:
-        first: samples of a column, record by record.
-        second: those of another one.
-    """
-    a, b = np.concatenate(first), np.concatenate(second)
-    usable = np.isfinite(a) & np.isfinite(b)
-    a, b = a[usable], b[usable]
-    if len(a) < 3 or not np.ptp(a) or not np.ptp(b):
-        return None
-    a, b = a - a.mean(), b - b.mean()
-    correlation = a @ b / np.sqrt((a @ a) * (b @ b))
-    return float((a @ b) / (a @ a)) if 1 - correlation**2 < RELATION.copy else None
+    gain = np.where(gain > 2 * np.log(n) / n, gain, 0.0)
+    if not now:
+        return gain, 0.0
+    sizes = (news[2] ** 2).sum(axis=0)
+    return gain, (news[2].T @ rest) / np.where(sizes > 1e-14 * n, sizes, np.inf)
 
 
 def find_sines(
@@ -321,7 +323,7 @@ def find_sines(
             pairs = zip(samples[first], samples[second], strict=True)
             angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
             others = {n: s for n, s in samples.items() if n not in pair}
-            if any(find_copy(angle, s) is not None for s in others.values()):
+            if find_copy(angle, others.values()):
                 continue  # the angle itself is there, too
             if {"sin", "sine", "sinus"} & {*readings[first].words}:
                 pair = second, first

@@ -35,7 +35,7 @@ _STRONG: dict[Quantity, str] = {
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
     "elevation posicion hoek lage tilt heading",
     "velocity": "vel velocity velocities speed omega tacho tachometer dot qdot "
-    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd",
+    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
@@ -49,8 +49,8 @@ _STRONG: dict[Quantity, str] = {
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
-    "batt fric friction reibung humidity rssi checksum crc supply versorgung latency erpm reward "
-    "energy energie tcp ee eef",
+    "batt fric friction reibung humidity rssi checksum crc supply versorgung latency reward "
+    "energy energie hours tcp ee eef",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
@@ -86,6 +86,7 @@ _OTHERS = {
     "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben sled "
     "stage gantry lift ram plunger stroke linear force kraft chariot",
     "container": "states state joint joints observation msg data value values log logs signals",
+    "outside": "hand fahrer human operator interaction external extern disturbance stoer",
     "axis": "theta phi psi pitch roll yaw azimuth elevation",
     "any position": "pos position positions angle angles winkel lage enc encoder posicion hoek",
 }
@@ -95,6 +96,7 @@ WEAK: dict[Quantity, set[str]] = {q: set(words.split()) for q, words in _WEAK.it
 QUALIFIERS: dict[Qualifier, set[str]] = {q: set(words.split()) for q, words in _QUALIFIERS.items()}
 ANGULAR, LINEAR = ({*_OTHERS[kind].split()} for kind in ("angle", "length"))
 CONTAINERS = {*_OTHERS["container"].split()}  # where a column stands, not what it is
+OUTSIDE = {*_OTHERS["outside"].split()}  # what acts on a machine beside its drives
 AXES = {*_OTHERS["axis"].split()}  # a position alone; before another quantity what it is about
 POSITION_WORDS = {*_OTHERS["any position"].split()}  # which quantity it is, but not of what
 LETTERS = (
