@@ -27,13 +27,8 @@ OPTIONS = {
     (verb, "--strict"): "tustinnet inspect DATA --strict, before it"
     for verb in ("fit", "cross-validate")
 } | {(verb, "--follow-links"): "TUSTINNET_FOLLOW_LINKS=1 in the environment" for verb in _READING}
-OPTIONS |= {
-    (
-        verb,
-        "--default-density",
-    ): "a system file: SYSTEM = tn.load_robot(FILE, default_density=2700.0)"
-    for verb in ("init", "fit")
-}
+_DENSITY = "a system file: SYSTEM = tn.load_robot(FILE, default_density=2700.0)"
+OPTIONS |= {(verb, "--default-density"): _DENSITY for verb in ("init", "fit")}
 # methods of models
 METHODS = {
     "of": "for_record",

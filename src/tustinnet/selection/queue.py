@@ -282,8 +282,9 @@ class CandidateQueue:
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = self.results[candidate.name].fits_by_fold
         cost = max(len(folds), 1) * self._expected(job) * self._options.rarely**power
-        is_rare = job.fold in folds or not is_best if is_further else power > 0
-        return is_rare, cost
+        if is_further:
+            return job.fold in folds or not is_best, cost
+        return power > 0, cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
