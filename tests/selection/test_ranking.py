@@ -44,6 +44,13 @@ def test_a_single_record_decides_where_one_is_several_times_as_far_off():
     assert [s.name for s in rank([linear, physics, chance])] == ["physics", "linear", "chance"]
 
 
+def test_on_two_records_one_that_is_far_ahead_on_both_is_the_best():
+    hybrid = standing("hybrid", {"r": 0.0032, "s": 0.0061}, {"t": 0.0025})
+    gru = standing("gru", {"r": 0.0003, "s": 0.0011})
+    chance = standing("chance", {"r": 0.0003, "s": 0.0055})  # but not on both
+    assert [s.name for s in rank([hybrid, gru, chance])] == ["gru", "hybrid", "chance"]
+
+
 def test_those_that_share_no_fold_are_ranked_by_what_each_has():
     a, b = (
         CandidateResult("a", {0: (scores({"r": 2.0}),)}),

@@ -12,7 +12,7 @@ from tustinnet.selection.jobs import FitScore, JobResult
 LEVEL = 0.02  # of an error, a difference that nobody minds
 FEW = 3  # records that say something of a difference
 _DOUBT_OF_TWO = 6.3  # standard errors of two records, as one of many: Student's t, 90 %
-_PLAIN = 1 / 3  # of an error, on a single record a difference that is no chance
+_PLAIN = 1 / 3  # of an error, on each of one or two records a difference that is no chance
 CLEAR = 2.0  # standard errors of a clear difference
 
 
@@ -156,8 +156,8 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     Those that were scored on the most folds, by the folds that all of them have. The best of these
     is what the others are compared with, each on the records that both have: one that was soon
     left does not take records away from the others. It comes before the best only where it is
-    better by more than a standard error of the difference, on two records by several, or on a
-    single one less than a third as far off.
+    better by more than a standard error of the difference; on one or two records by several, or
+    less than a third as far off on each.
     """
     scored = [r for r in results if r.fits_by_fold]
     most = max((len(r.fits_by_fold) for r in scored), default=0)
@@ -174,11 +174,13 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
             value = mean_and_error(result.rmse().values())[0]
         else:
             difference = paired_difference(result, best)
-            # the standard error of a single record is NaN, which comes last
-            doubt = (_DOUBT_OF_TWO if difference.records < FEW else 1.0) * difference.standard_error
-            if difference.records == 1:
-                (record,) = result.rmse().keys() & best.rmse().keys()
-                doubt = 0.0 if result.rmse()[record] < _PLAIN * best.rmse()[record] else np.nan
+            doubt = difference.standard_error
+            if difference.records < FEW:
+                ours, theirs = result.rmse(), best.rmse()
+                both = ours.keys() & theirs.keys()
+                is_plain = bool(both) and all(ours[r] < _PLAIN * theirs[r] for r in both)
+                # the standard error of a single record is NaN, which comes last
+                doubt = 0.0 if is_plain else _DOUBT_OF_TWO * doubt
             value = means[best.name] + difference.mean + doubt
         return value if np.isfinite(value) else np.inf
 
