@@ -12,6 +12,7 @@ import tustinnet as tn
 from tustinnet.data.drafting.draft import Draft, draft_card
 from tustinnet.data.drafting.evidence import WEIGHTS, name_evidence
 from tustinnet.data.drafting.names import read_name
+from tustinnet.data.drafting.relations import find_copy
 
 DT = 0.01
 N = 1500
@@ -451,3 +452,11 @@ def test_cosine_and_sine_beside_their_angle_are_not_used(tmp_path: Path) -> None
     columns = {"theta": angle, "cos_theta": np.cos(angle), "sin_theta": np.sin(angle), "u": u}
     uses_of = uses(draft(tmp_path, columns))
     assert [name for name, use in uses_of.items() if use] == ["theta", "u"]
+
+
+def test_a_copy_is_known_by_the_cells_that_both_have() -> None:
+    x = np.sin(np.arange(300.0))
+    holes = np.where(np.arange(300) % 7, 2 * x + 1, np.nan)
+    assert find_copy([x], [holes]) == pytest.approx(2)
+    assert find_copy([x], [np.full(300, np.nan)]) == 0
+    assert find_copy([x], [np.cos(np.arange(300.0))]) == 0

@@ -200,10 +200,10 @@ class MotionModel:
         others = [
             e.right for r, e in enumerate(self.equations) if r != index and self.weights[r] > 0
         ]
-        known = np.concatenate(others)
-        scale = _scale(known)
-        right, known = equations.right / scale, known / scale
-        gram = known.T @ known / len(known) + LEVELS.ridge * np.eye(len(scale))
+        reference = np.concatenate(others)
+        scale = _scale(reference)
+        right, reference = equations.right / scale, reference / scale
+        gram = reference.T @ reference / len(reference) + LEVELS.ridge * np.eye(len(scale))
         leverage = np.einsum("mp,pm->m", right, np.linalg.solve(gram, right.T))
         return float(np.mean(leverage)) / len(scale)
 

@@ -98,7 +98,7 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
 
 
 def _key_of(has_header: bool | None) -> Callable[[str], str]:
-    """How a card names a column: by its number where no file has names, which is `has_header`."""
+    """The key of a column in a card: its number where no file has names, which is `has_header`."""
     return quote if has_header is None else lambda column: column.removeprefix(NUMBERED)
 
 

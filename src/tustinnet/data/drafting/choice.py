@@ -132,13 +132,11 @@ def _why_unused(
     if verdict.role == "constant":
         return "constant"
     for used in (*inputs, *motion):
-        if factor := find_copy(findings.samples[used], [findings.samples[name]]):
-            is_input = used in inputs
-            return (
-                f"proportional to the input '{used}'"
-                if is_input
-                else f"{factor:.6g} times '{used}'"
-            )
+        factor = find_copy(findings.samples[used], findings.samples[name])
+        if factor and used in inputs:
+            return f"proportional to the input '{used}'"
+        if factor:
+            return f"{factor:.6g} times '{used}'"
     reading = findings.readings[name]
     if verdict.role in ("input", "other") and reading.quantity in INPUTS and inputs:
         rest = [u for u in inputs if stage_of(findings.readings[u]) != stage_of(reading)]

@@ -202,16 +202,18 @@ def find_copies(
     return np.where(is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool), slope, 0.0)
 
 
-def find_copy(first: Sequence[Values], others: Iterable[Sequence[Values]]) -> float:
-    """The factor of the first of some columns that repeats a column, nearly; 0 where none does.
+def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float:
+    """The factor of a column that repeats another one, nearly; 0 where it does not.
 
     Args:
-        first: samples of a column, record by record.
-        others: those of others.
+        first: samples of a column, record by record; where they are finite they count.
+        second: those of another one.
     """
-    table = np.column_stack([np.concatenate(values) for values in (first, *others)])
-    factors = find_copies([table], np.zeros(table.shape[1]).tolist(), RELATION.copy)[0]
-    return float(next(iter(factors[factors != 0]), 0.0))
+    table = np.column_stack([np.concatenate(first), np.concatenate(second)])
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < 3:
+        return 0.0
+    return float(find_copies([table], [0.0, 0.0], RELATION.copy)[0, 1])
 
 
 @np.errstate(all="ignore")
@@ -323,7 +325,7 @@ def find_sines(
             pairs = zip(samples[first], samples[second], strict=True)
             angle = [np.unwrap(np.arctan2(b, a)) for a, b in pairs]
             others = {n: s for n, s in samples.items() if n not in pair}
-            if find_copy(angle, others.values()):
+            if any(find_copy(angle, s) for s in others.values()):
                 continue  # the angle itself is there, too
             if {"sin", "sine", "sinus"} & {*readings[first].words}:
                 pair = second, first
