@@ -133,7 +133,13 @@ def test_figures_are_drawn_for_every_record_and_figure_4_for_the_papers(layout, 
     rows = authors_rows(layout, "validation")
     written = figures.draw(data, rows, "validation", "fallVal4", tmp_path / "out")
     names = {p.name for p in written}
-    assert {"figure4.png", "figure4.svg", "free_run_wN_3_5V_val.png"} <= names
+    assert {
+        "figure1.svg",
+        "figure2.svg",
+        "figure4.png",
+        "figure4.svg",
+        "free_run_wN_3_5V_val.png",
+    } <= names
     assert all(p.stat().st_size > 1000 for p in written)
 
 

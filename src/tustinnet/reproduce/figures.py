@@ -1,4 +1,4 @@
-"""The figures of the publication: two drawings, and free runs of our models."""
+"""The figures of the publication: two drawings that are kept, and free runs of our models."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
 from tustinnet.reproduce.table1 import Row
+from tustinnet.store.files import write_into
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +41,7 @@ _NAMES = {
     "tustin-text-transfer": "Algorithm 1 as in the text",
     "tustin-text-standard": "standard as in the text",
 }
+_DRAWINGS = Path(__file__).parent / "drawn"
 _DEFAULT_RECORDS = ("fallTest4", "fallVal4")
 
 
@@ -56,7 +58,8 @@ def choose_experiment(data: DataSet, split: str, name: str | None) -> str:
 def draw(data: DataSet, rows: Sequence[Row], split: str, record: str, folder: Path) -> list[Path]:
     """Draws the paper's five figures and every record's free runs, as PNG and SVG.
 
-    Figures 1 and 2 are drawings; 3, 4 and 5 are free runs of one record.
+    Figures 1 and 2, the apparatus and the Tustin-Net, are copied (SVG); 3, 4 and 5 are free runs of
+    one record.
     Of several seeds the one with the median mean RMSE is drawn. Figure 3 compares the
     Euler-Lagrange model with and without spring, Figure 4 standard training with Algorithm 1,
     Figure 5 the Euler-Lagrange model with Algorithm 1; each only if both models are there.
@@ -68,12 +71,10 @@ def draw(data: DataSet, rows: Sequence[Row], split: str, record: str, folder: Pa
         record: name of the record of figures 3 to 5.
         folder: folder for the figures.
     """
-    # the verb reads this module before the table is printed, and matplotlib takes half a second
-    from tustinnet.reproduce.drawings import architecture_figure, mechanism_figure
-
-    rows_by_model = median_rows(rows)
-    paths = _write_formats(mechanism_figure(), folder / "figure1")
-    paths += _write_formats(architecture_figure(), folder / "figure2")
+    rows_by_model, paths = median_rows(rows), list[Path]()
+    for drawing in sorted(_DRAWINGS.glob("*.svg")):
+        write_into(folder, drawing.name, drawing.read_bytes())
+        paths.append(folder / drawing.name)
     for e in data.split(split):
         runs = {m: _find_score(row, e.name) for m, row in rows_by_model.items() if m in _STYLES}
         paths += _write_runs(e.name, runs, data, folder / f"free_run_{e.name}")
@@ -101,6 +102,7 @@ def _find_score(row: Row, experiment: str) -> Score:
 
 
 def _write_runs(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
+    # the verb reads this module before the table is printed, and matplotlib takes half a second
     from tustinnet.report.figures import free_run_figure
 
     styles = {_NAMES[model]: _STYLES[model] for model in runs}
