@@ -1,15 +1,13 @@
 """Are records that `rank_proposals` prefers worth more than others? On the twin of the pendulum.
 
-    python benchmarks/next_record.py grey [--seeds 5]
-    python benchmarks/next_record.py network [--seeds 5] [--horizon 1]
+    python benchmarks/next_record.py [--seeds 5]
 
 24 records of 4 s can be made: falls, small swings, white noise of 0.5 to 4 V, sines. Models are
 fitted to a few drawn at random, then `rank_proposals` ranks the others: the first of them are made
 and added, and the models fitted anew, and so on; beside that others at random are. Each is scored
 on the 6 validation records of the twin.
 
-`grey` identifies the twin's own equations of motion and adds a record a round; `network` trains
-three networks, put together as a committee, and adds two.
+The twin's own equations of motion are identified, and a record is added a round.
 """
 
 import argparse
@@ -33,7 +31,7 @@ from tustinnet.evaluate.next_record import Proposal, rank_proposals
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles
-from tustinnet.fitting.task import Fold, Member, Task
+from tustinnet.fitting.task import Fold, Task
 from tustinnet.report.progress import FitProgress
 from tustinnet.report.tables import Table, number
 from tustinnet.systems.qube_servo2 import WITH_MEMORY
@@ -42,9 +40,7 @@ from tustinnet.systems.twin import AS_LOGGED, TwinRun, log_runs
 
 SAMPLES, EACH = 400, 6
 RANDOM, CHOSEN = "random", "chosen"
-MEMBERS = 3
-GREY, NETWORK = (3, 4, 5, 6), (3, 5, 7, 9)
-QUICK = ["stages.*.epochs=40", "stages.*.windows.count=600"]
+SIZES = (3, 4, 5, 6)
 
 
 def proposals() -> list[Proposal]:
@@ -101,7 +97,6 @@ def grey(
     made: dict[str, tn.Experiment],
     held_out: Sequence[tn.Experiment],
     listener: Listener,
-    horizon: float | None,
 ) -> list[Ranked]:
     """Identifies the records of each arm: RMSE and error of parameters, and who ranks."""
     ranked: list[Ranked] = []
@@ -120,37 +115,9 @@ def grey(
         ]
 
         def rank(of: Sequence[Proposal], result: tn.FitResult = result) -> list[str]:
-            ranking = rank_proposals(result.model, result.as_header(), of)
-            return [gain.name for gain in ranking.gains]
+            return [g.name for g in rank_proposals(result.model, result.as_header(), of)]
 
         ranked.append(([tn.mean_rmse(scores), float(np.median(off))], rank))
-    return ranked
-
-
-def network(
-    arms: Sequence[Arm],
-    made: dict[str, tn.Experiment],
-    held_out: Sequence[tn.Experiment],
-    listener: Listener,
-    horizon: float | None,
-) -> list[Ranked]:
-    """Trains a committee for each arm: its RMSE, and who ranks."""
-    recipe = tn.read_recipe(Path(__file__).parent / "recipes" / "short-network.toml", QUICK)
-    folds = tuple(Fold(Roles(tuple(made[name] for name in arm.names), ())) for arm in arms)
-    members = tuple(
-        Member(MEMBERS * arm.seed + k, fold=f) for f, arm in enumerate(arms) for k in range(MEMBERS)
-    )
-    results = fit_task(Task(recipe, folds, members), listener)
-    ranked: list[Ranked] = []
-    for f in range(len(arms)):
-        model = tn.committee([r.model for r in results if r.member.fold == f])
-        scores = tn.evaluate(model, held_out, "model-20")
-
-        def rank(of: Sequence[Proposal], model: tn.Model = model) -> list[str]:
-            ranking = rank_proposals(model, {}, of, horizon=horizon)
-            return [gain.name for gain in ranking.gains]
-
-        ranked.append(([tn.mean_rmse(scores)], rank))
     return ranked
 
 
@@ -170,25 +137,22 @@ def needed(curves: dict[tuple[str, int], list[float]], sizes: Sequence[int], see
 def main() -> None:
     """Reads the arguments, runs the rounds, prints."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("grey", "network"))
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--horizon", type=float)
     parser.add_argument("--out", type=Path, default=Path("results"))
     given = parser.parse_args()
-    fit, sizes = (grey, GREY) if given.what == "grey" else (network, NETWORK)
     held_out = list(twin(7).split("validation"))
     pool = proposals()
     made = recorded(pool, held_out[0])
     names = [p.name for p in pool]
     orders = [np.random.default_rng(s).permutation(names).tolist() for s in range(given.seeds)]
     arms = [
-        Arm(s, way, orders[s][: sizes[0]]) for s in range(given.seeds) for way in (RANDOM, CHOSEN)
+        Arm(s, way, orders[s][: SIZES[0]]) for s in range(given.seeds) for way in (RANDOM, CHOSEN)
     ]
     lines: list[dict] = []
-    with FitProgress(Console(stderr=True, soft_wrap=True), quiet=given.what == "grey") as progress:
-        for n, more in zip(sizes, (*np.diff(sizes).tolist(), 0), strict=True):
+    with FitProgress(Console(stderr=True, soft_wrap=True), quiet=True) as progress:
+        for n, more in zip(SIZES, (*np.diff(SIZES).tolist(), 0), strict=True):
             for arm, (figures, rank) in zip(
-                arms, fit(arms, made, held_out, progress.listener(), given.horizon), strict=True
+                arms, grey(arms, made, held_out, progress.listener()), strict=True
             ):
                 lines.append(
                     {
@@ -208,13 +172,13 @@ def main() -> None:
                         print(f"seed {arm.seed}: at random, {error}", flush=True)
                 arm.names += others[:more]
     given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / f"next_record_{given.what}.json").write_text(json.dumps(lines, indent=1))
+    (given.out / "next_record.json").write_text(json.dumps(lines, indent=1))
     for i in range(len(lines[0]["figures"])):
         curves: dict[tuple[str, int], list[float]] = {}
         for of in lines:
             curves.setdefault((of["way"], of["seed"]), []).append(of["figures"][i])
         rows = []
-        for k, n in enumerate(sizes):
+        for k, n in enumerate(SIZES):
             row = [str(n)]
             for way in (RANDOM, CHOSEN):
                 each = [curves[way, s][k] for s in range(given.seeds)]
@@ -222,7 +186,7 @@ def main() -> None:
                 row.append(f"{texts[0]} ({texts[1]}..{texts[2]})")
             rows.append(row)
         print(Table(["records", RANDOM, CHOSEN], rows).markdown())
-        print(f"* {needed(curves, sizes, given.seeds)}\n")
+        print(f"* {needed(curves, SIZES, given.seeds)}\n")
 
 
 if __name__ == "__main__":

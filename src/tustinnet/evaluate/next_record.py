@@ -1,7 +1,6 @@
 """Ranking of proposed records by the information that recording them would give.
 
 For an identified system: how much the covariance of its parameters would shrink (D-optimality).
-For a committee: how much its members disagree on what would happen.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,6 @@ from jaxtyping import Float
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import LARGEST, Experiment
 from tustinnet.errors import InputError, convert_errors
-from tustinnet.evaluate.bands import find_alternatives, predict
 from tustinnet.fitting.shooting.information import fisher_information, search_space_for
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.contract import Model, require_float64, with_dtype
@@ -26,7 +24,6 @@ from tustinnet.simulate.input_signal import initial_inputs, input_signals
 from tustinnet.simulate.simulation import simulate_runs
 
 SHRINKAGE = 0.1  # of the correlations: those of few records leave directions without any error
-COVARIANCE, DISAGREEMENT = "covariance of the parameters", "disagreement of the members"
 
 
 @dataclass(frozen=True)
@@ -73,11 +70,9 @@ class InformationGain:
 
     Attributes:
         name: the proposal.
-        value: by which proposals are ranked, the more the better, NaN where the model cannot
-            simulate it: nats, half the logarithm of the covariance's determinant before over
-            after; or the root mean square difference of the members' free runs from that of all
-            [rad or m].
-        words: what it would improve most, or what members differ on most.
+        value: half the logarithm of the covariance's determinant before over after [nats]; NaN
+            where the model cannot simulate the record.
+        words: what it would improve most.
     """
 
     name: str
@@ -85,42 +80,21 @@ class InformationGain:
     words: str
 
 
-@dataclass(frozen=True)
-class ProposalRanking:
-    """Proposals, the most informative one first: that should be recorded next.
-
-    Attributes:
-        criterion: what they are ranked by.
-        unit: of the values.
-        gains: of each proposal.
-    """
-
-    criterion: str
-    unit: str
-    gains: tuple[InformationGain, ...]
-
-
 def rank_proposals(
-    model: Model,
-    header: Mapping[str, Any],
-    proposals: Sequence[Proposal],
-    *,
-    horizon: float | None = None,
-) -> ProposalRanking:
-    """Ranks proposed records by the information that they would give.
-
-    For an identified system: how much the covariance of its parameters would shrink. For a
-    committee: how much its members disagree on what would happen.
+    model: Model, header: Mapping[str, Any], proposals: Sequence[Proposal]
+) -> tuple[InformationGain, ...]:
+    """Ranks proposed records by how much they would shrink the covariance of the parameters.
 
     Args:
-        model: the model.
-        header: the header of its file; of an identified system it has the parameters' errors.
+        model: an identified system.
+        header: the header of its file, which has the errors of the parameters.
         proposals: the records that could be made.
-        horizon: over how long members' free runs are compared [s], each from where the committee
-            is; None for whole records. Not applicable to an identified system.
+
+    Returns:
+        What each proposal would give, the most informative one first: that should be recorded next.
 
     Raises:
-        InputError: a model that knows nothing of its errors, or can simulate none of them; two
+        InputError: a model without errors of its parameters, or that can simulate none of them; two
             proposals of one name, or arrays that do not fit the model.
     """
     require_float64("rank_proposals")
@@ -130,17 +104,11 @@ def rank_proposals(
     proposals = [p.checked(model.channels) for p in proposals]
     predicted = _predict_records(model, proposals)
     records = [e for e in predicted.values() if e is not None]
-    identification = header.get("identification")
-    if identification and horizon is not None:
-        raise InputError("`horizon=`", "not applicable to an identified system", "a committee")
-    if identification:
-        criterion, unit = COVARIANCE, "nats"
-        expected = "those of an identified system"
-        with convert_errors("rank_proposals", "errors of parameters that do not fit", expected):
-            gains = _covariance_gains(model, identification, records)
-    else:
-        criterion, unit = DISAGREEMENT, model.channels.unit
-        gains = _disagreement_gains(model, header, records, horizon)
+    expected = "those of an identified system"
+    if not header.get("identification"):
+        raise InputError("rank_proposals", "a model without errors of its parameters", expected)
+    with convert_errors("rank_proposals", "errors of parameters that do not fit", expected):
+        gains = _covariance_gains(model, header["identification"], records)
     finite = sorted((g for g in gains if np.isfinite(g.value)), key=lambda g: -g.value)
     if not finite:
         raise InputError(
@@ -151,7 +119,7 @@ def rank_proposals(
         )
     others = [name for name in predicted if name not in {g.name for g in finite}]
     diverging = [InformationGain(n, float("nan"), "the model cannot simulate it") for n in others]
-    return ProposalRanking(criterion, unit, (*finite, *diverging))
+    return (*finite, *diverging)
 
 
 def _predict_records(model: Model, proposals: Sequence[Proposal]) -> dict[str, Experiment | None]:
@@ -268,20 +236,3 @@ def parameter_covariance(
     covariance = shrunk * np.outer(errors, errors)
     covariance = covariance / np.outer(*[space.derivatives(space.to_vector(values))] * 2)
     return space, covariance, estimates
-
-
-def _disagreement_gains(
-    model: Model, header: Mapping[str, Any], records: Sequence[Experiment], horizon: float | None
-) -> list[InformationGain]:
-    """The differences between the members' free runs."""
-    alternatives = find_alternatives(model, header, "rank_proposals")
-    gains = []
-    predictions = predict(model, alternatives, records, "file", horizon=horizon) if records else ()
-    for prediction in predictions:
-        spread = np.sqrt(np.mean(prediction.spread**2, axis=0))
-        worst = int(np.argmax(spread))
-        coordinate = model.channels.coordinates[worst]
-        words = f"{coordinate.name} differs by {spread[worst]:.3g} {coordinate.unit}"
-        value = float(np.sqrt(np.sum(spread**2)))
-        gains.append(InformationGain(prediction.record, value, words))
-    return gains

@@ -186,7 +186,7 @@ def what_would_tell(*proposals: Proposal) -> dict[str, float]:
     assert find_alternatives(result.model, header, "the model")
     return {
         proposal.name: proposal.value
-        for proposal in rank_proposals(result.model, header, proposals).gains
+        for proposal in rank_proposals(result.model, header, proposals)
     }
 
 
