@@ -207,6 +207,46 @@ def test_a_draft_takes_the_period_from_the_lines_above_the_table(tmp_path: Path)
     assert (card["dt"], card.get("assumed"), found.questions) == (0.004, None, ())
 
 
+def test_files_without_a_header_have_the_names_of_the_others(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(400)
+    for k, header in enumerate(("", "t angle volts\n", "", "t angle volts\n")):
+        u = np.repeat(np.random.default_rng(k).choice([-2.0, 2.0], 20), 20)
+        angle = np.cumsum(np.cumsum(u)) * 1e-4 + np.sin(t)
+        rows = "\n".join(" ".join(f"{x:.6f}" for x in row) for row in zip(t, angle, u, strict=True))
+        (tmp_path / f"run{k}.txt").write_text(header + rows)
+    card = draft(tmp_path)
+    assert [(c["name"], c["column"]) for c in card["coordinates"]] == [("angle", 2)]
+    assert [(i["name"], i["column"]) for i in card["inputs"]] == [("volts", 3)]
+    data = tn.load(tmp_path)
+    assert [len(e) for e in data] == [400] * 4
+    notes = draft_card(tmp_path, [f"run{k}.txt" for k in range(4)]).notes
+    assert "no header in run0.txt, run2.txt: columns are called as in the other files" in notes
+
+
+@pytest.mark.parametrize(
+    ("names", "dt", "note"),
+    [
+        (("a_4000us", "b_4000us"), 0.004, ""),
+        (("a_1300us", "b_4ms"), 0.01, "1300us, 4ms: sampling periods? each needs a card"),
+        (("a_2kg", "b_4kg"), 0.01, "2kg, 4kg: loads are `groups`"),
+    ],
+)
+def test_a_period_in_the_names_of_files_is_assumed_or_asked(
+    names: tuple[str, str], dt: float, note: str, tmp_path: Path
+) -> None:
+    for k, name in enumerate(names):
+        u = np.repeat(np.random.default_rng(k).choice([-2.0, 2.0], 40), 20)
+        angle = np.cumsum(np.cumsum(u)) * 1e-4
+        rows = "\n".join(f"{a:.6f},{b}" for a, b in zip(angle, u, strict=True))
+        (tmp_path / f"{name}.csv").write_text(f"angle,volts\n{rows}")
+    made = draft_card(tmp_path, [f"{name}.csv" for name in names])
+    assert made.dt == dt
+    assert [q.assumption for q in made.questions if q.key == "period"] == [str(dt)]
+    assert [n for n in made.notes if "names of files" in n] == (
+        [f"names of files differ by {note}"] if note else []
+    )
+
+
 def test_a_velocity_in_raw_units_is_left_out(tmp_path: Path) -> None:
     t = 0.01 * np.arange(900)
     for k in range(2):

@@ -110,6 +110,16 @@ def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
     assert_columns(read_columns(path), TABLE)
 
 
+@pytest.mark.parametrize("row", [",", ";", " , ", "\t"])
+def test_rows_of_empty_cells_at_the_end_are_no_rows(row: str, tmp_path: Path, monkeypatch) -> None:
+    mark = row.strip(" ")
+    lines = (f"angle{mark}voltage", f"0.5{mark}1", f"-1.25{mark}0", f"3e-3{mark}-2")
+    path = text_file(tmp_path, "\n".join([*lines, *[row] * 200]) + "\n")
+    assert_columns(read_columns(path), TABLE)
+    monkeypatch.setattr("tustinnet.data.text_file._LARGE", 0)
+    assert_columns(read_columns(path), TABLE)
+
+
 def test_numbers_that_are_not_finite_are_left_to_the_checks(tmp_path: Path) -> None:
     path = text_file(tmp_path, "a,b\nNaN,inf\nnan,-Inf\n")
     assert_columns(read_columns(path), {"a": [np.nan, np.nan], "b": [np.inf, -np.inf]})
@@ -265,7 +275,11 @@ def external_numbers(path: Path) -> None:
         ("log.npz", Path.touch, "the file is empty"),
         ("log.mat", Path.touch, "the file is empty"),
         ("log.docx", lambda path: path.write_text("x"), r"ending '\.docx'; .*\.csv.*\.npz"),
-        ("log.tsv", lambda path: path.write_text("a\tb\n1\t2\n\t\n"), "row 3, a: an empty cell"),
+        (
+            "log.tsv",
+            lambda path: path.write_text("a\tb\n1\t2\n\t\n3\t4\n"),
+            "row 3, a: an empty cell",
+        ),
         ("log.csv", Path.mkdir, r"log\.csv: a folder, pipe or device"),
         ("log.csv", os.mkfifo, r"log\.csv: a folder, pipe or device"),
         ("log.csv", lambda path: path.symlink_to("/dev/zero"), r"log\.csv: a folder, pipe"),

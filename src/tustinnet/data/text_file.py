@@ -47,6 +47,7 @@ _COMMENT = "\tComment"  # a last column of LabVIEW, of which rows may have no ce
 _LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
+_EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing else
 _OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
@@ -64,8 +65,8 @@ def read_text(
 ) -> Columns:
     """Reads the columns of a text file; see `read_columns`.
 
-    Blank lines and comments are no rows. Every other line is one: a quote that would make one row
-    of several lines is refused. Errors name the rows of the file as it is.
+    Blank lines, empty cells at the end and comments are no rows. Every other line is one: a quote
+    that would make one row of several lines is refused. Errors name the rows of the file as it is.
     """
     file = _find_rows(path, header, delimiter, decimal, encoding, skips_damaged=skips_damaged)
     lines, dialect, plain, all_rows = file.lines, file.dialect, file.plain, file.rows
@@ -277,8 +278,6 @@ def _find_rows(
     dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
     if dialect.delimiter != "\t":  # empty cells between tabs are a row
         lines = [(row, line) for row, line in lines if line.strip()]
-    if not lines:
-        raise InputError(path, "the file holds no samples", "rows of numbers")
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
     skipped, above, pairs = 0, [], None
@@ -383,8 +382,9 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
     # of merged topics: which cells are empty has to be known
     if sum(map(content.count, (b",,", b",\n", b"nan", b"NaN"))) > MISSING * len(rows):
         return None
-    is_labelled = _LABELLED.match(lines[-1][1]) is not None
-    if dialect.delimiter == BLANKS or dialect.decimal != "." or dialect.thousands or is_labelled:
+    last = lines[-1][1]
+    is_usual = dialect.delimiter != BLANKS and dialect.decimal == "." and not dialect.thousands
+    if not is_usual or _LABELLED.match(last) is not None or not last.strip(_EMPTY):
         return None
     mark = ord(dialect.delimiter)
     cells = line(int(rows[0])).count(dialect.delimiter)
@@ -408,7 +408,7 @@ def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
 
 
 def _lines(text: str) -> tuple[Lines, list[str]]:
-    """The lines of a file that are no comments nor blank, and the comments before them."""
+    """The rows of a file, without comments and blank ones, and the comments before them."""
     lines: Lines = []
     comments: list[str] = []
     for row, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
@@ -416,6 +416,8 @@ def _lines(text: str) -> tuple[Lines, list[str]]:
             comments += [] if lines else [comment_text(line)]
         elif line.strip() or "\t" in line:
             lines.append((row, line))
+    while lines and not lines[-1][1].strip(_EMPTY):
+        lines.pop()
     for k, (row, line) in enumerate(lines[:_PREAMBLE]):
         if line.endswith(_COMMENT) and line.count("\t") > lines[-1][1].count("\t"):
             lines[k] = row, line.removesuffix(_COMMENT)

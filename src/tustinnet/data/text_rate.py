@@ -1,4 +1,4 @@
-"""The sampling rate in the lines above the table of a text file, for files without times."""
+"""The sampling rate in the lines above a table, or in a file's name, for files without times."""
 
 import re
 from pathlib import Path
@@ -18,6 +18,13 @@ _INTERVAL = re.compile(
     rf"(?i)(?:(?:{_WORDS})[ _]?(?:time|interval|period|zeit|intervall)|abtastzeit|\bts|\bdt"
     rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)\b"
 )
+_IN_NAME = re.compile(r"(?<![\d.,])(\d+)(ms|us)(?![a-z])")
+
+
+def period_in_name(name: str) -> float | None:
+    """The period [s] that a file's name may say, as `run_4000us`; None where it says none."""
+    match = _IN_NAME.search(name)
+    return int(match[1]) * TIME[match[2]] if match else None
 
 
 def find_period(path: Path) -> float | None:

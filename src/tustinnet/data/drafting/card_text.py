@@ -20,6 +20,7 @@ def write_card(
     *,
     has_header: bool | None,
     has_damaged_rows: bool,
+    column_numbers: Mapping[str, int],
     texts: Mapping[str, str],
     joined: Mapping[str, JoinedFile],
     period_reason: str,
@@ -34,11 +35,12 @@ def write_card(
         splits: the records; None where all logs beside the card are records.
         has_header: whether files without names of columns have a header; None with names.
         has_damaged_rows: whether files have rows that are no samples.
+        column_numbers: the numbers of the columns, where only some files name them.
         texts: columns that hold no numbers, and what they hold.
         joined: other files of each record, by their labels.
         period_reason: why this is the period; empty where nothing in the files says it.
     """
-    key = _key_of(has_header)
+    key = _key_of(has_header, column_numbers)
     why = period_reason or "assumed; check: how far apart are the samples?"
     lines = [
         "# drafted from the logs; what is marked `check` is assumed",
@@ -87,7 +89,7 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
         lines.append("# check that both files begin at one instant: their clocks say nothing of it")
     lines.append(f"[join.{bare_key(label)}]")
     if file.column is not None:
-        key = _key_of(file.has_header)
+        key = _key_of(file.has_header, {})
         lines += [f"column = {key(file.column)}", f"unit = {quote(file.unit)}"]
     lines += ["starts_together = true"] if file.starts_together else []
     assumed = [] if file.is_sure else ["unit"]
@@ -97,8 +99,10 @@ def _joined(label: str, file: JoinedFile) -> list[str]:
     return [*lines, *([f"format = {{ {', '.join(form)} }}"] if form else [])]
 
 
-def _key_of(has_header: bool | None) -> Callable[[str], str]:
-    """The key of a column in a card: its number where no file has names, which is `has_header`."""
+def _key_of(has_header: bool | None, numbers: Mapping[str, int]) -> Callable[[str], str]:
+    """The key of a column in a card: its number where no file has names, or only some have."""
+    if numbers:
+        return lambda column: str(numbers[column])
     return quote if has_header is None else lambda column: column.removeprefix(NUMBERED)
 
 

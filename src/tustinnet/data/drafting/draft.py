@@ -36,7 +36,7 @@ from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
 from tustinnet.data.drafting.splits import Splits, choose_splits, find_conditions
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
-from tustinnet.data.text_rate import find_period
+from tustinnet.data.text_rate import find_period, period_in_name
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -228,7 +228,7 @@ def draft_examined(
     questions = [*choice.questions]
     if not examination.period_reason:
         text = "sampling period [s]; no column of times was found"
-        questions.insert(0, Question(_PERIOD, text, str(_USUAL_PERIOD), is_number=True))
+        questions.insert(0, Question(_PERIOD, text, str(clock.dt), is_number=True))
     logs = [_without_unused_files(log, choice) for log in examination.logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     found = find_pieces(trimmed, clock, findings.readings, notes.append)
@@ -239,7 +239,9 @@ def draft_examined(
         notes.append("no input was found: the records are taken for free motion")
     if conditions := find_conditions(found):
         differences = f"{', '.join(conditions[:4])}{', ...' if len(conditions) > 4 else ''}"
-        notes.append(f"names of files differ by {differences}: loads are given as `groups`")
+        is_period = clock.column is None and all(map(period_in_name, conditions))
+        meaning = "sampling periods? each needs a card" if is_period else "loads are `groups`"
+        notes.append(f"names of files differ by {differences}: {meaning}")
     pieces = usable or find_pieces(examination.logs, clock, findings.readings)
     positions = {
         c.column: [unwrap(p.column(c.column), numbers[c.column].wrap) for p in pieces]
@@ -255,6 +257,7 @@ def draft_examined(
         splits if has_splits else None,
         has_header=logs[0].has_header,
         has_damaged_rows=any(log.has_damaged_rows for log in logs),
+        column_numbers=logs[0].numbers,
         texts=logs[0].texts,
         joined=logs[0].joined,
         period_reason=examination.period_reason,
@@ -331,7 +334,8 @@ def _find_period(
         return period, "by the sampling rate that the files say"
     if by_velocities is not None:
         return by_velocities, "by the velocities, which are slopes of the positions"
-    return _USUAL_PERIOD, ""
+    in_names = {period_in_name(log.file) for log in logs}
+    return (in_names.pop() if len(in_names) == 1 else None) or _USUAL_PERIOD, ""
 
 
 def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:

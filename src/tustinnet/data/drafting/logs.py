@@ -103,6 +103,7 @@ class Log:
         spans: first and last time of each of these columns in the file.
         joined: other files of the record by their labels.
         factor: seconds in a unit of the first of `clocks`.
+        numbers: the number of each column in its file, where only some of the files name them.
     """
 
     file: str
@@ -120,6 +121,7 @@ class Log:
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joined: Mapping[str, JoinedFile] = field(default_factory=dict)
     factor: float = 1.0
+    numbers: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.values.values())))
@@ -242,7 +244,7 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
         logs: the logs.
         on_message: called with a sentence on each log that is left out.
     """
-    samples: Counter[tuple[str, ...]] = Counter()
+    logs, samples = _name_as_others(logs, on_message), Counter[tuple[str, ...]]()
     for log in logs:
         samples[tuple(log.values)] += len(log)
     usual = samples.most_common(1)[0][0]
@@ -256,6 +258,24 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
         for log in logs
         if {*usual} <= {*log.values}
     ]
+
+
+def _name_as_others(logs: Sequence[Log], on_message: Callable[[str], None]) -> Sequence[Log]:
+    """The logs; those whose columns have no names with the names of others of as many columns."""
+    named = {len(log.values): log for log in logs if log.has_header is None}
+    bare = [log.file for log in logs if log.has_header is False and len(log.values) in named]
+    if not bare or any(log.texts for log in logs):
+        return logs
+
+    def with_names(log: Log) -> Log:
+        names = [*(named[len(log.values)] if log.file in bare else log).values]
+        values = dict(zip(names, log.values.values(), strict=True))
+        numbers = {name: k for k, name in enumerate(names, start=1)}
+        return replace(log, values=values, has_header=None, numbers=numbers)
+
+    files = ", ".join(bare[:4]) + (", ..." if len(bare) > 4 else "")
+    on_message(f"no header in {files}: columns are called as in the other files")
+    return [*map(with_names, logs)]
 
 
 def _read_file(folder: Path, file: str) -> list[Log]:
