@@ -9,6 +9,8 @@ import pytest
 from swinging import CART, noises, records
 
 import tustinnet as tn
+from tustinnet.fitting.recipe import IdentificationRecipe
+from tustinnet.fitting.task import begin_with
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.systems.mechanism import MECHANISM
 
@@ -206,6 +208,18 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
     np.testing.assert_allclose(slide.potential(Q, values), 9.81 * Q[0] * jnp.sin(Q[1]), rtol=1e-6)
     energy = (V[0] ** 2 + (0.5 + Q[0] ** 2) * V[1] ** 2) / 2
     np.testing.assert_allclose(slide.kinetic(Q, V, values), energy, rtol=1e-6)
+
+
+def test_a_fit_begins_within_the_ranges_of_its_own_records():
+    wide, narrow = MECHANISM.for_records(noises()), [replace(e, u=50 * e.u) for e in noises()]
+    (gain,) = [p for p in wide.parameters if p.name == "angle.by_voltage"]
+    values = {p.name: jnp.asarray(p.nominal) for p in wide.parameters}
+    origin = tn.discretise(wide.model(values | {gain.name: jnp.asarray(gain.upper)}), 0.02)
+    begun = begin_with(tn.read_recipe("mechanism"), origin, MECHANISM, narrow)
+    assert isinstance(begun, IdentificationRecipe)
+    upper = MECHANISM.for_records(narrow).parameter(gain.name).upper
+    assert upper < gain.upper
+    assert begun.model.begin[gain.name] == upper
 
 
 def test_it_is_no_system_to_give_beside_a_model():

@@ -11,18 +11,22 @@ TARGETS = REGRESSORS @ [1.0, -2.0, 0.1] + 0.3 * RANDOM.normal(size=(4, 9))
 AT, UNIT = np.array([0.7, -1.0, 0.4]), np.array([1.0, 5.0, 0.2])
 
 
-@pytest.fixture(scope="module")
-def model() -> QuadraticCost:
+def of_linear_problem(regressors: np.ndarray = REGRESSORS) -> QuadraticCost:
     """Of a linear least-squares problem, for which it is exact."""
-    residuals = REGRESSORS @ AT - TARGETS
+    residuals = regressors @ AT - TARGETS
     return QuadraticCost(
         point=AT * UNIT,
         unit=UNIT,
         cost=np.sum(residuals**2, axis=1),
-        gradient=np.einsum("gsp,gs->gp", REGRESSORS, residuals) / UNIT,
-        curvature=np.einsum("gsp,gsr->gpr", REGRESSORS, REGRESSORS) / np.outer(UNIT, UNIT),
+        gradient=np.einsum("gsp,gs->gp", regressors, residuals) / UNIT,
+        curvature=np.einsum("gsp,gsr->gpr", regressors, regressors) / np.outer(UNIT, UNIT),
         regularisation=np.zeros(3),
     )
+
+
+@pytest.fixture(scope="module")
+def model() -> QuadraticCost:
+    return of_linear_problem()
 
 
 def solved(groups: list[int], fixed: dict[int, float]) -> np.ndarray:
@@ -43,3 +47,9 @@ def test_it_says_what_new_fits_without_a_group_would(model, fixed):
     every = solved([0, 1, 2, 3], fixed)
     np.testing.assert_allclose(model.best_vector(fixed), every, atol=1e-12)
     assert model.best_cost(fixed) == pytest.approx(np.sum((REGRESSORS @ every - TARGETS) ** 2))
+
+
+def test_two_terms_that_are_one_cost_what_one_of_them_does():
+    twice = of_linear_problem(REGRESSORS[:, :, [0, 1, 1]])
+    alone = twice.leave_one_out_cost({2: 0.0})
+    assert twice.leave_one_out_cost({}) == pytest.approx(alone, rel=1e-6)

@@ -17,6 +17,7 @@ from tustinnet.fitting.shooting.problem import Problem, SearchState, make_prior
 from tustinnet.fitting.shooting.space import ParameterVector
 from tustinnet.fitting.shooting.uncertainty import FEWEST_RECORDS
 
+_ROUNDING = 1e-12  # of a curvature of 1: where two terms are one, the sum would be singular
 FixedEntries = Mapping[int, float]  # entries of the vector that are fixed, by index
 
 
@@ -62,7 +63,8 @@ class QuadraticCost:
     @cached_property
     def _sums(self) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and curvature of all groups together, (1, n_p) and (1, n_p, n_p)."""
-        curvature = self.curvature.sum(axis=0) + np.diag(self.regularisation)
+        regularisation = np.maximum(self.regularisation, _ROUNDING)
+        curvature = self.curvature.sum(axis=0) + np.diag(regularisation)
         return self.gradient.sum(axis=0)[None], curvature[None]
 
     def _best_steps(
