@@ -154,8 +154,8 @@ class Row:
         linear: RMSE that the fit has for the linear candidate.
         wall: time that the fit took [s].
         budget: its budget [s].
-        used: time of the command without that of candidates and committees that have no score, and
-            without what was left of the budget [s].
+        used: time of the command without that of candidates that have no score, and without what
+            was left of the budget [s].
         exit_code: of the command; None where it was ended after 1.3 budgets.
         traceback: whether its output has a traceback.
         sentences: what the fit says of its choice.
@@ -294,7 +294,7 @@ def fit_and_score(folder: Path, budget: str, system: bool, command: str, runs: P
     first = next(iter(best["starts"].values()))
     linear = next(iter(candidates.get("linear", {}).get("starts", {}).values()), {})
     claim, parts = summary["claim"], summary["seconds_by_part"]
-    tried = sum(parts.get(name, 0.0) for name in ("candidates", "committees"))
+    tried = parts.get("candidates", 0.0)
     result |= {
         "chosen": summary["best"],
         "unit": summary["unit"],

@@ -29,6 +29,7 @@ substeps = 1
 PLAN = """
 name = "small"
 folds = 3
+keep = 1.0
 start = "model-10"
 
 [[candidates]]
@@ -43,33 +44,12 @@ recipe = "small.toml"
 name = "hybrid"
 recipe = "hybrid.toml"
 corrects = ["grey"]
-
-[[committees]]
-name = "both"
-of = ["network", "hybrid"]
-
-[[committees]]
-name = "best two averaged"
-best = 2
-
-[[rounds]]
-folds = 1
-keep = 1.0
-
-[[rounds]]
-folds = 3
-keep = 1.0
-
-[[rounds]]
-folds = 3
-seeds = 2
 """
 NETWORK_ONLY = """
 name = "network only"
 folds = 3
 start = "model-10"
 candidates = [{ name = "network", recipe = "small.toml" }]
-rounds = [{ folds = 3 }]
 """
 
 

@@ -61,14 +61,13 @@ def _shortened(recipe: str) -> str:
 PLAN = """
 name = "tiny"
 folds = 3
+scored = 1
 candidates = [
     { name = "linear", recipe = "linear.toml" },
     { name = "mechanism", recipe = "mechanism.toml" },
     { name = "network", recipe = "network.toml" },
     { name = "hybrid", recipe = "hybrid.toml", corrects = ["mechanism"] },
 ]
-committees = [{ name = "best two", best = 2 }]
-rounds = [{ folds = 1 }]
 """
 RECIPES = {
     "linear": 'name = "solved"\n[model]\nkind = "linear"\n',
@@ -137,8 +136,8 @@ def require_words(text: str) -> None:
 ONE = """
 name = "one"
 folds = 3
+scored = 1
 candidates = [{ name = "only", recipe = "NAME" }]
-rounds = [{ folds = 1 }]
 """
 SYSTEM = """
 import jax.numpy as jnp

@@ -26,7 +26,6 @@ name = "one"
 folds = 3
 start = "derived-6"
 candidates = [{ name = "grey", recipe = "grey.toml" }]
-rounds = [{ folds = 3 }]
 """
 
 

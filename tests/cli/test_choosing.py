@@ -19,7 +19,6 @@ name = "two"
 folds = 3
 start = "derived-6"
 candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "linear" }]
-rounds = [{ folds = 3 }]
 """
 
 
@@ -69,7 +68,7 @@ def test_a_folder_of_logs_and_a_system_become_one_model(folder, tmp_path, out, c
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_notes_are_printed_once(monkeypatch, capsys, quiet):
-    left_out = make_finding("committee failed", committee="b", why="too late")
+    left_out = make_finding("candidates left out", why="too late", candidates=["b"])
     choice: Any = SimpleNamespace(
         findings=(make_finding("records diverge"), left_out), notes=(left_out,)
     )
@@ -77,7 +76,7 @@ def test_notes_are_printed_once(monkeypatch, capsys, quiet):
         "tustinnet.report.selection.candidates_table", lambda choice: Table(["a"], [["1"]])
     )
     print_choice(choice, quiet=quiet)  # without `quiet` they were printed while it was made
-    assert ("* b: left out, too late" in capsys.readouterr().out) == quiet
+    assert ("* left out, too late: b" in capsys.readouterr().out) == quiet
 
 
 @pytest.mark.parametrize(

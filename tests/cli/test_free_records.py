@@ -40,12 +40,12 @@ counts_per_revolution = 6283
 PLAN = """
 name = "two"
 folds = 3
+scored = 1
 start = "model-10"
 candidates = [
   { name = "grey", recipe = "grey.toml" },
   { name = "network", recipe = "small.toml" },
 ]
-rounds = [{ folds = 1 }]
 """
 
 

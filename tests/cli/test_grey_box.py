@@ -669,11 +669,11 @@ def test_the_demo_does_the_whole_job_and_says_twin_everywhere(tmp_path, monkeypa
         {
             "name": "quick",
             "folds": 3,
+            "scored": 1,
             "candidates": [
                 {"name": "physics", "recipe": "grey", "set": quick},
                 {"name": "linear", "recipe": "linear"},
             ],
-            "rounds": [{"folds": 1}],
         }
     )
     monkeypatch.setattr(demo, "_PLAN", plan)

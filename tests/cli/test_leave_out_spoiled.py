@@ -16,8 +16,6 @@ start = "model-20"
 name = "grey"
 recipe = "grey"
 set = ["search.initial=anchored", "search.substeps=1"]
-[[rounds]]
-folds = 3
 """
 
 
@@ -49,7 +47,7 @@ def test_the_command_leaves_out_what_spoils_and_says_so(tmp_path, capsys, system
 
 
 @pytest.mark.thorough
-def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
+def test_a_selection_leaves_out_before_its_folds(tmp_path, capsys, system):
     folder, out = tmp_path / "logs", tmp_path / "out"
     write(folder, records("hand"))
     (tmp_path / "plan.toml").write_text(PLAN)
@@ -65,7 +63,7 @@ def test_a_selection_leaves_out_before_its_rounds(tmp_path, capsys, system):
     assert {name.split("[")[0] for name in scored} == {f"run{i}" for i in range(6)}
     assert "run2" not in scored
     assert tn.read_header(out / "model.safetensors")["spoiled"] == summary["spoiled"]
-    one_fold = PLAN.replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
+    one_fold = PLAN.replace("folds = 3", "folds = 3\nscored = 1")
     (tmp_path / "plan.toml").write_text(one_fold)
     code, printed, err = tustinnet(capsys, *fit, "--overwrite")
     assert code == 0, err

@@ -17,7 +17,7 @@ from tustinnet.selection import jobs
 GREY_TOO = NETWORK_ONLY.replace(
     "candidates = [",
     'candidates = [{ name = "grey", recipe = "grey.toml", when = "always" }, ',
-).replace("rounds = [{ folds = 3 }]", "rounds = [{ folds = 1 }]")
+).replace("folds = 3", "folds = 3\nscored = 1")
 SYSTEM = """
 import jax.numpy as jnp
 import tustinnet as tn

@@ -39,6 +39,7 @@ PENDULUM = Path(__file__).parents[2] / "examples" / "robots" / "double_pendulum.
 PLAN = """
 name = "by forces"
 folds = 3
+keep = 1.0
 start = "model-10"
 
 [[candidates]]
@@ -50,19 +51,11 @@ when = "fully-actuated"
 name = "grey"
 recipe = "grey.toml"
 begins_with = ["inverse-dynamics"]
-
-[[rounds]]
-folds = 1
-keep = 1.0
-
-[[rounds]]
-folds = 3
 """
 
 ALONE = """
 name = "alone"
 folds = 3
-rounds = [{ folds = 3 }]
 [[candidates]]
 name = "inverse-dynamics"
 recipe = "inverse-dynamics"

@@ -32,12 +32,12 @@ SCORING = Scorer(3, "model-10")
 WAITING = """
 name = "waiting"
 folds = 3
+scored = 1
 start = "model-10"
 candidates = [
     { name = "grey", recipe = "grey.toml" },
     { name = "hybrid", recipe = "hybrid.toml", corrects = ["grey"] },
 ]
-rounds = [{ folds = 1 }]
 """
 PARTED = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
 
@@ -79,7 +79,7 @@ def worker_of(driver: int) -> int | None:
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
 def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(machine, tmp_path):
     said: list[str] = []
-    # committees are scored by this process in both; a job of a fold waits for another
+    # a job of a fold waits for another
     options = SelectionOptions(plan_in(tmp_path, WAITING), SWING)
     here = select_model(swings(), tmp_path / "here", options)
     killed: list[int] = []

@@ -8,7 +8,7 @@ from small_selection import plan_in
 
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import IdentificationRecipe
-from tustinnet.selection.plan import Average, Candidate, packaged_plans, read_plan
+from tustinnet.selection.plan import Candidate, packaged_plans, read_plan
 
 
 def broken(folder, old: str, new: str):
@@ -85,15 +85,10 @@ def test_a_search_that_begins_with_forces_is_over_pieces_but_for_its_own_horizon
             "begins with 'network' of kind 'tustin-net'.*its own kind, 'euler-lagrange'",
         ),
         ('name = "network"', 'name = "grey"', "called 'grey'"),
-        ('of = ["network", "hybrid"]', 'of = ["network", "gru"]', "'both' is of 'gru'"),
-        ('of = ["network", "hybrid"]', 'of = ["network", "network"]', "called 'network'"),
-        ('of = ["network", "hybrid"]', "", "either `of`, the candidates by name, or `best`"),
-        ('of = ["network", "hybrid"]', "best = 1", "best: Input should be greater than or equal"),
-        ('of = ["network", "hybrid"]', 'of = ["network"]\nbest = 2', "either `of`"),
-        ("folds = 3\nseeds = 2", "folds = 1", "fewer folds or seeds"),
-        ("folds = 3\nseeds = 2", "folds = 4", "4 of 3 folds"),
+        ("keep = 1.0", "scored = 4", "4 of 3 folds are scored"),
+        ("keep = 1.0", "keep = 1.5", "keep: Input should be less than or equal to 1"),
         ('start = "model-10"', 'start = "model"', "start"),
-        ("folds = 3\nstart", "folds = 2\nstart", "folds"),
+        ("folds = 3", "folds = 2", "folds"),
         (
             'recipe = "small.toml"',
             'recipe = "small.toml"\nset = ["rates=[1.0, 2.0]"]',
@@ -106,20 +101,6 @@ def test_a_plan_that_does_not_fit_is_refused_in_a_line(tmp_path, old, new, told)
         read_plan(broken(tmp_path, old, new))
     assert re.search(told, str(found.value)), str(found.value)
     assert "\n" not in str(found.value)
-
-
-@pytest.mark.parametrize(
-    ("which", "left", "members"),
-    [
-        ({"best": 2}, ("c", "a", "b"), ("c", "a")),
-        ({"best": 3}, ("c", "a"), ("c", "a")),
-        ({"best": 3}, ("c",), ()),
-        ({"of": ("a", "b")}, ("c", "b", "a"), ("a", "b")),
-        ({"of": ("a", "b")}, ("c", "a"), ()),
-    ],
-)
-def test_a_committee_is_of_candidates_that_are_left(which, left, members):
-    assert Average(name="some", **which).members_among(left) == members
 
 
 def test_an_unknown_plan_is_told_with_those_that_there_are():

@@ -1,6 +1,7 @@
 """How candidates compare."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -57,6 +58,18 @@ def test_those_that_share_no_fold_are_ranked_by_what_each_has():
         CandidateResult("b", {1: (scores({"s": 1.0}),)}),
     )
     assert [s.name for s in rank([a, b])] == ["b", "a"]
+
+
+def test_how_far_a_lost_run_is_off_decides_nothing():
+    """Of a double pendulum one free run of four left its record, and the others were far better."""
+    linear = standing("linear", {"r": 0.12}, {"s": 0.55}, {"t": 0.61}, {"u": 0.16})
+    physics = standing("physics", {"r": 0.04}, {"s": 0.04}, {"t": 1.99}, {"u": 0.07})
+    assert [s.name for s in rank([linear, physics])] == ["linear", "physics"]
+    bounded = [replace(result, lost=0.78) for result in (linear, physics)]
+    assert [s.name for s in rank(bounded)] == ["physics", "linear"]
+    assert bounded[1].rmse()["t"] == 1.99
+    diverged = replace(bounded[1], fits_by_fold=standing("", {"r": math.inf}).fits_by_fold)
+    assert diverged.compared() == {"r": math.inf}
 
 
 def test_what_left_all_bounds_comes_last_and_what_was_not_scored_not_at_all():

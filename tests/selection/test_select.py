@@ -19,9 +19,8 @@ import tustinnet as tn
 from tustinnet.control.plants import load_rivals
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.metrics import expected_range, mean_and_error
+from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.fits import deadline
-from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.models.physical_values import equations_in
@@ -30,7 +29,6 @@ from tustinnet.selection import choice as chosen
 from tustinnet.selection import final_models, jobs, queue, scoring
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.committees import combine, score_committee, score_committees
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.plan import read_plan
 from tustinnet.selection.ranking import CandidateResult
@@ -53,7 +51,7 @@ def _rough_models():
 
 # solved, not trained: for what has nothing to do with training
 SOLVED = NETWORK_ONLY.replace("small.toml", "linear")
-ONE_FOLD = ("rounds = [{ folds = 3 }]", "rounds = [{ folds = 1 }]")
+ONE_FOLD = ("folds = 3\n", "folds = 3\nscored = 1\n")
 GREY_ONCE = (
     NETWORK_ONLY.replace("network", "grey").replace("small.toml", "grey.toml").replace(*ONE_FOLD)
 )
@@ -108,7 +106,7 @@ def test_a_difference_on_a_single_record_is_said_to_be_on_too_few(made):
 
     candidates = made.choice.candidates
     results = tuple(map(on_one, candidates.results))
-    few = replace(candidates, results=results, committees={})
+    few = replace(candidates, results=results)
     choice = replace(made.choice, candidates=few, best="grey", simplest="grey")
     (difference,) = [f for f in choice.findings if f.code.startswith("not clearly better")]
     assert difference.text.endswith("on 1 record, too few records to be sure")
@@ -166,25 +164,6 @@ def test_the_scores_are_those_of_the_models_in_the_folders(made):
         assert again == pytest.approx(dict(rmse), rel=1e-9)
 
 
-def test_a_committee_is_judged_with_the_shares_that_other_folds_chose(made):
-    choice = made.choice
-    both = choice.candidates.committees["both"]
-    assert set(both.shares) == {"network", "hybrid"}
-    assert sum(both.shares.values()) == pytest.approx(1)
-    assert set(both.result.fits_by_fold) == {0, 1, 2}
-    # the network is much worse: no fold gives it the larger share
-    assert both.shares["network"] <= 0.5
-    assert (
-        mean_and_error(both.result.rmse().values())[0]
-        < mean_and_error(choice.result("network").rmse().values())[0]
-    )
-
-
-def test_a_committee_of_the_best_that_is_one_of_them_alone_is_left_out(made):
-    assert "best two averaged" not in made.choice.candidates.committees
-    assert any(line.startswith("best two averaged: left out, ") for line in made.said)
-
-
 def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
     choice = made.choice
     assert {choice.best, choice.simplest} & {"grey"}
@@ -195,7 +174,7 @@ def test_parameters_of_a_chosen_system_are_identified_from_all_records(made):
 
 
 @pytest.mark.thorough
-def test_networks_of_all_folds_become_one_committee(alone):
+def test_networks_of_all_folds_become_their_average(alone):
     choice, _ = alone
     model = tn.load_model(choice.context.folder / "model.safetensors")
     each = [tn.load_model(choice.context.folder / m.model) for m in choice.result("network").fits]
@@ -203,7 +182,7 @@ def test_networks_of_all_folds_become_one_committee(alone):
     x, u = jnp.array([0.3, -0.2]), jnp.array([0.7])
     mean = np.mean([np.asarray(m.step(x, u)) for m in each], axis=0)
     np.testing.assert_allclose(np.asarray(model.step(x, u)), mean, rtol=1e-6)
-    assert choice.origins["network"] == "the average of 3 models of 3 folds"
+    assert choice.origins["network"] == "the average of the models of 3 folds"
 
 
 def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
@@ -237,7 +216,7 @@ def test_summary_and_header_say_what_was_found(made):
     summary = json.loads((choice.context.folder / "summary.json").read_text())
     assert summary["best"] == choice.best
     by_name = {c["name"]: c for c in summary["candidates"]}
-    assert set(by_name) >= {"grey", "network", "hybrid", "both", "hybrid, seeds averaged"}
+    assert set(by_name) == {"grey", "network", "hybrid"}
     for name, of in by_name.items():
         rmse = of["starts"]["model-10"]["rmse"]
         assert rmse == pytest.approx(choice.result(name).rmse())
@@ -287,23 +266,6 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     assert short.startswith("nothing follows these records better than standing still; look at ")
 
 
-def test_a_committee_on_few_records_is_expected_to_be_as_good_as_its_member_on_the_others(made):
-    choice, name = made.choice, "hybrid, seeds averaged"
-    whole = choice.candidates.committees[name]
-    few = replace(whole.result, fits_by_fold={0: whole.result.fits_by_fold[0]})
-    committees = {**choice.candidates.committees, name: replace(whole, result=few)}
-    candidates = replace(choice.candidates, committees=committees)
-    cut = replace(choice, candidates=candidates, best=name)
-    member = choice.result("hybrid").rmse()
-    expected = {record: few.rmse().get(record, error) for record, error in member.items()}
-    assert cut.candidates.expected_errors(name) == expected
-    told = cut.findings[1].text
-    assert f"of {len(member)} records that its models were not fitted to, " in told
-    assert f", {len(member) - len(few.rmse())} of them by hybrid alone: " in told
-    assert f": {np.mean([*expected.values()]):.3g} " in told
-    assert cut.claim == expected_range(expected.values())
-
-
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:
     """A choice whose chosen candidate has these errors, a record each, on one fold."""
     rmse = {f"{kinds[i % len(kinds)]}{i}": error for i, error in enumerate(errors)}
@@ -331,58 +293,11 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     assert [f.code for f in cut].count("pieces are alike") == 1
 
 
-def test_a_candidate_is_not_compared_with_the_average_of_its_own_seeds(made):
-    choice = replace(made.choice, best="hybrid, seeds averaged")
-    assert choice.candidates.are_alike("hybrid", choice.best)
-    [compared] = [f for f in choice.findings if f.code.endswith((" better", " better few"))]
-    assert compared.values["other"] != "hybrid"
-
-
 def test_the_time_of_a_selection_is_that_of_its_parts(made):
     parts = made.choice.seconds_by_part
     assert made.choice.seconds == pytest.approx(sum(parts.values()))
     tried = sum(r.seconds for r in made.choice.candidates.results)
     assert parts["candidates"] == pytest.approx(tried, rel=0.2)
-
-
-def test_candidates_that_are_far_off_make_no_committee_of_the_best(made):
-    choice, said = made.choice, []
-    best, grey = (
-        replace(r, fits_by_fold={fold: fits[:1] for fold, fits in r.fits_by_fold.items()})
-        for r in (choice.result("hybrid"), choice.result("grey"))
-    )
-    scaled = replace(
-        grey,
-        fits_by_fold={
-            fold: tuple(
-                replace(
-                    fit,
-                    rmse={s: {n: 1e3 * x for n, x in rmse.items()} for s, rmse in fit.rmse.items()},
-                )
-                for fit in fits
-            )
-            for fold, fits in grey.fits_by_fold.items()
-        },
-    )
-    scored = score_committees(choice.candidates.plan, [best, scaled], choice.context, said.append)
-    assert not scored
-    told = "best two averaged: left out, the others are more than 3 times as far off as hybrid"
-    assert told in said
-
-
-def test_a_committee_that_cannot_be_judged_in_time_is_given_up_early(made, monkeypatch):
-    choice, scores = made.choice, []
-    members = [choice.result("network"), choice.result("hybrid")]
-    one = scoring.Scorer.score
-
-    def score(*arguments):
-        scores.append(1)
-        time.sleep(0.05)
-        return one(*arguments)
-
-    monkeypatch.setattr(scoring.Scorer, "score", score)
-    assert score_committee("both", members, choice.context, Deadline.after(0.3)) is None
-    assert len(scores) <= 4
 
 
 @pytest.mark.thorough
@@ -505,7 +420,6 @@ name = "two"
 folds = 3
 start = "model-10"
 candidates = [{ name = "grey", recipe = "grey.toml" }, { name = "network", recipe = "small.toml" }]
-rounds = [{ folds = 3 }]
 """
 
 
@@ -590,7 +504,7 @@ def test_another_signal_and_a_second_interruption_end_it_at_once(tmp_path, monke
         with pytest.raises(Signal):
             select_model(swings(), tmp_path / "run", options)
     failing(monkeypatch, {"network"}, Signal(signal.SIGINT))
-    monkeypatch.setattr("tustinnet.selection.select.score_committees", _interrupted)
+    monkeypatch.setattr("tustinnet.selection.select.make_final_models", _interrupted)
     with pytest.raises(KeyboardInterrupt):
         select_model(swings(), tmp_path / "run", options, "discard")
     assert not (tmp_path / "run" / "model.safetensors").exists()
@@ -606,13 +520,13 @@ def test_an_interruption_of_what_comes_after_the_candidates_ends_with_the_best(
 ):
     times = iter([True, False])
 
-    def committees(*arguments: Any) -> dict[str, Any]:
+    def make(*arguments: Any) -> Any:
         if next(times):
             raise KeyboardInterrupt
         assert arguments[-1].remaining <= 0
-        return {}
+        return final_models.make_final_models(*arguments)
 
-    monkeypatch.setattr("tustinnet.selection.select.score_committees", committees)
+    monkeypatch.setattr("tustinnet.selection.select.make_final_models", make)
     choice, _ = selected(tmp_path, text=SOLVED)
     assert choice.best == "network"
     assert choice.findings[-1].text.startswith("interrupted: ")
@@ -777,8 +691,7 @@ def test_what_means_nothing_is_refused(tmp_path):
 def test_candidates_of_a_system_are_left_out_without_one(tmp_path):
     said: list[str] = []
     plan = plan_in(tmp_path).read_text().replace("small.toml", "linear")
-    plan = plan[: plan.index("[[rounds]]")] + "[[rounds]]\nfolds = 1\n"
-    options = SelectionOptions(plan_in(tmp_path, plan))
+    options = SelectionOptions(plan_in(tmp_path, plan.replace(*ONE_FOLD)))
     choice = select_model(swings(), tmp_path / "run", options, reporter=Reporter(said.append))
     assert said[0] == "left out, requires a system (`system=`): grey, hybrid"
     assert choice.best == "network"
@@ -800,9 +713,6 @@ when = "no-system"
 name = "hybrid"
 recipe = "hybrid.toml"
 corrects = ["mechanism"]
-
-[[rounds]]
-folds = 3
 """
 
 
@@ -811,8 +721,7 @@ def test_without_a_system_a_mechanism_is_found_and_corrected(tmp_path):
     plan = plan_in(tmp_path, MECHANISM)
     with pytest.raises(InputError, match=r"only without a system: mechanism, hybrid"):
         select_model(swings(), tmp_path / "refused", SelectionOptions(plan, SWING))
-    once = MECHANISM.replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
-    one_fold = plan_in(tmp_path, once)
+    one_fold = plan_in(tmp_path, MECHANISM.replace(*ONE_FOLD))
     choice = select_model(swings(), tmp_path / "run", SelectionOptions(one_fold))
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     of = {c["name"]: c for c in summary["candidates"]}
@@ -832,7 +741,7 @@ def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
             'name = "hybrid"\nrecipe = "hybrid.toml"\ncorrects = ["mechanism"]',
             'name = "grey"\nrecipe = "grey.toml"',
         )
-        .replace("[[rounds]]\nfolds = 3", "[[rounds]]\nfolds = 1")
+        .replace(*ONE_FOLD)
     )
     (file := tmp_path / "swing.py").write_text("from swinging import SWING as SYSTEM\n")
     plan = plan_in(tmp_path, content)
@@ -853,8 +762,8 @@ def test_a_mechanism_competes_with_a_system_that_is_given(tmp_path):
 def test_models_of_several_systems_are_not_averaged():
     first = tn.discretise(SWING.model({k: jnp.asarray(x) for k, x in TRUTH.items()}), 0.02, 1)
     other = replace(SWING, name="other").model({k: jnp.asarray(x) for k, x in TRUTH.items()})
-    with pytest.raises(InputError, match="members of the systems swing, other"):
-        combine([first, tn.discretise(other, 0.02, 1)], [0.5, 0.5])
+    with pytest.raises(InputError, match="models of the systems swing, other"):
+        final_models._average([first, tn.discretise(other, 0.02, 1)])
 
 
 @pytest.mark.thorough

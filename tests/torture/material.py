@@ -60,6 +60,7 @@ SELECTION = {
     "plan.toml": """
 name = "small"
 folds = 3
+keep = 1.0
 start = "model-10"
 [[candidates]]
 name = "linear"
@@ -67,15 +68,6 @@ recipe = "linear-short.toml"
 [[candidates]]
 name = "network"
 recipe = "tustin-net-short.toml"
-[[committees]]
-name = "both"
-of = ["linear", "network"]
-[[rounds]]
-folds = 1
-keep = 1.0
-[[rounds]]
-folds = 3
-keep = 1.0
 """,
 }  # recipes and a plan of a selection that takes seconds
 

@@ -19,14 +19,6 @@ class Deadline:
         """Seconds until then; infinite without an end."""
         return float("inf") if self.end is None else self.end - time.monotonic()
 
-    def at_most(self, seconds: float) -> "Deadline":
-        """The earlier of this deadline and one some seconds from now."""
-        return min(self, Deadline.after(seconds), key=lambda deadline: deadline.remaining)
-
-    def earlier_by(self, seconds: float) -> "Deadline":
-        """The moment some seconds before this one."""
-        return self if self.end is None else Deadline(self.end - seconds)
-
     @classmethod
     def after(cls, seconds: float) -> "Deadline":
         """A deadline some seconds from now; infinitely many for none."""

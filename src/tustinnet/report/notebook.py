@@ -139,7 +139,7 @@ def _(shown: FitResult) -> pl.DataFrame:
 
 @to_frame.register
 def _(shown: Choice) -> pl.DataFrame:
-    results = [r for r in shown.candidates.all_results if r.fits_by_fold]
+    results = [r for r in shown.candidates.results if r.fits_by_fold]
     scores = [mean_and_error(r.rmse().values()) for r in results]
     return pl.DataFrame(
         {

@@ -119,7 +119,7 @@ def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bo
 
 
 def make_reporter(progress: FitProgress, on_message: Callable[[str], None]) -> Reporter:
-    """Makes the reporter of a selection: bars or lines for fits, sentences for rounds."""
+    """Makes the reporter of a selection: bars or lines for fits, and sentences."""
     return Reporter(on_message, lambda job: progress.listener(job.label))
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def candidates_table(choice: Choice) -> Table:
-    """Table of the candidates and committees that have scores, the best first."""
+    """Table of the candidates that have scores, the best first."""
     results = _sort_scored(choice)
     best, starts = choice.result(choice.best), choice.starts
     means = {
@@ -54,7 +54,6 @@ def candidates_table(choice: Choice) -> Table:
                 *[unexplained(s)] * by_forces,
                 str(count),
                 str(len(s.fits_by_fold)),
-                str(len({fit.seed for fit in s.fits})),
                 f"{s.seconds:.0f}",
             ]
         )
@@ -70,7 +69,6 @@ def candidates_table(choice: Choice) -> Table:
         *["unexplained force [%]"] * by_forces,
         "records",
         "folds",
-        "seeds",
         "seconds",
     ]
     title = "free runs of records that a model was not fitted to, mean ± standard error"
@@ -79,7 +77,7 @@ def candidates_table(choice: Choice) -> Table:
 
 
 def _sort_scored(choice: Choice) -> list[CandidateResult]:
-    """Candidates and committees with scores: the best first, those that cannot be chosen last."""
+    """Candidates with scores: the best first, those that cannot be chosen last."""
     choosable = [s.name for s in choice.candidates.choosable]
     best = choice.result(choice.best)
 
@@ -87,7 +85,7 @@ def _sort_scored(choice: Choice) -> list[CandidateResult]:
         mean = paired_difference(s, best).mean
         return s is not best, s.name not in choosable, math.inf if math.isnan(mean) else mean
 
-    return sorted((s for s in choice.candidates.all_results if s.fits_by_fold), key=rank)
+    return sorted((s for s in choice.candidates.results if s.fits_by_fold), key=rank)
 
 
 def candidates_figure(choice: Choice) -> "Figure":
@@ -124,11 +122,10 @@ def candidates_figure(choice: Choice) -> "Figure":
 def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     """Free runs to draw, by record and label, of models that were not fitted to the record.
 
-    They are those of the chosen candidate and of the simplest that is as good, of the first seed;
-    of a committee those of the candidate with the largest weight. At most 6 records are drawn,
-    from the worst to the best.
+    They are those of the chosen candidate and of the simplest that is as good. At most 6 records
+    are drawn, from the worst to the best.
     """
-    labels = dict.fromkeys(map(choice.candidates.leading_member, (choice.best, choice.simplest)))
+    labels = dict.fromkeys((choice.best, choice.simplest))
     shown_names = choose_shown_records(choice.result(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:

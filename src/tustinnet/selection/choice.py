@@ -1,7 +1,7 @@
 """The account of a selection: its chosen model, its accuracy and the reasons."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from tustinnet.models.contract import Model
 from tustinnet.models.written_equations import equations_header
 from tustinnet.selection.final_models import FinalModel, SelectionResults
 from tustinnet.selection.folds import kind_of
-from tustinnet.selection.jobs import LEFT_OUT, FitScore, RunContext
+from tustinnet.selection.jobs import LEFT_OUT, RunContext
 from tustinnet.selection.ranking import (
     CLEAR,
     FEW,
@@ -47,8 +47,8 @@ class Choice(Shown):
 
     Attributes:
         context: folder, records, how candidates were compared.
-        candidates: the results of candidates and committees.
-        best: the candidate or committee that was chosen.
+        candidates: the results of the candidates.
+        best: the candidate that was chosen.
         simplest: the simplest that is as good as it.
         origins: how the models of those that could be chosen were made, in words.
         model: the chosen model.
@@ -89,15 +89,15 @@ class Choice(Shown):
     @property
     def starts(self) -> tuple[str, ...]:
         """The starts that candidates were scored from, first the one that decides."""
-        starts = [start for r in self.candidates.all_results for start in r.starts]
+        starts = [start for r in self.candidates.results for start in r.starts]
         return tuple(dict.fromkeys([self.context.scoring.start, *starts]))
 
     def file(self, name: str) -> str:
-        """The model file of a candidate or committee that could be chosen, below the folder."""
+        """The model file of a candidate that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"
 
     def result(self, name: str) -> CandidateResult:
-        """The result of a candidate or committee."""
+        """The result of a candidate."""
         return self.candidates.result(name)
 
     @cached_property
@@ -110,12 +110,13 @@ class Choice(Shown):
 
     @cached_property
     def _rmse(self) -> dict[str, float]:
-        return self.candidates.expected_errors(self.best)
+        return self.result(self.best).rmse()
 
     @property
     def follows(self) -> bool:
         """Whether the chosen one follows the records better than a trivial predictor."""
-        return mean_and_error(self._rmse.values())[0] < self.reference.mean
+        compared = self.result(self.best).compared()
+        return mean_and_error(compared.values())[0] < self.reference.mean
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -127,7 +128,7 @@ class Choice(Shown):
             return (chosen, make_finding("records diverge"), *self._unscored, *self.notes)
         return (
             chosen,
-            *self._accuracy(best),
+            *self._accuracy,
             *self._expectation,
             *self._shortfall(mean),
             self._comparison_with_next(best),
@@ -139,9 +140,9 @@ class Choice(Shown):
             *self.notes,
         )
 
-    def _accuracy(self, best: CandidateResult) -> Iterator[Finding]:
+    @property
+    def _accuracy(self) -> Iterator[Finding]:
         rmse, total = self._rmse, len(self._records)
-        alone = len(rmse) - len(best.rmse())
         mean, error = mean_and_error(rmse.values())
         worst = max(rmse, key=lambda record: rmse[record])
         yield make_finding(
@@ -149,8 +150,6 @@ class Choice(Shown):
             horizon=self.context.scoring.horizon,
             records=len(rmse),
             total=total if total > len(rmse) else None,
-            alone=alone or None,
-            member=self.candidates.leading_member(best.name),
             mean=mean,
             error=error,
             unit=self.unit,
@@ -161,8 +160,8 @@ class Choice(Shown):
             largest=rmse[worst],
             few=len(rmse) < FEW,
         )
-        if best.unexplained:
-            yield make_finding("forces unexplained", shares=dict(best.unexplained))
+        if unexplained := self.result(self.best).unexplained:
+            yield make_finding("forces unexplained", shares=unexplained)
         if self.whole:
             records = [self.context.data[name] for name in self.whole]
             yield describe_followed(records, list(self.whole.values()))
@@ -185,7 +184,7 @@ class Choice(Shown):
         )
 
     def _decisive_record(self, best: CandidateResult) -> Iterator[Finding]:
-        scored = [r for r in self.candidates.all_results if r.fits_by_fold and r.name != best.name]
+        scored = [r for r in self.candidates.results if r.fits_by_fold and r.name != best.name]
         if (decisive := find_decisive_record(best, scored)) is not None:
             record, other, difference = decisive
             yield make_finding(
@@ -201,14 +200,11 @@ class Choice(Shown):
     @property
     def _stopped_fits(self) -> Iterator[Finding]:
         """Fits of the chosen one that the budget stopped."""
-        fits = {"trainings stopped": list[FitScore](), "identifications stopped": list[FitScore]()}
-        for result, _ in self.candidates.members(self.best):
-            family = self.candidates.plan.candidate(result.name).content.family
+        fits = self.result(self.best).fits
+        if stopped := sum(fit.is_out_of_time for fit in fits):
+            family = self.candidates.plan.candidate(self.best).content.family
             code = "trainings stopped" if family.resumable else "identifications stopped"
-            fits[code].extend(result.fits)
-        for code, scores in fits.items():
-            if stopped := sum(fit.is_out_of_time for fit in scores):
-                yield make_finding(code, stopped=stopped, total=len(scores))
+            yield make_finding(code, stopped=stopped, total=len(fits))
 
     def _alternatives(self, best: CandidateResult) -> Iterator[Finding]:
         """The simplest that is as good, and the bands of the chosen one."""
@@ -279,12 +275,8 @@ class Choice(Shown):
         ]
 
     def _comparison_with_next(self, best: CandidateResult) -> Finding:
-        def others(results: Iterable[CandidateResult]) -> list[CandidateResult]:
-            are_alike = self.candidates.are_alike
-            return [r for r in results if r.fits_by_fold and not are_alike(r.name, best.name)]
-
-        results = others(self.candidates.choosable) or others(self.candidates.all_results)
-        differences = {r.name: paired_difference(r, best) for r in results}
+        others = [r for r in self.candidates.results if r.fits_by_fold and r is not best]
+        differences = {r.name: paired_difference(r, best) for r in others}
         if not differences:
             return make_finding("compared with nothing")
         name = min(differences, key=lambda other: differences[other].mean)
@@ -301,7 +293,7 @@ class Choice(Shown):
         )
 
     def header(self, name: str, final: FinalModel) -> dict[str, Any]:
-        """The header of the model file of a candidate or committee, beside the model's own."""
+        """The header of the model file of a candidate, beside the model's own."""
         result, data, scoring = self.result(name), self.context.data, self.context.scoring
         rmse = result.rmse()
         return {
@@ -342,7 +334,7 @@ class Choice(Shown):
             "budget": self.budget,
             "findings": [finding.as_plain() for finding in self.findings],
             **spoiled_header(self.spoiled, self.left_out),
-            "candidates": [self._result_as_plain(r, best) for r in self.candidates.all_results],
+            "candidates": [self._result_as_plain(r, best) for r in self.candidates.results],
         }
 
     def _result_as_plain(self, result: CandidateResult, best: CandidateResult) -> dict[str, Any]:
@@ -351,14 +343,11 @@ class Choice(Shown):
             return common
         difference = paired_difference(result, best)
         by_start = {start: result.rmse(start=start) for start in result.starts}
-        committee = self.candidates.committees.get(result.name)
         return {
             **common,
             "model": self.file(result.name) if result.name in self.origins else None,
             "made": self.origins.get(result.name),
-            "shares": None if committee is None else dict(committee.shares),
             "folds": sorted(result.fits_by_fold),
-            "seeds": sorted({fit.seed for fit in result.fits}),
             **({"unexplained": result.unexplained} if result.unexplained else {}),
             "starts": {
                 start: dict(

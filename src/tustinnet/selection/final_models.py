@@ -1,6 +1,6 @@
-"""Final models of candidates: committees of folds, and parameters from all records.
+"""Final models of candidates: averages of folds, and parameters from all records.
 
-What is delivered has been simulated: a committee or a second identification is another model than
+What is delivered has been simulated: an average or a second identification is another model than
 those that the folds scored.
 """
 
@@ -11,15 +11,17 @@ from typing import Any
 
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.families.committee import committee
+from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.listener import Listener
 from tustinnet.fitting.roles import Roles, records_without_test
 from tustinnet.models.contract import Model
-from tustinnet.selection.committees import CommitteeResult, combine, member_weights
 from tustinnet.selection.folds import FoldSplit
-from tustinnet.selection.jobs import FitScore, Job, MakeListener, RunContext, make_job_task
+from tustinnet.selection.jobs import Job, MakeListener, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.kept_system import CANDIDATES
@@ -30,60 +32,31 @@ _AS_PROMISED = 1.5  # times the error that folds promise: more is another model 
 
 @dataclass(frozen=True)
 class SelectionResults:
-    """The results of a plan's rounds, and of the committees after them.
+    """The results of a plan's candidates.
 
     Attributes:
         plan: the plan.
         results: of each candidate, from the simplest to the most complex.
-        remaining: the names of those that remain after the last round.
-        committees: the committees of them that were scored, by name.
+        remaining: the names of those that can be chosen.
     """
 
     plan: SelectionPlan
     results: tuple[CandidateResult, ...]
     remaining: tuple[str, ...]
-    committees: Mapping[str, CommitteeResult]
-
-    @property
-    def all_results(self) -> tuple[CandidateResult, ...]:
-        """Candidates, then committees."""
-        return (*self.results, *(c.result for c in self.committees.values()))
 
     @property
     def choosable(self) -> list[CandidateResult]:
-        """The candidates that remain and the committees, from the simplest on."""
-        names = {*self.remaining, *self.committees}
-        return [r for r in self.all_results if r.name in names]
+        """The candidates that can be chosen, from the simplest on."""
+        return [r for r in self.results if r.name in self.remaining]
 
     def result(self, name: str) -> CandidateResult:
-        """The result of a candidate or committee."""
-        return next(r for r in self.all_results if r.name == name)
-
-    def are_alike(self, one: str, other: str) -> bool:
-        """Whether two are made into the same model, as a candidate and the average of its seeds."""
-        return self.members(one) == self.members(other)
-
-    def leading_member(self, name: str) -> str:
-        """The candidate with the largest share of a committee; of a candidate its own name."""
-        return max(self.members(name), key=lambda member: member[1])[0].name
-
-    def expected_errors(self, name: str) -> dict[str, float]:
-        """The RMSE of a candidate or committee by record, as new records may have it.
-
-        A committee may be scored on fewer records than its leading member: on the others it is
-        expected to be as good as that.
-        """
-        return self.result(self.leading_member(name)).rmse() | self.result(name).rmse()
-
-    def members(self, name: str) -> list[tuple[CandidateResult, float]]:
-        """The candidates that a committee, or a candidate by itself, is made of; their shares."""
-        shares = self.committees[name].shares if name in self.committees else {name: 1.0}
-        return [(r, shares[r.name]) for r in self.results if shares.get(r.name)]
+        """The result of a candidate."""
+        return next(r for r in self.results if r.name == name)
 
 
 @dataclass(frozen=True)
 class FinalModel:
-    """A model that a candidate or committee was made into.
+    """A model that a candidate was made into.
 
     Attributes:
         model: the model.
@@ -110,7 +83,7 @@ def make_final_models(
     above what folds promise, the next way to make the model is taken.
 
     Args:
-        candidates: the results of candidates and committees.
+        candidates: the results of the candidates.
         best: the chosen one.
         simplest: the simplest that is as good.
         context: where the models are, and how they were scored.
@@ -137,39 +110,47 @@ def _possible_models(
     make_listener: MakeListener | None,
     deadline: Deadline,
 ) -> Iterator[FinalModel]:
-    """The ways to make the model of a candidate or committee, those to be preferred first.
+    """The ways to make the model of a candidate, those to be preferred first.
 
     Parameters are identified from all records (unless there is no `make_listener`). Weights of
     all folds are averaged. Models of single folds come last, the one with the lowest error first.
     """
-    members = candidates.members(result.name)
-    scores: list[Sequence[FitScore]] = [r.fits for r, _ in members]
-    fits = [fit for member in scores for fit in member]
+    fits, why = result.fits, ""
     single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
-    recipe = context.recipe_of(candidates.plan.candidate(members[0][0].name))
-    averages, why = len(members) > 1 or recipe.family.averages_folds, ""
-    if not averages and make_listener is not None:
+    recipe = context.recipe_of(candidates.plan.candidate(result.name))
+    if recipe.family.averages_folds and len(fits) > 1:
+        try:
+            average = _average([context.load_model(fit.model) for fit in fits])
+            yield FinalModel(average, f"the average of the models of {len(fits)} folds")
+        except InputError as error:  # as where delays were searched for: each has another value
+            why = f"; no average: {error}"
+    if not recipe.family.averages_folds and make_listener is not None:
         job = Job(result.name, recipe, fold=0, origin=single[0].model, is_final=True)
         made = _identify_from_all(job, context, make_listener(job), deadline)
         if isinstance(made, FinalModel):
             yield made
         else:
             why = f"; {made}"
-    if len(fits) > 1 and averages:
-        weights = member_weights(scores, [share for _, share in members])
-        folds = len({fold for r, _ in members for fold in r.fits_by_fold})
-        count = "one fold" if folds == 1 else f"{folds} folds"
-        origin = f"the average of {len(fits)} models of {count}"
-        if len(members) > 1:
-            parts = [f"{len(r.fits)} of {r.name} ({100 * share:.0f} %)" for r, share in members]
-            origin += f": {', '.join(parts)}"
-        try:
-            models = [context.load_model(f.model) for f in fits]
-            yield FinalModel(combine(models, weights), origin)
-        except InputError as error:  # as where delays were searched for: each has another value
-            why = f"; no average: {error}"
     for fit in single:
         yield FinalModel(context.load_model(fit.model), f"the model of one fold{why}")
+
+
+def _average(models: Sequence[Model]) -> Model:
+    """The average of the models of folds.
+
+    Raises:
+        InputError: models that cannot be averaged, as those that correct several systems.
+    """
+    equations = (family_of(model).equations(model) for model in models)
+    systems = dict.fromkeys(e.system.name for e in equations if e is not None)
+    if len(systems) > 1:
+        raise InputError(
+            "average",
+            f"models of the systems {', '.join(systems)}",
+            "models of one system",
+            "a model file is of one system at most",
+        )
+    return committee(models)
 
 
 def _first_as_promised(
@@ -181,12 +162,11 @@ def _first_as_promised(
     that a model was fitted to are among them: its error is lower than the promised one unless
     something is wrong with it.
     """
-    records = tuple(records_without_test(context.data))
-    split, tried = FoldSplit(records, Roles((), ())), list[tuple[float, FinalModel]]()
+    records, tried = records_without_test(context.data), list[tuple[float, FinalModel]]()
     for final in ways:
-        scores = context.scoring.score(final.model, None, split, context.data, "deciding")
-        rmse = next(iter(scores.values()))
-        error = mean_and_error(rmse.values())[0]
+        start, *_ = context.scoring.starts(final.model, context.data)
+        scores = evaluate(final.model, records, start, horizon=context.scoring.horizon)
+        error = mean_and_error(rmse_by_record(scores).values())[0]
         if error <= _AS_PROMISED * promised:
             break
         tried.append((error if math.isfinite(error) else math.inf, final))

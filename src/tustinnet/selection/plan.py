@@ -1,6 +1,5 @@
 """Plan files: the candidates that are worth trying, and how they are compared, as data."""
 
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -21,8 +20,7 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.simulate.starts import start_named
 
 USUAL = "usual"  # the plan where nobody names one
-_MOST_FOLDS, _MOST_SEEDS, _MANY = 100, 100, 100
-_MOST_AVERAGED = 6  # kinds of models; more have hundreds of shares to try
+_MOST_FOLDS, _MANY = 100, 100
 _HOME, _PLAN = "tustinnet.selection", "plan"  # packaged plans are in its folder `plans`
 
 
@@ -76,47 +74,6 @@ class Candidate(Declaration):
         return recipe.model_copy(update={"search": search})
 
 
-class Average(Declaration):
-    """A committee that is worth trying: models of several candidates averaged.
-
-    Attributes:
-        name: what it is called.
-        of: the candidates, each with all of its seeds; or
-        best: how many of the candidates that remain after the last round, the best first.
-    """
-
-    name: Name
-    of: tuple[str, ...] = Field(default=(), max_length=_MANY)
-    best: int | None = Field(default=None, ge=2, le=_MOST_AVERAGED)
-
-    @model_validator(mode="after")
-    def _require_one_rule(self) -> "Average":
-        if bool(self.of) == (self.best is not None):
-            raise ValueError("either `of`, the candidates by name, or `best`, how many")
-        return self
-
-    def members_among(self, remaining: Sequence[str]) -> tuple[str, ...]:
-        """The members among the remaining candidates, the best first; none where one is missing."""
-        if self.best is not None:
-            return tuple(remaining[: self.best]) if len(remaining) > 1 else ()
-        return self.of if set(self.of) <= set(remaining) else ()
-
-
-class Round(Declaration):
-    """Folds and seeds of a round, to which the best candidates of the one before are fitted.
-
-    Attributes:
-        folds: on how many of the folds, from the first on.
-        seeds: with how many seeds, from 0 on; identifications have none.
-        keep: share of the kinds of models that go on to the next round, the best first; each kind
-            with one candidate, the simplest that is as good as its best.
-    """
-
-    folds: int = Field(gt=0, le=_MOST_FOLDS)
-    seeds: int = Field(default=1, gt=0, le=_MOST_SEEDS)
-    keep: float = Field(default=0.5, gt=0, le=1)
-
-
 class SelectionPlan(Declaration):
     """Candidates that are tried, and how they are compared.
 
@@ -124,21 +81,23 @@ class SelectionPlan(Declaration):
         name: what it is called.
         description: a sentence for people.
         folds: into how many folds the records are split; with fewer records as many as there are.
+        scored: how many of the folds are scored, from the first on; all where it is not said.
+        keep: share of the kinds of models that go on from the first fold to the others, the best
+            first, two at least; each kind with one candidate, the simplest that is as good as its
+            best.
         start: where the free runs start that judge; models that need a warm-up start with theirs.
         horizon: how long a free run that judges lasts at most [s]; none for whole records.
         candidates: from the simplest to the most complex, which is also by increasing cost.
-        committees: averages of candidates.
-        rounds: the folds and seeds of each round, which candidates climb one by one.
     """
 
     name: Name
     description: Sentence = ""
     folds: int = Field(default=5, ge=3, le=_MOST_FOLDS)
+    scored: int | None = Field(default=None, gt=0)
+    keep: float = Field(default=0.5, gt=0, le=1)
     start: str = "model-20"
     horizon: Horizon | None = None
     candidates: tuple[Candidate, ...] = Field(min_length=1, max_length=_MANY)
-    committees: tuple[Average, ...] = Field(default=(), max_length=_MANY)
-    rounds: tuple[Round, ...] = Field(min_length=1, max_length=_MANY)
 
     @field_validator("start")
     @classmethod
@@ -146,32 +105,19 @@ class SelectionPlan(Declaration):
         return start_named(start, "").name
 
     @model_validator(mode="after")
-    def _check_names_and_rounds(self) -> "SelectionPlan":
-        def require_unique(names: Sequence[str], what: str) -> None:
-            twice = next((n for i, n in enumerate(names) if n in names[:i]), None)
-            if twice is not None:
-                raise ValueError(f"two {what} are called '{twice}'")
-
-        def require_earlier(names: Sequence[str], earlier: Sequence[str], who: str) -> None:
-            for name in names:
-                if name not in earlier:
-                    raise ValueError(f"{who} '{name}', which is no candidate before it")
-
-        candidates = [c.name for c in self.candidates]
-        names = [*candidates, *(c.name for c in self.committees)]
-        require_unique(names, "candidates or committees")
-        for i, candidate in enumerate(self.candidates):
-            require_earlier(candidate.corrects, candidates[:i], f"'{candidate.name}' corrects")
-            who = f"'{candidate.name}' begins with"
-            require_earlier(candidate.begins_with, candidates[:i], who)
-        for committee in self.committees:
-            require_unique(committee.of, f"members of '{committee.name}'")
-            require_earlier(committee.of, candidates, f"'{committee.name}' is of")
-        for before, after in zip(self.rounds, self.rounds[1:], strict=False):
-            if after.folds < before.folds or after.seeds < before.seeds or after == before:
-                raise ValueError("a round has fewer folds or seeds than the one before it")
-        if self.rounds[-1].folds > self.folds:
-            raise ValueError(f"a round of {self.rounds[-1].folds} of {self.folds} folds")
+    def _check_names_and_folds(self) -> "SelectionPlan":
+        if self.scored is not None and self.scored > self.folds:
+            raise ValueError(f"{self.scored} of {self.folds} folds are scored")
+        earlier = list[str]()
+        for candidate in self.candidates:
+            if candidate.name in earlier:
+                raise ValueError(f"two candidates are called '{candidate.name}'")
+            for verb in ("corrects", "begins_with"):
+                for name in getattr(candidate, verb):
+                    if name not in earlier:
+                        who = f"'{candidate.name}' {verb.replace('_', ' ')}"
+                        raise ValueError(f"{who} '{name}', which is no candidate before it")
+            earlier.append(candidate.name)
         return self
 
     def candidate(self, name: str) -> Candidate:

@@ -1,11 +1,10 @@
 """The queue of a selection: which job is next, and what is known of the candidates by then.
 
-A candidate climbs the rounds of its plan: in the first it is tried, in the others it is fitted to
-more folds and with more seeds. Next is what could change the ranking soonest, which is what takes
-least: first fits of every kind, and those of the best by then to further folds; after these,
-further seeds of it, further fits of others that are among the best, and first fits of second ones
-of a kind. What is ahead of the best on the records that both have, and was scored on too few of
-them to be sure, is one fit from changing the ranking.
+Every candidate is tried on the first fold; the best kinds go on to the others. Next is what could
+change the ranking soonest, which is what takes least: first fits of every kind, and those of the
+best by then to further folds; after these, further fits of others that are among the best, and
+first fits of second ones of a kind. What is ahead of the best on the records that both have, and
+was scored on too few of them to be sure, is one fit from changing the ranking.
 """
 
 import math
@@ -20,7 +19,7 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
-from tustinnet.selection.ranking import CandidateResult, find_simplest, paired_difference, rank
+from tustinnet.selection.ranking import CandidateResult, find_simplest, is_ahead, rank
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.run_folder import SCORES
 from tustinnet.wording import counted, percent
@@ -36,12 +35,12 @@ class QueueOptions:
         first_try: share of the time left that a first fit may take while others wait for theirs:
             as much is left for all of those; and the share of the time that it is expected to take
             without which it is not begun.
-        rarely: factor of the time of what rarely changes the ranking: for every round that a
-            candidate has behind it, and every kind that is better; twice for a first try of a
-            second one of a kind, and of what the plan calls `last`.
+        rarely: factor of the time of what rarely changes the ranking: for further folds, and for
+            every kind that is better; twice for a first try of a second one of a kind, and of what
+            the plan calls `last`.
         again: times what a fit took before it was stopped, that have to be left for it to go on: it
             compiles, or begins, anew.
-        fewest: kinds of candidates that go on to the next round, where there are as many.
+        fewest: kinds of candidates that go on to further folds, where there are as many.
         far: of the motion within turns, an error of whole records that says little of a model.
         explained: of the inputs' force, what equations leave unexplained that explain it.
         horizon: of a record, the length of pieces where no fit chose one.
@@ -93,17 +92,18 @@ class CandidateQueue:
         options: QueueOptions | None = None,
     ) -> None:
         self.plan, self.context, self.notes = plan, context, list[Finding]()
-        self.results = {c.name: CandidateResult(c.name) for c in candidates}
+        lost = context.motion_within_turns
+        self.results = {c.name: CandidateResult(c.name, lost=lost) for c in candidates}
         self._candidates, self._on_message = tuple(candidates), on_message
         self._options = options or DEFAULTS
         self._deadline, self._ending = deadline, ending
         self._promising = promising
-        self._seconds: dict[str, float] = {}  # that a seed of a candidate takes on a fold
+        self._seconds: dict[str, float] = {}  # that a candidate takes on a fold
         self._seconds_of_usual: dict[float, float] = {}  # of what usually takes so long
         self._substeps: dict[str, int] = {}  # of the equations that a candidate corrected then
         self._running = list[Job]()
-        self._jobs: dict[tuple[str, str], Job] = {}  # all that began, by candidate and name
-        self._stopped: dict[tuple[str, str], float] = {}  # seconds of jobs that may go on
+        self._jobs: dict[tuple[str, int], Job] = {}  # all that began, by candidate and fold
+        self._stopped: dict[tuple[str, int], float] = {}  # seconds of jobs that may go on
         self._reported: tuple[str, bool, float | None] | None = None
 
     # --- what is next ---
@@ -139,30 +139,31 @@ class CandidateQueue:
         return family.has_seeds or ("system" in family.needs and candidate.name in self._seconds)
 
     def _list_steps(self) -> list[tuple[Candidate, list[Job]]]:
-        """The candidates that go on with the jobs of their next rounds, by what these take."""
-        steps, rounds = [], self._candidates_by_round()
-        places, ahead = self._places(), self._find_ahead()
-        is_compared = len({*places.values()}) > 1
+        """The candidates that have jobs left, with these, by what they take.
+
+        Of each kind of model the simplest that is as good as its best goes on to further folds, of
+        as many kinds as the plan keeps; and what is ahead.
+        """
+        steps, places, ahead = [], self._places(), self._find_ahead()
+        kinds = len({*places.values()})
+        kept = max(self._options.fewest, math.ceil(self.plan.keep * kinds))
         for c in self._candidates:
-            for number, names in enumerate(rounds):
-                if jobs := self._missing(c, number):
-                    if c.name in names:
-                        place = places.get(c.name, 0)
-                        behind = 0 if c.name in ahead else number + place
-                        is_best = is_compared and place == 0
-                        weight = self._weight(c, jobs[0], behind, is_best=is_best)
-                        steps.append((weight, c, jobs))
-                    break
+            place = places.get(c.name, 0)
+            goes_on = (c.name in places and place < kept) or c.name in ahead
+            if jobs := self._missing(c, self._folds if goes_on else 1):
+                behind = 0 if c.name in ahead else (jobs[0].fold > 0) + place
+                is_best = kinds > 1 and place == 0
+                weight = self._weight(c, jobs[0], behind, is_best=is_best)
+                steps.append((weight, c, jobs))
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
 
     def remaining(self) -> list[CandidateResult]:
-        """The candidates that remain in the last round, the best first; none that is lost.
+        """The candidates that have scores, the best first; none that is lost, unless all are.
 
-        Lost is what is further off than the records move. Where all are, all remain.
+        Lost is what is further off than the records move, on all of them.
         """
-        ranking = rank([self.results[name] for name in self._candidates_by_round()[-1]])
-        motion = self.context.motion_within_turns
-        kept = [r for r in ranking if mean_and_error(r.rmse().values())[0] <= motion]
+        ranking = rank([*self.results.values()])
+        kept = [r for r in ranking if mean_and_error(r.compared().values())[0] < r.lost]
         return kept or ranking
 
     def seconds_for_final(self, name: str) -> float:
@@ -173,38 +174,17 @@ class CandidateQueue:
         is_fitted = not self.plan.candidate(name).content.family.averages_folds
         return self._seconds.get(name, 0.0) if is_fitted else 0.0
 
-    def _missing(self, candidate: Candidate, number: int) -> list[Job]:
-        """The jobs of a candidate that a round has and that never began, fold after fold."""
-        stage = self.plan.rounds[number]
-        recipe, result = self.context.recipe_of(candidate), self.results[candidate.name]
-        seeds = recipe.family.select_seeds(range(stage.seeds))
-        jobs = []
-        for fold in range(min(stage.folds, self.context.scoring.folds)):
-            done = {fit.seed for fit in result.fits_by_fold.get(fold, ())}
-            missing = tuple(seed for seed in seeds if seed not in done)
-            job = Job(candidate.name, recipe, fold, missing)
-            if missing and (job.candidate, job.name) not in self._jobs:
-                jobs.append(job)
-        return jobs
+    @property
+    def _folds(self) -> int:
+        """How many folds are scored."""
+        folds = self.context.scoring.folds
+        return min(self.plan.scored or folds, folds)
 
-    def _candidates_by_round(self) -> list[list[str]]:
-        """The candidates of every round: of the first all, then the best of the one before.
-
-        Of each kind of model the simplest that is as good as its best goes on, and the best that
-        it corrects or begins with.
-        """
-        rounds = [[c.name for c in self._candidates]]
-        for stage in self.plan.rounds[:-1]:
-            # on the folds that all of them have
-            results = [self.results[name].on_folds(stage.folds) for name in rounds[-1]]
-            kinds = self._best_of_kinds(rank(results))
-            count = max(self._options.fewest, math.ceil(stage.keep * len(kinds)))
-            kept = {result.name for result in kinds[:count]}
-            for c in reversed(self._candidates):
-                if c.name in kept:
-                    kept |= self._needed(c)
-            rounds.append([name for name in rounds[-1] if name in kept])
-        return rounds
+    def _missing(self, candidate: Candidate, folds: int) -> list[Job]:
+        """The jobs of a candidate on the first folds that never began, fold after fold."""
+        recipe = self.context.recipe_of(candidate)
+        missing = [fold for fold in range(folds) if (candidate.name, fold) not in self._jobs]
+        return [Job(candidate.name, recipe, fold) for fold in missing]
 
     def _places(self) -> dict[str, int]:
         """How many kinds are better than each candidate, by name.
@@ -222,10 +202,10 @@ class CandidateQueue:
     def _find_ahead(self) -> set[str]:
         """The candidates that are ahead of the best where both were scored, by name.
 
-        With what these correct or begin with.
+        By more than nobody minds; with what these correct or begin with.
         """
         ranking = rank([*self.results.values()])
-        ahead = {r.name for r in ranking[1:] if paired_difference(r, ranking[0]).mean < 0}
+        ahead = {r.name for r in ranking[1:] if is_ahead(r, ranking[0])}
         for c in self._candidates:
             if c.name in ahead:
                 ahead |= self._needed(c)
@@ -273,7 +253,8 @@ class CandidateQueue:
         Args:
             candidate: the candidate.
             job: its next job.
-            behind: rounds that it has behind it, and kinds that are better; 0 of what is ahead.
+            behind: 1 on further folds, and one more for every kind that is better; 0 of what is
+                ahead.
             is_best: whether it is better than another kind, and none is better.
         """
         power, is_further = behind, candidate.name in self._seconds
@@ -282,9 +263,7 @@ class CandidateQueue:
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = self.results[candidate.name].fits_by_fold
         cost = max(len(folds), 1) * self._expected(job) * self._options.rarely**power
-        if is_further:
-            return job.fold in folds or not is_best, cost
-        return power > 0, cost
+        return (not is_best if is_further else power > 0), cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.
@@ -306,7 +285,7 @@ class CandidateQueue:
         if job.candidate in self._seconds:
             stiffer = self._substeps_of_physics(job) / self._substeps[job.candidate]
             seconds = stiffer * self._seconds[job.candidate]
-        return seconds * len(job.seeds)
+        return seconds
 
     def _substeps_of_physics(self, job: Job) -> int:
         """Integration steps in a period of the equations that a job corrects; 1 without these."""
@@ -368,12 +347,12 @@ class CandidateQueue:
 
     def _start(self, job: Job) -> Job:
         self._running.append(job)
-        self._jobs[job.candidate, job.name] = job
+        self._jobs[job.candidate, job.fold] = job
         return job
 
     def _leave_out(self, job: Job, why: str) -> None:
         """Leaves out a job for good."""
-        self._jobs[job.candidate, job.name] = job
+        self._jobs[job.candidate, job.fold] = job
         result = self.results[job.candidate]
         if not result.fits_by_fold and not result.why:
             self.results[job.candidate] = replace(result, why=why)
@@ -400,11 +379,11 @@ class CandidateQueue:
         self._running.remove(job)
         self.results[name] = self.results[name].with_job(result)
         if result.ended != "failed":
-            self._seconds[name] = result.seconds / len(job.seeds)
+            self._seconds[name] = result.seconds
             self._seconds_of_usual[job.recipe.usual_seconds] = self._seconds[name]
             self._substeps[name] = self._substeps_of_physics(job)
         if result.ended == "out of time":
-            self._stopped[name, job.name] = result.seconds
+            self._stopped[name, job.fold] = result.seconds
         if result.ended != "done" and not result.earlier:  # what was said when it was done
             self._on_message(f"{job.label}: {result.why}")
         if any(self._explains_forces_and_is_lost(fit) for fit in result.scores):
@@ -437,7 +416,7 @@ class CandidateQueue:
         return (
             is_whole
             and bool(ranking)
-            and not any(self._follows(result.rmse().values()) for result in ranking)
+            and not any(self._follows(result.compared().values()) for result in ranking)
         )
 
     def judge_by_pieces_if_lost(self) -> None:
@@ -465,7 +444,8 @@ class CandidateQueue:
         for c in self._candidates:
             if self.context.recipe_of(c) != before.recipe_of(c) or changed & set(c.corrects):
                 changed.add(c.name)
-                self.results[c.name] = CandidateResult(c.name)
+                lost = self.context.motion_within_turns
+                self.results[c.name] = CandidateResult(c.name, lost=lost)
                 self._jobs = {key: job for key, job in self._jobs.items() if key[0] != c.name}
             else:
                 result = self.results[c.name]
@@ -491,7 +471,7 @@ class CandidateQueue:
         ranking = self.remaining()
         if not ranking:
             return
-        best, folds = ranking[0], self.context.scoring.folds
+        best, folds = ranking[0], self._folds
         news = (best.name, len(best.fits_by_fold) == folds, self.context.scoring.horizon)
         if news == self._reported:
             return

@@ -1,5 +1,6 @@
 """Results of candidates, and how they compare."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -39,34 +40,30 @@ class CandidateResult:
         name: its name.
         fits_by_fold: the fits of every fold that was done, one for each seed.
         seconds: time of its jobs.
+        lost: from this error on a free run is lost, and counts as much where candidates are
+            compared [rad or m].
         why: the reason why a job of it failed, or why it has no fits; empty where neither is so.
     """
 
     name: str
     fits_by_fold: Mapping[int, tuple[FitScore, ...]] = field(default_factory=dict)
     seconds: float = 0.0
+    lost: float = math.inf
     why: str = ""
 
     def with_job(self, result: JobResult) -> "CandidateResult":
         """The result with one more job."""
         seconds = self.seconds + result.seconds
         if result.scores:
-            seeds = {score.seed for score in result.scores}  # of a fit that went on, in its place
-            before = [s for s in self.fits_by_fold.get(result.fold, ()) if s.seed not in seeds]
-            fits_by_fold = {**self.fits_by_fold, result.fold: (*before, *result.scores)}
-            return CandidateResult(self.name, fits_by_fold, seconds, self.why)
+            fits_by_fold = {**self.fits_by_fold, result.fold: result.scores}
+            return replace(self, fits_by_fold=fits_by_fold, seconds=seconds)
         why = result.why if result.ended == "failed" or not self.fits_by_fold else self.why
-        return CandidateResult(self.name, self.fits_by_fold, seconds, why)
+        return replace(self, seconds=seconds, why=why)
 
     @property
     def fits(self) -> tuple[FitScore, ...]:
         """The fits of all folds."""
         return tuple(fit for fold in sorted(self.fits_by_fold) for fit in self.fits_by_fold[fold])
-
-    def on_folds(self, count: int) -> "CandidateResult":
-        """The result on the first folds alone."""
-        fits_by_fold = {fold: fits for fold, fits in self.fits_by_fold.items() if fold < count}
-        return replace(self, fits_by_fold=fits_by_fold)
 
     @property
     def starts(self) -> tuple[str, ...]:
@@ -88,6 +85,14 @@ class CandidateResult:
                     by_record.setdefault(record, []).append(value)
         return {record: float(np.mean(values)) for record, values in by_record.items()}
 
+    def compared(self, folds: Iterable[int] | None = None) -> dict[str, float]:
+        """The RMSE by record that candidates are compared by: of a lost free run that of `lost`.
+
+        How far a run is off that has left its record says nothing. One that is not finite counts.
+        """
+        rmse = self.rmse(folds)
+        return {r: min(x, self.lost) if np.isfinite(x) else np.inf for r, x in rmse.items()}
+
     @property
     def unexplained(self) -> dict[str, float]:
         """Share of the force at each coordinate that equations of motion do not explain.
@@ -105,13 +110,19 @@ def paired_difference(
     one: CandidateResult, other: CandidateResult, without: str = ""
 ) -> PairedDifference:
     """The excess error of one candidate over another on their shared records, but for one."""
-    ours, theirs = one.rmse(), other.rmse()
+    ours, theirs = one.compared(), other.compared()
     shared = [record for record in ours if record in theirs and record != without]
     with np.errstate(invalid="ignore"):
         mean, error = mean_and_error(
             np.subtract([ours[r] for r in shared], [theirs[r] for r in shared])
         )
     return PairedDifference(mean, error, len(shared))
+
+
+def is_ahead(one: CandidateResult, other: CandidateResult) -> bool:
+    """Whether a candidate is better than another on their shared records, by a fiftieth or more."""
+    level = LEVEL * mean_and_error(other.compared().values())[0]
+    return bool(paired_difference(one, other).mean < -level)
 
 
 class DecisiveRecord(NamedTuple):
@@ -163,7 +174,7 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     most = max((len(r.fits_by_fold) for r in scored), default=0)
     longest = [r for r in scored if len(r.fits_by_fold) == most]
     shared = shared_folds(longest)
-    means = {r.name: mean_and_error(r.rmse(shared).values())[0] for r in longest}
+    means = {r.name: mean_and_error(r.compared(shared).values())[0] for r in longest}
     finite = [r for r in longest if np.isfinite(means[r.name])]
     best = min(finite, key=lambda r: means[r.name], default=None)
 
@@ -171,12 +182,12 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
         if result.name in means:
             value = means[result.name]
         elif best is None:
-            value = mean_and_error(result.rmse().values())[0]
+            value = mean_and_error(result.compared().values())[0]
         else:
             difference = paired_difference(result, best)
             doubt = difference.standard_error
             if difference.records < FEW:
-                ours, theirs = result.rmse(), best.rmse()
+                ours, theirs = result.compared(), best.compared()
                 both = ours.keys() & theirs.keys()
                 is_plain = bool(both) and all(ours[r] < _PLAIN * theirs[r] for r in both)
                 # the standard error of a single record is NaN, which comes last
@@ -196,7 +207,7 @@ def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> 
         results: from the simplest to the most complex.
         best: the best of them.
     """
-    level = LEVEL * mean_and_error(best.rmse().values())[0]
+    level = LEVEL * mean_and_error(best.compared().values())[0]
     for result in results:
         difference = paired_difference(result, best)
         as_good = difference.mean <= max(difference.standard_error, level)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
@@ -14,7 +14,6 @@ from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.starts import default_and_fitted_starts, default_start
 
 RmseByStart = dict[str, dict[str, float]]  # of records by start, the one that decides first
-WhichStarts = Literal["all", "deciding", "others"]
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,7 @@ class Scorer:
         return (default,) if model.warm_up else tuple(dict.fromkeys((self.start, default)))
 
     def score(
-        self,
-        model: Model,
-        fit_horizon: float | None,
-        split: FoldSplit,
-        data: DataSet,
-        which: WhichStarts = "all",
+        self, model: Model, fit_horizon: float | None, split: FoldSplit, data: DataSet
     ) -> RmseByStart:
         """RMSE of the records that a fold leaves out, by start.
 
@@ -55,13 +49,10 @@ class Scorer:
             fit_horizon: over how long its fit compared [s], None for whole records.
             split: the fold.
             data: all records.
-            which: the starts of the free runs: all, only the one that decides, or all others.
         """
         records, horizon = self._records(split, data), self.used_horizon(fit_horizon, split)
         result: RmseByStart = {}
-        starts = self.starts(model, data)
-        chosen = {"all": starts, "deciding": starts[:1], "others": starts[1:]}[which]
-        for start in chosen:
+        for start in self.starts(model, data):
             rmse = rmse_by_record(evaluate(model, records, start, horizon=horizon))
             result[start] = {name: rmse[name] for name in names_of(split.scored)}
         return result

@@ -12,7 +12,6 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
-from tustinnet.evaluate.scores import Score
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
@@ -23,13 +22,12 @@ from tustinnet.models.contract import require_float64
 from tustinnet.selection.applicability import adds_lag, applicable_candidates, force_cutoff
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.committees import score_committees
 from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
 from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.queue import NO_TIME, CandidateQueue
-from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
+from tustinnet.selection.ranking import find_simplest, rank
 from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
 from tustinnet.simulate.horizon import effective_horizon
@@ -56,9 +54,8 @@ from tustinnet.store.specification import (
 from tustinnet.systems.files import AnySystem
 
 USUAL_BUDGET = 240.0  # s, a report five minutes after a folder of logs; costs little accuracy
-_ENDING = 0.07  # share of the budget for committees, the last fit and bands
+_ENDING = 0.07  # share of the budget for the last fit and bands
 _LONGEST_ENDING = 60.0  # s
-_COMMITTEES = 0.5  # share of that for committees
 _FILES = 0.03  # share of the budget for figures and the report, which come after the selection
 _LONGEST_FILES = 20.0  # s
 _FEWEST_FILES = 5.0  # s, what these take at least
@@ -108,11 +105,10 @@ def select_model(
 ) -> Choice:
     """Tries the candidates of a plan on folds of records, and makes the best one into one model.
 
-    Candidates are tried in one queue, what could change the ranking soonest first; committees of
-    those that remain are tried last. From the first candidate on there is a result: Ctrl-C once
-    ends with the best so far, twice at once. Where the chosen family has weights, the model is a
-    committee of the models of all folds. Where it has parameters, they are identified once more
-    from all records.
+    Candidates are tried in one queue, what could change the ranking soonest first. From the first
+    candidate on there is a result: Ctrl-C once ends with the best so far, twice at once. Where the
+    chosen family has weights, the model is the average of the models of all folds. Where it has
+    parameters, they are identified once more from all records.
 
     Args:
         data: the records; those of the split `test` take part in nothing.
@@ -137,13 +133,13 @@ def select_model(
     started = time.monotonic() if options.since is None else options.since
     stopwatch, others = Stopwatch(started), OtherPrograms()
     plan, folder, budget = read_plan(options.plan), Path(folder), options.budget
-    rounds_end = models_end = NEVER  # when time is up for the rounds, and for all before figures
+    candidates_end = models_end = NEVER  # for candidates, and for all before figures
     ending = 0.0
     if budget is not None:
         files = max(_FILES * budget, min(_FEWEST_FILES, _SHORT * budget))
         files, ending = min(files, _LONGEST_FILES), min(_ENDING * budget, _LONGEST_ENDING)
         models_end = Deadline(started + budget - files)
-        rounds_end = Deadline(started + budget - files - ending)
+        candidates_end = Deadline(started + budget - files - ending)
     # what cannot be done is said before time is spent
     records, before = prepare_for_folds(data)
     is_cut = any(finding.code == "cut into pieces" for finding in before)
@@ -187,7 +183,7 @@ def select_model(
     with lock_folder(folder):
         _prepare_folder(context, earlier, specification)
         queue = CandidateQueue(
-            plan, candidates, context, reporter.on_message, rounds_end, ending, promising
+            plan, candidates, context, reporter.on_message, candidates_end, ending, promising
         )
         workplace = Workplace(executor, reporter.make_listener, reporter.on_message)
 
@@ -266,30 +262,23 @@ def _choose(
     left_out: tuple[Finding, ...],
     stopwatch: Stopwatch,
 ) -> Choice:
-    """Scores committees of the candidates that remain, and writes the models.
+    """Makes the chosen candidate into one model, and writes the models of all that remain.
 
     `left_out` are the findings on parts of records that were left out.
     """
     context, remaining = queue.context, queue.remaining()
-    before_final = deadline.earlier_by(queue.seconds_for_final(remaining[0].name))
-    committees_end = before_final.at_most(_COMMITTEES * max(before_final.remaining, 0.0))
-    committees = score_committees(
-        queue.plan, remaining, context, reporter.on_message, committees_end
-    )
-    stopwatch.end("committees")
     names = tuple(r.name for r in remaining)
-    candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names, committees)
-    best = rank(candidates.choosable)[0]
-    simplest = find_simplest(candidates.choosable, best)
-    if candidates.are_alike(simplest.name, best.name):
-        simplest = best
+    candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names)
+    best = remaining[0]
+    as_known = [r for r in candidates.choosable if len(r.fits_by_fold) == len(best.fits_by_fold)]
+    simplest = find_simplest(as_known, best)
     models = make_final_models(
         candidates, best, simplest, context, reporter.make_listener, deadline
     )
     final = models[best.name]
     stopwatch.end("final model")
     try:
-        bands = calibrate_on_folds(candidates, best.name, final, context, deadline)
+        bands = calibrate_on_folds(best, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
         reporter.on_message(make_finding("no bands", why=error_message(error)).text)
@@ -301,7 +290,7 @@ def _choose(
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
-    errors = candidates.expected_errors(best.name)
+    errors = best.rmse()
     scored = [e for e in records_without_test(context.data) if e.name in errors]
     choice = Choice(
         context,
@@ -314,7 +303,7 @@ def _choose(
         bands,
         spoiled=spoiled,
         left_out=left_out,
-        whole=_free_runs_of_whole_records(candidates, best, context),
+        whole=context.evaluate_folds(best.fits_by_fold, None),
     )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL
@@ -322,14 +311,6 @@ def _choose(
     save(choice.model, context.folder / MODEL, **choice.header(best.name, final))
     stopwatch.end("model files")
     return choice
-
-
-def _free_runs_of_whole_records(
-    candidates: SelectionResults, best: CandidateResult, context: RunContext
-) -> dict[str, Score]:
-    """Free runs of whole records, of a committee those of the member with the largest weight."""
-    result = candidates.result(candidates.leading_member(best.name))
-    return context.evaluate_folds(result.fits_by_fold, None)
 
 
 def _find_spoiled(
@@ -344,9 +325,7 @@ def _find_spoiled(
     identified = [
         name
         for name in ranked
-        if name in models
-        and name not in candidates.committees
-        and "system" in candidates.plan.candidate(name).content.family.needs
+        if name in models and "system" in candidates.plan.candidate(name).content.family.needs
     ]
     if not identified:
         return ()

@@ -18,7 +18,7 @@ SELECTION = {
     "records diverge": warning("free runs of some records diverge", "set `horizon` in the plan"),
     "accuracy": note(
         "free runs [[over {horizon:.3g} s ]]of {records:record}[[ (of {total})]] that its models "
-        "were not fitted to[[, {alone} of them by {member} alone]]: {mean:.3g}[[ ± {error:.2g}]] "
+        "were not fitted to: {mean:.3g}[[ ± {error:.2g}]] "
         "{unit}, {share:percent} of the error of "
         "{reference} ({reference_error:.3g} {unit}); worst {worst}, {largest:.3g} {unit}"
         "[[{few}, few of them: other records may be much further off]]"
@@ -111,13 +111,5 @@ SELECTION = {
         "other programs used {share:percent} of the processors: `budget=` {longer:.0f}s does here "
         "what {budget:.0f} s do without them"
     ),
-    "committee far off": note(
-        "{committee}: left out, the others are more than {factor:g} times as far off as {best}"
-    ),
-    "committee failed": note("{committee}: left out, {why}"),
-    "committee unjudged": note(
-        "{committee}: not judged, its members were not scored on enough folds in time"
-    ),
-    "committee no better": note("{committee}: left out, one of them alone is as good"),
     "no bands": note("no bands around free runs: {why}"),
 }
