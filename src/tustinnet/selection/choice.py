@@ -115,8 +115,9 @@ class Choice(Shown):
     @property
     def follows(self) -> bool:
         """Whether the chosen one follows the records better than a trivial predictor."""
-        compared = self.result(self.best).compared()
-        return mean_and_error(compared.values())[0] < self.reference.mean
+        best = self.result(self.best)
+        mean, _ = mean_and_error(best.compared().values())
+        return mean < min(self.reference.mean, best.lost)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

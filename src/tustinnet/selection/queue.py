@@ -43,7 +43,7 @@ class QueueOptions:
         fewest: kinds of candidates that go on to further folds, where there are as many.
         far: of the motion within turns, an error of whole records that says little of a model.
         explained: of the inputs' force, what equations leave unexplained that explain it.
-        horizon: of a record, the length of pieces where no fit chose one.
+        horizon: of a record, the length of pieces at most.
         starts: the length of pieces is at least so many times what a start is fitted to.
     """
 
@@ -425,7 +425,7 @@ class CandidateQueue:
             self._judge_by_pieces()
 
     def _judge_by_pieces(self) -> None:
-        """Scores again, over the shortest horizon that a fit chose, or a part of a record.
+        """Scores again, over the shortest horizon that a fit chose, or a tenth of a record.
 
         Searches that begin at the values of others are over these pieces, too: fitted again.
         """
@@ -433,7 +433,7 @@ class CandidateQueue:
         chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
         usual = self._options.horizon * float(np.median([len(e) for e in before.data])) * dt
         shortest = self._options.starts * start_named(before.scoring.start).samples * dt
-        horizon = max(min(chosen, default=usual), shortest)
+        horizon = max(min([usual, *chosen]), shortest)
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
         self.notes.append(
             make_finding("judged by pieces", horizon=horizon, may_be_controlled=may_be_controlled)

@@ -176,7 +176,11 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     shared = shared_folds(longest)
     means = {r.name: mean_and_error(r.compared(shared).values())[0] for r in longest}
     finite = [r for r in longest if np.isfinite(means[r.name])]
-    best = min(finite, key=lambda r: means[r.name], default=None)
+
+    def mean_error(result: CandidateResult) -> float:
+        return mean_and_error(result.rmse().values())[0]
+
+    best = min(finite, key=lambda r: (means[r.name], mean_error(r)), default=None)
 
     def error(result: CandidateResult) -> float:
         if result.name in means:
@@ -195,7 +199,8 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
             value = means[best.name] + difference.mean + doubt
         return value if np.isfinite(value) else np.inf
 
-    return sorted(scored, key=error)
+    # of those that are all lost the one that is least far off
+    return sorted(scored, key=lambda r: (error(r), mean_error(r)))
 
 
 def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> CandidateResult:
