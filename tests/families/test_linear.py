@@ -130,3 +130,16 @@ def test_what_diverges_is_left_and_stages_are_not_trained():
         tn.InputError, match=r"stages: unknown key; nothing is trained: leave it out"
     ):
         tn.read_recipe("linear", ["stages.0.epochs=3"])
+
+
+def test_a_map_that_lacks_a_mode_has_derivatives_too():
+    """A position that integrates what integrates."""
+    rng, change = np.random.default_rng(1), np.array([[0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.1, 0.0]])
+    segment = LinearRecord(rng.normal(size=(2, 40, 2)), rng.normal(size=(2, 40, 2)))
+    found = _FreeRun(change, segment).derivatives(1, 3)
+    for c, j in np.ndindex(2, 4):
+        step = np.zeros_like(change)
+        step[c, j] = 1e-6
+        ahead, behind = (_FreeRun(change + s * step, segment).states for s in (1, -1))
+        expected = (ahead - behind)[:, ::3, :1] / 2e-6
+        np.testing.assert_allclose(found[..., c, j], expected, rtol=1e-4, atol=1e-5)

@@ -1,7 +1,7 @@
 """Search for the map of a linear state-space model by the error of its free runs.
 
-Free runs and their derivatives are sums of first-order filters in the Schur form of the map, so
-that no loop goes over samples.
+Free runs are first-order filters in the Schur form of the map, their derivatives sums of such over
+its modes, so that no loop goes over samples.
 """
 
 from collections.abc import Callable, Sequence
@@ -70,6 +70,7 @@ class PositionResidual:
 
 
 Change = Float[np.ndarray, "n_x n_x_and_drive"]
+_BESIDE = 1e-9  # of a map, a difference that no derivative shows
 
 
 class LinearSearch:
@@ -214,8 +215,8 @@ class _FreeRun:
 
     def __init__(self, change: Change, segment: LinearRecord) -> None:
         n_x, self._drive = len(change), segment.drive
-        triangular, basis, *_ = schur(np.eye(n_x) + change[:, :n_x], output="complex")
-        self._triangular, self._basis = triangular, basis
+        self._map = np.eye(n_x) + change[:, :n_x]
+        triangular, basis, *_ = schur(self._map, output="complex")
         forcing = np.empty((*segment.states.shape[:2], n_x))
         forcing[:, 0] = 0.0
         forcing[:, 0, : segment.states.shape[-1]] = segment.states[:, 0]
@@ -226,28 +227,24 @@ class _FreeRun:
     def derivatives(
         self, outputs: int, thin: int
     ) -> Float[np.ndarray, "segments rows n_y n_x n_z"]:
-        """Derivatives of positions by the change, of every so manieth sample."""
+        """Derivatives of positions by the change, of every so manieth sample.
+
+        Each is a sum over the modes of the map, of what a first-order filter makes of a signal.
+        """
+        from scipy.signal import lfilter
+
+        # a map that lacks a mode, as of two integrators in a row, is one beside it that has all
+        beside = _BESIDE * np.random.default_rng(0).normal(size=self._map.shape)
+        values, modes = np.linalg.eig(self._map + beside)
         signals = np.concatenate([self.states, self._drive], axis=-1)
-        n_x = self.states.shape[-1]
-        shape = (
-            len(signals),
-            len(range(0, signals.shape[1], thin)),
-            outputs,
-            n_x,
-            signals.shape[-1],
+        delayed = np.zeros(signals.shape, complex)
+        delayed[:, 1:] = signals[:, :-1]
+        responses = [lfilter([1.0], [1.0, -value], delayed, axis=1)[:, ::thin] for value in values]
+        weights = modes[:outputs].T[:, :, None] * np.linalg.inv(modes)[:, None, :]
+        of_modes = np.stack(responses, axis=-1) @ weights.reshape(len(values), -1)
+        return np.moveaxis(np.real(of_modes), -2, -1).reshape(
+            *of_modes.shape[:2], outputs, len(values), signals.shape[-1]
         )
-        result = np.empty(shape)
-        for j in range(signals.shape[-1]):
-            # the response at every state to this signal at every state, both in the Schur basis
-            response = np.zeros((*signals.shape[:2], n_x, n_x), complex)
-            for column in range(n_x):
-                forcing = np.zeros((*signals.shape[:2], column + 1), complex)
-                forcing[:, 1:, column] = signals[:, :-1, j]
-                part = self._triangular[: column + 1, : column + 1]
-                response[..., : column + 1, column] = _filter_triangular(part, forcing)
-            left, right = self._basis[:outputs], self._basis.conj().T
-            result[..., j] = np.real(left @ response[:, ::thin] @ right)
-        return result
 
 
 def _filter_triangular(
