@@ -117,7 +117,7 @@ class Choice(Shown):
         """Whether the chosen one follows the records better than a trivial predictor."""
         best = self.result(self.best)
         mean, _ = mean_and_error(best.compared().values())
-        return mean < min(self.reference.mean, best.lost)
+        return mean < self.reference.mean and min(best.compared().values()) < best.lost
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -22,6 +22,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
+from tustinnet.evaluate.reference import find_reference
 from tustinnet.evaluate.scores import Score, evaluate, scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import Deadline
@@ -34,6 +35,7 @@ from tustinnet.fitting.inverse_dynamics.of_model import unexplained_forces
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.report import OUT_OF_TIME, FitResult, data_header
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import Fold, Member, Origin, Task, begin_with, resolve_system
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
@@ -252,6 +254,17 @@ class RunContext:
                 q = min(q, within, key=np.std)
             squares += float(np.mean(q**2))
         return math.sqrt(squares) or 1.0
+
+    @cached_property
+    def lost_error(self) -> float:
+        """The RMSE from which on a free run is lost [rad or m].
+
+        What the records move; over pieces of them, at most what the better trivial predictor has.
+        """
+        if self.scoring.horizon is None:
+            return self.motion_within_turns
+        reference = find_reference(records_without_test(self.data), self.scoring.horizon)
+        return min(self.motion_within_turns, reference.mean) or self.motion_within_turns
 
     @property
     def system_file(self) -> SystemFile | None:

@@ -92,7 +92,7 @@ class CandidateQueue:
         options: QueueOptions | None = None,
     ) -> None:
         self.plan, self.context, self.notes = plan, context, list[Finding]()
-        lost = context.motion_within_turns
+        lost = context.lost_error
         self.results = {c.name: CandidateResult(c.name, lost=lost) for c in candidates}
         self._candidates, self._on_message = tuple(candidates), on_message
         self._options = options or DEFAULTS
@@ -160,10 +160,10 @@ class CandidateQueue:
     def remaining(self) -> list[CandidateResult]:
         """The candidates that have scores, the best first; none that is lost, unless all are.
 
-        Lost is what is further off than the records move, on all of them.
+        Lost is what is lost on every record.
         """
         ranking = rank([*self.results.values()])
-        kept = [r for r in ranking if mean_and_error(r.compared().values())[0] < r.lost]
+        kept = [r for r in ranking if min(r.compared().values()) < r.lost]
         return kept or ranking
 
     def seconds_for_final(self, name: str) -> float:
@@ -440,16 +440,16 @@ class CandidateQueue:
         )
         self._on_message(self.notes[-1].text)
         self.context = before.with_changes(scoring=replace(before.scoring, horizon=horizon))
-        changed = set[str]()
+        changed, lost = set[str](), self.context.lost_error
         for c in self._candidates:
             if self.context.recipe_of(c) != before.recipe_of(c) or changed & set(c.corrects):
                 changed.add(c.name)
-                lost = self.context.motion_within_turns
                 self.results[c.name] = CandidateResult(c.name, lost=lost)
                 self._jobs = {key: job for key, job in self._jobs.items() if key[0] != c.name}
             else:
                 result = self.results[c.name]
-                self.results[c.name] = replace(result, fits_by_fold=self._score_again(result))
+                fits_by_fold = self._score_again(result)
+                self.results[c.name] = replace(result, fits_by_fold=fits_by_fold, lost=lost)
         if changed:  # what this run has fitted is not gone on with
             self.context = self.context.with_changes(resume=False)
 
