@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from small_selection import swings
 
+from tustinnet.evaluate.reference import find_reference
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.selection import runner
@@ -422,6 +423,11 @@ def test_pieces_are_a_tenth_of_a_record_and_longer_than_starts(start, pieces, cu
     found.run(Pretended(of=lambda job: scored(job, motion)))
     samples = {"a tenth of a record": 0.1 * len(data[0]), "three starts": 60.0}[pieces]
     assert found.queue.context.scoring.horizon == pytest.approx(samples * data.channels.dt)
+    # over pieces whatever is further off than standing still is lost
+    horizon = found.queue.context.scoring.horizon
+    assert found.queue.results["linear"].lost == min(
+        motion, find_reference(list(data), horizon).mean
+    )
     # that a controller held the machine is what a cut-off of its motion tells
     assert ("of a machine that a controller held" in found.queue.notes[0].text) == bool(cutoff)
 
