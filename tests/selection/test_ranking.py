@@ -9,7 +9,6 @@ from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.selection.jobs import FitScore, JobResult
 from tustinnet.selection.ranking import (
     CandidateResult,
-    find_decisive_record,
     find_simplest,
     paired_difference,
     rank,
@@ -133,17 +132,3 @@ def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
 def test_where_all_that_were_scored_on_most_folds_left_all_bounds_a_shorter_one_comes_first():
     a, short = standing("a", {"r": 1.0}, {"s": math.inf}), standing("short", {"r": 3.0})
     assert [s.name for s in rank([a, short])] == ["short", "a"]
-
-
-def test_a_record_that_decides_is_named():
-    linear = standing("linear", {"r": 1.0, "s": 1.1}, {"t": 1.2, "payload": 2.0})
-    network = standing("network", {"r": 0.1, "s": 0.2}, {"t": 0.2, "payload": 30.0})
-    found = find_decisive_record(
-        linear, [network, standing("worse", {"r": 3.0, "s": 3.0}, {"t": 3.0})]
-    )
-    assert found is not None
-    record, other, than = found
-    assert (record, other.name, than.records) == ("payload", "network", 3)
-    assert than.mean == pytest.approx(-2.8 / 3)
-    assert find_decisive_record(network, [linear]) is None  # not the best of all
-    assert find_decisive_record(linear, [standing("few", {"r": 0.1}, {"payload": 30.0})]) is None

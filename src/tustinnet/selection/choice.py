@@ -27,7 +27,6 @@ from tustinnet.selection.ranking import (
     FEW,
     LEVEL,
     CandidateResult,
-    find_decisive_record,
     paired_difference,
 )
 from tustinnet.shown import Shown
@@ -133,7 +132,6 @@ class Choice(Shown):
             *self._expectation,
             *self._shortfall(mean),
             self._comparison_with_next(best),
-            *self._decisive_record(best),
             *self._stopped_fits,
             *self._alternatives(best),
             *[make_finding("spoiled", **part.as_plain()) for part in self.spoiled],
@@ -183,20 +181,6 @@ class Choice(Shown):
             reference=self.reference.label,
             remedies=remedies,
         )
-
-    def _decisive_record(self, best: CandidateResult) -> Iterator[Finding]:
-        scored = [r for r in self.candidates.results if r.fits_by_fold and r.name != best.name]
-        if (decisive := find_decisive_record(best, scored)) is not None:
-            record, other, difference = decisive
-            yield make_finding(
-                "one record decides",
-                record=record,
-                other=other.name,
-                difference=-difference.mean,
-                error=difference.standard_error,
-                unit=self.unit,
-                records=difference.records,
-            )
 
     @property
     def _stopped_fits(self) -> Iterator[Finding]:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -106,12 +105,10 @@ class CandidateResult:
         return {coordinate: float(np.mean(values)) for coordinate, values in shares.items()}
 
 
-def paired_difference(
-    one: CandidateResult, other: CandidateResult, without: str = ""
-) -> PairedDifference:
-    """The excess error of one candidate over another on their shared records, but for one."""
+def paired_difference(one: CandidateResult, other: CandidateResult) -> PairedDifference:
+    """The excess error of one candidate over another on their shared records."""
     ours, theirs = one.compared(), other.compared()
-    shared = [record for record in ours if record in theirs and record != without]
+    shared = [record for record in ours if record in theirs]
     with np.errstate(invalid="ignore"):
         mean, error = mean_and_error(
             np.subtract([ours[r] for r in shared], [theirs[r] for r in shared])
@@ -123,37 +120,6 @@ def is_ahead(one: CandidateResult, other: CandidateResult) -> bool:
     """Whether a candidate is better than another on their shared records, by a fiftieth or more."""
     level = LEVEL * mean_and_error(other.compared().values())[0]
     return bool(paired_difference(one, other).mean < -level)
-
-
-class DecisiveRecord(NamedTuple):
-    """A record without which another candidate would be clearly better than the best.
-
-    Attributes:
-        record: the record.
-        other: the other candidate.
-        difference: how much worse that is without the record, a negative mean.
-    """
-
-    record: str
-    other: CandidateResult
-    difference: PairedDifference
-
-
-def find_decisive_record(
-    best: CandidateResult, others: Sequence[CandidateResult]
-) -> DecisiveRecord | None:
-    """The record without which another one would be best by most; None if no record decides."""
-    decisive = []
-    for other in others:
-        if not paired_difference(other, best).mean > 0:
-            continue
-        theirs = other.rmse()
-        for record in [r for r in best.rmse() if r in theirs]:
-            difference = paired_difference(other, best, without=record)
-            clear = difference.mean < -CLEAR * difference.standard_error
-            if difference.records >= FEW and clear:
-                decisive.append(DecisiveRecord(record, other, difference))
-    return min(decisive, key=lambda d: d.difference.mean, default=None)
 
 
 def shared_folds(results: Sequence[CandidateResult]) -> set[int] | None:

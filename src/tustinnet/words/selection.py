@@ -60,10 +60,6 @@ SELECTION = {
     "other better": note(
         f"{{other}} is better {_DIFFERENCE}, not clearly, and was scored on no others"
     ),
-    "one record decides": warning(
-        "one record decides: without {record}, {other} would be better " + _DIFFERENCE,
-        "see whether {record} was made with the same machine, load and settings",
-    ),
     "simplest": note(
         "simplest that is as good: {name}, {made} ({difference:+.2g}[[ ± {error:.2g}]] {unit}): "
         "{file}"
