@@ -228,6 +228,7 @@ def test_files_without_a_header_have_the_names_of_the_others(tmp_path: Path) -> 
     [
         (("a_4000us", "b_4000us"), 0.004, ""),
         (("a_1300us", "b_4ms"), 0.01, "1300us, 4ms: sampling periods? each needs a card"),
+        (("a_500ms", "b_500ms"), 0.01, ""),
         (("a_2kg", "b_4kg"), 0.01, "2kg, 4kg: loads are `groups`"),
     ],
 )

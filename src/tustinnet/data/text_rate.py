@@ -18,7 +18,8 @@ _INTERVAL = re.compile(
     rf"(?i)(?:(?:{_WORDS})[ _]?(?:time|interval|period|zeit|intervall)|abtastzeit|\bts|\bdt"
     rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)\b"
 )
-_IN_NAME = re.compile(r"(?<![\d.,])(\d+)(ms|us)(?![a-z])")
+# a period of 100 ms or more is rather how long something lasts
+_IN_NAME = re.compile(r"(?<![\d.,])(\d{1,2}(?=ms)|\d{1,5}(?=us))(ms|us)(?![a-z])")
 
 
 def period_in_name(name: str) -> float | None:

@@ -334,14 +334,17 @@ def _find_period(
         return period, "by the sampling rate that the files say"
     if by_velocities is not None:
         return by_velocities, "by the velocities, which are slopes of the positions"
-    in_names = {period_in_name(log.file) for log in logs}
-    return (in_names.pop() if len(in_names) == 1 else None) or _USUAL_PERIOD, ""
+    return _only_period({period_in_name(log.file) for log in logs}) or _USUAL_PERIOD, ""
 
 
 def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
     """The sampling period that lines above the tables say, where all files say the same."""
     files = [folder / log.file for log in logs]
-    periods = {find_period(file) if is_text(file) else None for file in files}
+    return _only_period({find_period(file) if is_text(file) else None for file in files})
+
+
+def _only_period(periods: set[float | None]) -> float | None:
+    """The period that all files say, where it is a possible one."""
     (period, *others) = periods
     is_possible = period is not None and SHORTEST_DT <= period <= LONGEST_DT
     return period if is_possible and not others else None
