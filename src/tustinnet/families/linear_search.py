@@ -239,9 +239,10 @@ class _FreeRun:
         signals = np.concatenate([self.states, self._drive], axis=-1)
         delayed = np.zeros(signals.shape, complex)
         delayed[:, 1:] = signals[:, :-1]
-        responses = [lfilter([1.0], [1.0, -value], delayed, axis=1)[:, ::thin] for value in values]
+        filtered = [lfilter([1.0], [1.0, -value], delayed, axis=1) for value in values]
+        responses = np.stack(filtered, axis=-1)[:, ::thin]
         weights = modes[:outputs].T[:, :, None] * np.linalg.inv(modes)[:, None, :]
-        of_modes = np.stack(responses, axis=-1) @ weights.reshape(len(values), -1)
+        of_modes = responses @ weights.reshape(len(values), -1)
         return np.moveaxis(np.real(of_modes), -2, -1).reshape(
             *of_modes.shape[:2], outputs, len(values), signals.shape[-1]
         )
