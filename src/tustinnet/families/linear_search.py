@@ -231,16 +231,13 @@ class _FreeRun:
 
         Each is a sum over the modes of the map, of what a first-order filter makes of a signal.
         """
-        from scipy.signal import lfilter
-
         # a map that lacks a mode, as of two integrators in a row, is one beside it that has all
         beside = _BESIDE * np.random.default_rng(0).normal(size=self._map.shape)
         values, modes = np.linalg.eig(self._map + beside)
         signals = np.concatenate([self.states, self._drive], axis=-1)
         delayed = np.zeros(signals.shape, complex)
         delayed[:, 1:] = signals[:, :-1]
-        filtered = [lfilter([1.0], [1.0, -value], delayed, axis=1) for value in values]
-        responses = np.stack(filtered, axis=-1)[:, ::thin]
+        responses = np.stack([_filter(value, delayed)[:, ::thin] for value in values], axis=-1)
         weights = modes[:outputs].T[:, :, None] * np.linalg.inv(modes)[:, None, :]
         of_modes = responses @ weights.reshape(len(values), -1)
         return np.moveaxis(np.real(of_modes), -2, -1).reshape(
@@ -252,14 +249,21 @@ def _filter_triangular(
     triangular: Complex[np.ndarray, "n n"], forcing: np.ndarray
 ) -> Complex[np.ndarray, "segments samples n"]:
     """`w[k] = T w[k-1] + forcing[k]` of an upper triangular `T`, from `w[-1] = 0` on."""
-    from scipy.signal import lfilter  # takes a second, and most fits are of other families
-
     result = np.zeros(forcing.shape, complex)
     for i in reversed(range(len(triangular))):
         driven = forcing[..., i].astype(complex)
         driven[:, 1:] += result[:, :-1, i + 1 :] @ triangular[i, i + 1 :]
-        result[..., i] = lfilter([1.0], [1.0, -triangular[i, i]], driven, axis=1)
+        result[..., i] = _filter(triangular[i, i], driven)
     return result
+
+
+def _filter(
+    pole: complex | float, forcing: np.ndarray
+) -> Complex[np.ndarray, "segments samples *n"]:
+    """`w[k] = pole w[k-1] + forcing[k]`, from `w[-1] = 0` on."""
+    from scipy.signal import lfilter  # takes a second, and most fits are of other families
+
+    return np.asarray(lfilter([1.0], [1.0, -pole], forcing, axis=1))
 
 
 def _cut(records: Sequence[LinearRecord], length: int) -> list[LinearRecord]:

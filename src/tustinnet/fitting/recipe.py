@@ -442,6 +442,11 @@ class IdentificationRecipe(Recipe):
         table = self.family.with_initial_values(self.model, model, system)
         return self.model_copy(update={"model": table})
 
+    def with_begin(self, begin: Mapping[str, float]) -> "IdentificationRecipe":
+        """The recipe of an identification that begins at other values, by parameter."""
+        table = self.model.model_copy(update={"begin": dict(begin)})
+        return self.model_copy(update={"model": table})
+
 
 @cache
 def recipe_type(family: TrainedFamily | SolvedFamily | IdentifiedFamily) -> type[Recipe]:

@@ -230,7 +230,7 @@ def begin_with(
         name: float(np.clip(x, *ranges[name])) if name in ranges else x
         for name, x in recipe.model.begin.items()
     }
-    return recipe.model_copy(update={"model": recipe.model.model_copy(update={"begin": begin})})
+    return recipe.with_begin(begin)
 
 
 def _require_members(members: Sequence[Member], recipe: Recipe) -> None:

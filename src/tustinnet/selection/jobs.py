@@ -428,8 +428,7 @@ def _begin_by_group(recipe: Recipe, origin: Model, records: Sequence[Experiment]
         if group
     }
     values = {name: float(x) for name, x in equations.values.items() if name in names}
-    begin = {**recipe.model.begin, **values}
-    return recipe.model_copy(update={"model": recipe.model.model_copy(update={"begin": begin})})
+    return recipe.with_begin({**recipe.model.begin, **values})
 
 
 def _fit_digest(task: Task, context: RunContext) -> str:

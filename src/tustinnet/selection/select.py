@@ -270,8 +270,9 @@ def _choose(
     names = tuple(r.name for r in remaining)
     candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names)
     best = remaining[0]
-    as_known = [r for r in candidates.choosable if len(r.fits_by_fold) == len(best.fits_by_fold)]
-    simplest = find_simplest(as_known, best)
+    folds = len(best.fits_by_fold)
+    as_often = [r for r in candidates.choosable if len(r.fits_by_fold) == folds]
+    simplest = find_simplest(as_often, best)
     models = make_final_models(
         candidates, best, simplest, context, reporter.make_listener, deadline
     )
