@@ -25,6 +25,7 @@ from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fitting.gradient.epoch import _run
 from tustinnet.models.physical_values import equations_in
 from tustinnet.report.selection import candidates_table
+from tustinnet.report.tables import Table
 from tustinnet.selection import choice as chosen
 from tustinnet.selection import final_models, jobs, queue, scoring
 from tustinnet.selection.applicability import applicable_candidates
@@ -246,6 +247,21 @@ def test_plain_words_say_how_good_it_is_and_why_this_one(made):
     assert told[3].startswith("a new record of these kinds: typically ")
     assert " than the next, " in told[4]
     assert any(line.startswith("best so far: grey, off by ") for line in made.said)
+
+
+def test_the_table_says_how_many_free_runs_are_lost(made):
+    candidates = made.choice.candidates
+    middle = float(np.median([*made.choice.result(made.choice.best).rmse().values()]))
+
+    def table(lost: float) -> Table:
+        results = tuple(replace(s, lost=lost) for s in candidates.results)
+        return candidates_table(
+            replace(made.choice, candidates=replace(candidates, results=results))
+        )
+
+    assert "lost" not in table(np.inf).markdown()
+    assert table(middle).rows[0][-3] == "5, 2 lost"
+    assert "a lost one is further off than records move" in table(middle).title
 
 
 def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monkeypatch):

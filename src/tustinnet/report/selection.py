@@ -37,6 +37,7 @@ def candidates_table(choice: Choice) -> Table:
         shares = list(s.unexplained.values())
         return f"{100 * float(np.mean(shares)):.2g}" if shares else ""
 
+    lost = {s.name: sum(not x <= s.lost for x in s.rmse().values()) for s in results}
     rows, by_forces = [], any(s.unexplained for s in results)
     for s in results:
         difference, count = paired_difference(s, best), len(s.rmse())
@@ -52,7 +53,7 @@ def candidates_table(choice: Choice) -> Table:
                 *["" if mean is None else cell(*mean) for mean in means[s.name]],
                 against,
                 *[unexplained(s)] * by_forces,
-                str(count),
+                f"{count}, {lost[s.name]} lost" if lost[s.name] else str(count),
                 str(len(s.fits_by_fold)),
                 f"{s.seconds:.0f}",
             ]
@@ -73,6 +74,8 @@ def candidates_table(choice: Choice) -> Table:
     ]
     title = "free runs of records that a model was not fitted to, mean ± standard error"
     title += norm_words(unit)
+    if any(lost.values()):
+        title += "; a lost one is further off than records move, and is compared as just that far"
     return Table(columns, rows, title=title)
 
 
