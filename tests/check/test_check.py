@@ -46,6 +46,9 @@ def test_a_planted_fault_is_named_at_its_record_and_channel(fault: Fault, tmp_pa
     line = named.mend.partition(": ")[2]
     if " = " in line:
         assert tomllib.loads(f"parts = [{line}]" if "[splits]" in named.mend else line)
+    key = {"sign": "sign = -1", "offset": "offset = ", "lag": "delay = ", "period": "dt = "}
+    if fault.channels and named.channel in fault.channels:
+        assert key.get(named.code, "") in named.mend
 
 
 @pytest.mark.thorough
@@ -231,6 +234,7 @@ def test_outliers_of_velocities_are_named_and_change_nothing_else(
     found = [f for f in check([arm(q, v, v_measured=True)]) if f.is_serious]
     assert [(f.code, f.severity) for f in found] == [("velocity", "warning")]
     assert f"outliers at sample {', '.join(map(str, sorted(rows)))}" in found[0].what
+    assert found[0].values["how"].values["largest"] == pytest.approx(size, abs=0.5)
     reversed_ = check([arm(q, -v, v_measured=True)])
     assert "opposite sign" in next(f for f in reversed_ if f.severity == "severe").what
 
@@ -267,6 +271,24 @@ def test_a_record_that_hardly_differs_may_be_a_repeated_experiment() -> None:
     (found,) = check([arm(swing()), arm(again, name="again", split="test")])
     assert (found.code, found.severity) == ("near copy", "warning")
     assert not check([arm(swing()), arm(swing()[::-1], name="other")])
+
+
+@pytest.mark.parametrize(
+    ("rows", "mend"),
+    [
+        ([(0, 400), (300, 700)], '{ file = "log.csv", rows = [400, 700] }'),
+        ([(300, 700), (0, 400)], '{ file = "log.csv", seconds = [0, 2.995] }'),
+        ([(0, 700), (300, 500)], 'leave out "log.csv"'),
+        ([(0, 300), (300, 700)], None),
+    ],
+)
+def test_ranges_of_a_file_that_overlap_are_cut_to_what_they_do_not_share(
+    rows: list[tuple[int, int]], mend: str | None
+) -> None:
+    whole = replace(arm(swing()), source="log.csv", sha256="one")
+    parts = [replace(whole[a:b], name=f"r{a}") for a, b in rows]
+    found = [f.mend for f in check(parts) if f.code == "overlap"]
+    assert found == ([] if mend is None else [f"under [splits] train: {mend}"])
 
 
 # --- findings ---
@@ -368,7 +390,9 @@ def test_keys_that_the_card_assumes_are_notes_until_they_are_deleted(tmp_path: P
         'name = "motor"\ncolumn = "u"\nunit = "V"\nassumed = ["unit"]\n'
     )
     (tmp_path / "dataset.toml").write_text(card)
-    found = [f for f in check_folder(tmp_path) if f.code == "assumed"]
+    found = check_folder(tmp_path)
+    assert "assumed together" not in {f.code for f in found}
+    found = [f for f in found if f.code == "assumed"]
     assert {f.severity for f in found} == {"note"}
     assert [(f.channel, f.what) for f in found] == [
         ("", "the sampling period [s] was assumed to be 0.01"),

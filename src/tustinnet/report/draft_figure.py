@@ -39,7 +39,8 @@ def draft_figure(draft: Draft) -> Figure:
             style = "steps-post" if column.use == "input" and column.numbers.levels else "default"
             finite = np.where(np.isfinite(values), values, np.nan)
             plot_line(axes, piece.t, finite, color=colour, linewidth=0.9, drawstyle=style)
-            axes.set_title(_title(column), loc="left", fontsize=7.5, color=colour)
+            # a given height spares a layout of the ticks
+            axes.set_title(_title(column), loc="left", y=1.0, fontsize=7.5, color=colour)
             axes.tick_params(labelsize=7)
             axes.ticklabel_format(useOffset=False)
         for axes in panels.ravel()[len(drawn) :]:
