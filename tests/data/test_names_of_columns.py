@@ -38,6 +38,8 @@ NAMES = [
     ("pot_voltage", "position", "", False),
     ("angle_current", "position", "", False),
     ("i2_A", "current", "A", False),
+    ("XTACHO", "velocity", "", False),
+    ("cylinder_p", "pressure", "", False),
 ]
 
 

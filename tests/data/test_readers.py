@@ -211,7 +211,6 @@ def noted(notes: dict[int, str]) -> str:
         ("angle,voltage\n1,2\n", False, r"row 1, column 1: the text 'angle'.*`header = true`"),
         ("# rig\n1,2\n3,4\n5,6,7\n", True, r"log\.csv: row 4 has 3 cells, row 2 has 2"),
         ("# rig\n1,2\n3,4\n5,6,7\n", False, r"log\.csv: row 4 has 3 cells, row 2 has 2"),
-        ("a, a\n1,2\n", None, "two columns are called 'a'"),
         ("a,b\n", None, r"log\.csv: the file holds no samples"),
         ("\n\n", None, r"log\.csv: the file holds no samples"),
         ("# only a comment\n", None, r"log\.csv: the file holds no samples"),
@@ -242,6 +241,17 @@ def test_text_that_holds_no_table_of_numbers_is_refused_with_its_row(
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     with pytest.raises(InputError, match=message):
         numbers(read_columns(path, header=header))
+
+
+def test_later_columns_of_one_name_are_numbered(tmp_path):
+    (tmp_path / "log.csv").write_text('a,b,a,"a #2"\n' + "1,2,3,4\n" * 3)
+    with pytest.raises(InputError, match="two columns are called 'a #2'"):
+        read_columns(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("a,b,a,a\n" + "1,2,3,4\n" * 3)
+    columns = read_columns(tmp_path / "log.csv")
+    assert columns.names == ("a", "b", "a #2", "a #3")
+    assert columns["a #2"].tolist() == [3.0] * 3
+    assert "a later column of the same name: 'a #2'" in columns.notes
 
 
 def duplicate_member(path: Path) -> None:

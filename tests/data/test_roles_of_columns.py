@@ -137,6 +137,93 @@ def test_the_cause_comes_before_the_effect(tmp_path: Path) -> None:
     assert "it moves 'V2'" in made.text
 
 
+def test_a_p_behind_a_symbol_may_be_a_dash(tmp_path: Path) -> None:
+    u = levels(3)
+    x, v = moved_by(u)
+    assert uses(draft(tmp_path, {"volts": u, "phi": x, "phi_p": v})) == {
+        "volts": "input",
+        "phi": "coordinate",
+        "phi_p": "phi",
+    }
+    swing = {"volts": u, "theta_p": x}  # of a pendulum
+    assert uses(draft(tmp_path, swing)) == {"volts": "input", "theta_p": "coordinate"}
+
+
+def test_a_clock_without_a_name_may_stand_behind_others(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    u = levels(7)
+    x, _ = moved_by(u)
+    t = np.cumsum(DT * rng.uniform(0.8, 1.2, N))
+    for k in range(2):
+        np.savetxt(tmp_path / f"r{k}.csv", np.column_stack([u, x, t]), "%.7g", ",")
+    card = tomllib.loads(draft_card(tmp_path, ["r0.csv", "r1.csv"]).text)
+    assert card["time"]["column"] == 3
+    assert card["dt"] == pytest.approx(DT, rel=0.02)
+
+
+@pytest.mark.parametrize(("share", "dt"), [(0.02, 0.01), (0.2, 0.0112)])
+def test_few_long_intervals_are_gaps_and_many_are_the_jitter_of_a_clock(
+    share: float, dt: float, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(8)
+    steps = np.where(rng.uniform(size=N) < share, 0.02, rng.choice([0.008, 0.012], N))
+    x, _ = moved_by(levels(8))
+    table = np.column_stack([np.cumsum(steps), x, levels(8)])
+    np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header="t,x_mm,u_V", comments="")
+    found = tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)["dt"]
+    assert found == pytest.approx(dt if share < 0.05 else np.median(steps), rel=0.01)
+
+
+def test_an_input_may_be_constant_in_a_record_and_differ_between_them(tmp_path: Path) -> None:
+    records = []
+    for k in range(3):
+        u = np.full(N, 0.5 * (k + 1))
+        records.append({"duty": u, "angle": moved_by(u)[0], "mass": np.full(N, 1.0 + k)})
+    made = draft(tmp_path, *records)
+    assert uses(made) == {"duty": "input", "angle": "coordinate", "mass": ""}
+    assert any(q.text.startswith("what is 'duty'") for q in made.questions)
+
+
+def test_a_flag_is_no_input_though_it_is_of_a_control(tmp_path: Path) -> None:
+    u = levels(9)
+    flag = (np.arange(N) > 90).astype(float)
+    made = draft(tmp_path, {"x_mm": moved_by(u)[0], "control_active": flag})
+    assert uses(made) == {"x_mm": "coordinate", "control_active": ""}
+
+
+def test_angles_of_one_machine_are_in_the_unit_of_the_one_that_wraps(tmp_path: Path) -> None:
+    turn = 200 * np.sin(np.arange(N) / 200) % 360
+    made = draft(tmp_path, {"yaw": turn, "roll": 2 * moved_by(levels(1))[0], "u_V": levels(1)})
+    units = {c.name: (c.unit, c.assumed) for c in made.choice.coordinates}
+    assert units == {"yaw": ("deg", ()), "roll": ("deg", ("unit",))}
+
+
+def test_of_several_joints_one_family_drives_each(tmp_path: Path) -> None:
+    columns: dict[str, np.ndarray] = {}
+    for k in range(3):
+        u = levels(20 + k)
+        x, v = moved_by(u)
+        noise = np.random.default_rng(k).normal(0, 0.3, N)
+        columns |= {f"q_{k}": x, f"qd_{k}": v, f"output_{k}": u, f"target_current_{k}": u + noise}
+    made = draft(tmp_path, columns)
+    families = {i.column.rpartition("_")[0] for i in made.choice.inputs}
+    assert (len(made.choice.inputs), len(families)) == (3, 1)
+
+
+def test_what_no_name_says_is_asked_unless_it_is_plain(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(11))
+    smooth, _ = moved_by(levels(11), damping=20.0, stiffness=3.0)
+
+    def asked(force: np.ndarray, *names: str) -> list[str]:
+        made = draft(tmp_path, dict(zip(names, (force, x), strict=True)))
+        assert uses(made) == dict(zip(names, ("input", "coordinate"), strict=True))
+        return [q.key for q in made.questions if q.key.startswith("role")]
+
+    assert asked(smooth, "one", "two") == ["role one", "role two"]
+    assert asked(smooth, "volts", "angle") == []
+    assert asked(levels(11), "one", "two") == []
+
+
 def test_a_smooth_column_is_not_caused_by_whatever_else_is_smooth(tmp_path: Path) -> None:
     t = DT * np.arange(N)
     waves = [np.sum([np.sin(f * t + k) for f in (1.1, 1.9, 3.2)], axis=0) for k in (0, 2)]

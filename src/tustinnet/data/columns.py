@@ -1,6 +1,7 @@
 """Columns of numbers by name, from a file or a data frame."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -210,6 +211,16 @@ def _escape_all(texts: Mapping[str, str] | None) -> dict[str, str]:
 
 def _read_nothing(names: list[str]) -> list[Column]:
     raise RuntimeError(f"columns were released before {names} were read")
+
+
+def number_repeated(names: Sequence[str]) -> list[str]:
+    """Names of which later ones that are alike are numbered: `q`, `q #2`."""
+    earlier: Counter[str] = Counter()
+    numbered: list[str] = []
+    for name in names:
+        earlier[name] += 1
+        numbered.append(f"{name} #{earlier[name]}" if earlier[name] > 1 else name)
+    return numbered
 
 
 def require_different(names: Sequence[str], where: object) -> None:

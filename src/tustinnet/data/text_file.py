@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int
 
-from tustinnet.data.columns import NUMBERED, Column, Columns, require_different
+from tustinnet.data.columns import (
+    NUMBERED,
+    Column,
+    Columns,
+    number_repeated,
+    require_different,
+)
 from tustinnet.data.merged_topics import FEW_VALUES, MISSING, NOTE, find_merged_topics
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
@@ -94,8 +100,11 @@ def read_text(
         found = Header(names, {}, 0)
     if len(all_rows) <= found.rows:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    names = [a or b for a, b in zip(found.names, numbered, strict=True)]
+    names = number_repeated([a or b for a, b in zip(found.names, numbered, strict=True)])
     require_different(names, path)
+    repeated = [
+        name for name, other in zip(names, found.names, strict=True) if other not in ("", name)
+    ]
     index = {name: column for column, name in enumerate(names)}
     rows, first_row = all_rows[found.rows :], lines[0][0]
     dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
@@ -144,6 +153,7 @@ def read_text(
         *(["pairs of columns, times and values"] if file.pairs is not None else []),
         *(["names of the columns in a comment"] if is_in_comment else []),
         *([NO_HEADER] if is_bare else []),
+        *(f"a later column of the same name: '{name}'" for name in repeated),
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
     units = {} if file.pairs is not None else find_units_above(file.above, names)

@@ -1,6 +1,7 @@
 """The assignment of roles to columns for which most evidence speaks, and by how much."""
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ class Verdict:
         reasons: the sentences that speak for it, the strongest first.
         rival: the role that it has in the best assignment in which it is used otherwise.
         margin: how much better the assignment is than that, in points.
+        near: a smaller margin is a question.
         partner: the column of which it is the velocity or set point, or that it moves, if any.
     """
 
@@ -35,6 +37,7 @@ class Verdict:
     reasons: tuple[str, ...]
     rival: Role | None = None
     margin: float = np.inf
+    near: float = WEIGHTS.near
     partner: str | None = None
 
     @property
@@ -45,7 +48,7 @@ class Verdict:
     @property
     def is_open(self) -> bool:
         """Whether another role is nearly as likely."""
-        return self.margin < WEIGHTS.near
+        return self.margin < self.near
 
     @property
     def leads(self) -> str | None:
@@ -94,10 +97,13 @@ class _Prices:
         self.are_related = related | related.T
         # a current at one joint is no effect of the force at another one, nor of a hand's
         is_other = t.is_free | [bool(OUTSIDE & {*r.words}) for r in t.readings]
+        sizes = Counter(t.family)
+        is_of_many = [sizes[f] > 1 and t.joint[i] is not None for i, f in enumerate(t.family)]
         self.are_stages = np.array(
             [
                 [
-                    t.stage[u] != t.stage[v]
+                    # of several joints two families of inputs are stages, whatever their names say
+                    (t.stage[u] != t.stage[v] or (is_of_many[u] and t.family[u] != t.family[v]))
                     and not (is_other[u] or is_other[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
                     for v in columns
@@ -198,9 +204,7 @@ class Assignment:
         total = float(causes.sum()) - _sum(self.prices.inputs, inputs, inputs) / 2
         families = {t.family[u] for u in inputs}
         total -= w.further_input * max(0, len(families) - 1)
-        stages = np.argwhere(self.prices.are_stages[inputs][:, inputs]).tolist()
-        drives = {(t.family[inputs[i]], t.family[inputs[j]]) for i, j in stages if i < j}
-        return total - w.stage * len(drives)
+        return total - w.stage * np.triu(self.prices.are_stages[np.ix_(inputs, inputs)]).sum()
 
     # --- the search ---
 
@@ -317,11 +321,13 @@ class Assignment:
             partner = t.names[other]
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
+        is_spoken = t.readings[i].quantities or role in (_ACCELERATION, _OTHER)
         return Verdict(
             ROLES[role],
             tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),
             ROLES[self.rivals[family]],
             self.margins[family],
+            WEIGHTS.near if is_spoken else WEIGHTS.near_of_numbers,
             partner,
         )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
+from tustinnet.data.columns import NUMBERED
 from tustinnet.data.drafting.assignment import Assignment, Verdict
 from tustinnet.data.drafting.card_text import write_card
 from tustinnet.data.drafting.choice import choose_channels, choose_system_channels
@@ -29,7 +30,7 @@ from tustinnet.data.drafting.logs import (
     read_logs,
     read_names,
 )
-from tustinnet.data.drafting.names import NameReading
+from tustinnet.data.drafting.names import INPUTS, NameReading
 from tustinnet.data.drafting.numbers import Numbers, Values, examine, unwrap
 from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
@@ -220,7 +221,7 @@ def draft_examined(
     findings, choice = choose(examination)
     if not examination.period_reason:
         dt = examination.clock.dt or _USUAL_PERIOD
-        if (period := period_by_velocities(dt, choice, findings)) is not None:
+        if (period := period_by_velocities(dt, findings)) is not None:
             parts = examination.folder, examination.logs, examination.notes, findings.answers
             examination = _examine(*parts, period)
             findings, choice = choose(examination)
@@ -446,6 +447,12 @@ def _judge(
     ]
     table = EvidenceTable(moving, numbers, records, slopes.of(moving))
     verdicts = Assignment(table, known).verdicts()
+    if not {v.role for v in verdicts.values()} & {"input", "set point"}:
+        for name in readings.keys() - moving.keys():
+            is_input = readings[name].quantity in INPUTS or name.startswith(NUMBERED)
+            if numbers[name].distinct > 1 and is_input:
+                reason = "it never changes in a record, and differs between records"
+                verdicts[name] = Verdict("input", (reason,), "other", 0.0)
     return {n: verdicts.get(n, constant) for n in readings}
 
 

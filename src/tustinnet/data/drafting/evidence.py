@@ -109,6 +109,7 @@ class Weights:
         no_slope: price of a velocity of a position of which it is not the slope.
         no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
+        near_of_numbers: the same of a column that is used and whose name says nothing.
         slopes: shares of the variance that a slope explains: below the first it is none, below the
             second unclear.
         copies: shares of the variance from which on a column repeats another one, for the price
@@ -146,6 +147,7 @@ class Weights:
     no_slope: float = 2.0
     no_follow: float = 3.0
     near: float = 2.0
+    near_of_numbers: float = 5.0
     slopes: tuple[float, float] = (0.4, 0.8)
     copies: tuple[float, float] = (0.7, 0.9)
     circle: float = 0.03
@@ -214,6 +216,8 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     w = WEIGHTS
     if reading.stated(["voltage", "pressure"]) and numbers.is_nearly_constant:
         return [Evidence("other", 2 * w.useless, "nearly constant, as a supply or the air")]
+    if numbers.binary and reading.stated(["flag"]):
+        return [Evidence("other", 2 * w.useless, "a flag by its name")]
     if numbers.binary:
         return [
             Evidence("other", 0.75 * w.held, "only two values"),

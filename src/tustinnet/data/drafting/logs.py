@@ -44,6 +44,8 @@ class ClockLevels(NamedTuple):
         slow: root mean square of steps of intervals over their deviation; of jitter it is
             the root of 2.
         round: relative; a period this near to one of two digits is that.
+        near: share of intervals below one and a half of the median, without which the others are
+            no gaps.
         gap: longest interval within a record [periods].
     """
 
@@ -51,6 +53,7 @@ class ClockLevels(NamedTuple):
     jitter: float = 1e-3
     slow: float = 0.7
     round: float = 5e-4
+    near: float = 0.95
     gap: float = 10.0
 
 
@@ -354,6 +357,11 @@ def _read_log(columns: Columns, file: str, cell: int | None) -> Log:
         values = _on_common_times(values, clocks, columns.units)
         base = next(iter(values))
         times = (base, *(name for name in values if name != base and name in clocks.values()))
+    for name in [*values]:  # columns of one name are numbered: `q`, `q #2`
+        first = name.rpartition(" #")[0]
+        if first in values and np.array_equal(values[first], values[name], equal_nan=True):
+            del values[name]
+            texts[name] = f"'{first}' once more"
     lengths = Counter(len(column) for column in values.values() if len(column) > 1)
     if not lengths:
         raise InputError(file, "no column of numbers", "a column of times, positions or inputs")
@@ -429,6 +437,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     """The column of times: it rises in every record, and has such a name or does so regularly.
 
     One without a name stands before all others, or is regular to a thousandth: motions rise, too.
+    Where no column has a name, intervals that jitter tell it from these.
     """
     candidates: list[tuple[float, str]] = []
     others: dict[str, str] = {}
@@ -443,14 +452,16 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         if intervals is None:
             is_first &= not any(map(np.ptp, columns))
             continue
-        spread = float(np.std(intervals) / np.mean(intervals))
+        usual = intervals[intervals <= CLOCK.gap * np.median(intervals)]
+        spread = float(np.std(usual) / np.mean(usual))
         weight = reading.quantities.get("time", 0.0)
         if reading.quantity == "counter" or (
             weight == 0 and spread < 1e-9 and intervals[0] == 1 and (columns[0][0] in (0, 1))
         ):
             others[name] = "counts the samples"
             continue
-        most = CLOCK.regular if is_first else CLOCK.jitter
+        is_likely = is_first or name.startswith(NUMBERED)
+        most = CLOCK.regular if is_likely else CLOCK.jitter
         is_irregular = spread > most or _change_slowly(intervals)
         if weight == 0 and (is_irregular or _speaks_of_motion(reading)):
             is_first = False
@@ -532,8 +543,9 @@ def _change_slowly(intervals: Values) -> bool:
 def _period(intervals: Values) -> tuple[float, float]:
     """The period of a clock, and the largest deviation from it, gaps aside."""
     median = float(np.median(intervals))
-    near = intervals[intervals < 1.5 * median]
-    dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
+    is_near = intervals < 1.5 * median
+    # of timestamps in whole ms, 3, 3 and 4 are 3.33; where many are longer these are no gaps
+    dt = float(intervals[is_near].mean() if is_near.mean() > CLOCK.near else median)
     kept = intervals[intervals <= CLOCK.gap * dt]
     dt = next(
         (

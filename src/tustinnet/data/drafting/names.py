@@ -214,9 +214,11 @@ def _read_quantities(
         if weight > quantities.get(quantity, 0.0):
             quantities[quantity], word[quantity] = weight, because
 
-    for text, noun in pairwise([*words, ""]):
+    for before, text, noun in zip(["", *words], words, [*words[1:], ""], strict=False):
         if text == "current" and noun in STRONG["position"] | STRONG["velocity"]:
             continue  # an adjective
+        if text in ("p", "pp") and _SYMBOL.fullmatch(before):
+            text = before + text  # `theta_p`, as `thetap`
         for quantity, weight in _MEANINGS.get(text, ()):
             add(quantity, weight, text)
         symbol = _SYMBOL.fullmatch(text)
@@ -306,13 +308,14 @@ def _split_compound(word: str) -> list[str]:
     """The parts of a word of German: `istposition`, `seilwinkel`, `geschwindigkeitssollwert`."""
     if word in _VOCABULARY:
         return [word]
-    end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w) + 1), None)
+    end = next((w for w in _LAST_PARTS if word.endswith(w) and len(word) > len(w)), None)
     if end is None:
         return [word]
     rest = word.removesuffix(end)
     rest = rest[:-1] if rest[:-1] in _VOCABULARY else rest  # without the s that joins them
     # beside a part of a few letters there must be a word: `sollweg` has two, `kolben` is none
-    return [rest, end] if rest in _VOCABULARY or min(len(rest), len(end) - 1) > 3 else [word]
+    is_part = rest in _VOCABULARY or rest in ("x", "y", "z") or min(len(rest), len(end) - 1) > 3
+    return [rest, end] if is_part else [word]
 
 
 def _take_ending(words: list[str]) -> tuple[list[str], str, Quantity | None]:

@@ -152,7 +152,7 @@ def _find_unit(
     if unit := _unit_by_velocity(numbers, speed, factor, kind):
         because.append(f"in {unit} by its velocity")
         return unit
-    if unit := _unit_by_steps(numbers, kind):
+    if unit := _unit_by_steps(numbers, kind, is_named=bool(reading.quantities)):
         because.append(f"in {unit} by its steps of {numbers.count:.6g}")
         return unit
     return None
@@ -232,8 +232,11 @@ def _unit_by_velocity(
     return ""
 
 
-def _unit_by_steps(numbers: Numbers, kind: Kind | None) -> str:
-    """The unit of a position by the step of its encoder, empty where that says none."""
+def _unit_by_steps(numbers: Numbers, kind: Kind | None, *, is_named: bool) -> str:
+    """The unit of a position by the step of its encoder, empty where that says none.
+
+    Converters from analog have steps of a power of two, of any quantity that no name says.
+    """
     step = numbers.count
     if step is None:
         return ""
@@ -241,7 +244,7 @@ def _unit_by_steps(numbers: Numbers, kind: Kind | None) -> str:
         return "counts"
     if kind == "linear" or is_decimal(step):
         return ""
-    for unit, turn in (("deg", 360.0), ("rad", 2 * np.pi), ("rev", 1.0)):
+    for unit, turn in (("deg", 360.0), ("rad", 2 * np.pi), *[("rev", 1.0)] * is_named):
         if counts_in_turn(step, turn) is not None:
             return unit
     return ""
@@ -258,6 +261,14 @@ def _unit_by_size(
     """The unit of a position by its range, with a question where that is not clear."""
     numbers = findings.numbers[column]
     # positions of one kind, of one machine, are in one unit
+    turns = {
+        _unit_of_turn(n)
+        for name in findings.columns("position")
+        if (n := findings.numbers[name]).wrap and findings.readings[name].kind == kind
+    }
+    if len(turns) == 1 and not numbers.whole:
+        because.append(f"in {(unit := turns.pop())} as another angle, which wraps")
+        return unit
     of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
     largest = max(findings.numbers[n].largest for n in (column, *of_kind))
     unit, is_clear = usual_unit(numbers, largest, kind or "angular")
@@ -430,12 +441,11 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
     )
 
 
-def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float | None:
+def period_by_velocities(dt: float, findings: Findings) -> float | None:
     """The sampling period [s] at which velocities are the slopes of their positions.
 
     Args:
         dt: the period by which the slopes were computed [s].
-        choice: coordinates with their velocities.
         findings: what is known of the columns.
 
     Returns:
@@ -443,12 +453,12 @@ def period_by_velocities(dt: float, choice: Choice, findings: Findings) -> float
     """
     periods: list[tuple[float, float]] = []  # what a slope leaves of its velocity, and the period
     sizes = {**ANGULAR_SPEEDS, **LINEAR_SPEEDS}
-    for c in choice.coordinates:
-        if c.velocity is None:
+    for velocity, verdict in findings.verdicts.items():
+        if verdict.role != "velocity" or (position := verdict.partner) is None:
             continue
-        correlation, factor = findings.slopes.between(c.column, c.velocity.column)
-        speed, unit = (findings.readings[n].unit for n in (c.velocity.column, c.column))
-        if c.column in findings.sines:
+        correlation, factor = findings.slopes.between(position, velocity)
+        speed, unit = (findings.readings[n].unit for n in (velocity, position))
+        if position in findings.sines:
             unit, speed = "rad", speed or "rad/s"
         if correlation < 0.99 or factor <= 0 or bool(unit) != bool(speed):
             continue

@@ -47,7 +47,8 @@ _STRONG: dict[Quantity, str] = {
     "pressure": "pressure druck",
     "error": "error err fehler regelabweichung schleppfehler schleppabstand deviation regelfehler",
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
-    "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop",
+    "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop "
+    "active usable saturated",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
     "batt fric friction reibung humidity rssi checksum crc supply versorgung latency reward "
     "energy energie hours tcp ee eef",
@@ -84,7 +85,7 @@ _OTHERS = {
     "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment hoek",
     "length": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
     "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben sled "
-    "stage gantry lift ram plunger stroke linear force kraft chariot",
+    "stage gantry lift ram plunger stroke linear force kraft chariot length laenge",
     "container": "states state joint joints observation msg data value values log logs signals",
     "outside": "hand fahrer human operator interaction external extern disturbance stoer",
     "axis": "theta phi psi pitch roll yaw azimuth elevation",
