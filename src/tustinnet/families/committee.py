@@ -50,14 +50,20 @@ class MemberGroup(eqx.Module):
         weights: the weight of each member, (members,).
         numbers: their places in the committee, from 0.
         structure: the tree of a member, without its arrays.
+        internal: the names of a member's internal states.
+        warm_up: the warm-up of a member, in samples.
+        step_layout: the rows of inputs that a member's step takes.
     """
 
     arrays: tuple[Array, ...]
     weights: Float[Array, " members"]
     numbers: tuple[int, ...] = eqx.field(static=True)
     structure: Any = eqx.field(static=True)
+    internal: tuple[str, ...] = eqx.field(static=True)
+    warm_up: int = eqx.field(static=True)
+    step_layout: StepLayout = eqx.field(static=True)
 
-    def member(self, i: int = 0) -> Model:
+    def member(self, i: int) -> Model:
         """Member of the committee by its index; members differ in nothing but arrays."""
         return jax.tree.unflatten(self.structure, [_row(a, i) for a in self.arrays])
 
@@ -128,12 +134,12 @@ class Committee(Model):
     @property
     def warm_up(self) -> int:
         """The longest warm-up of the members."""
-        return max(group.member().warm_up for group in self.groups)
+        return max(group.warm_up for group in self.groups)
 
     @property
     def _internal_names(self) -> list[tuple[str, ...]]:
         """The names of each member's internal states."""
-        return self._in_order([g.member().internal] * len(g.numbers) for g in self.groups)
+        return self._in_order([g.internal] * len(g.numbers) for g in self.groups)
 
     def _in_order(self, by_group: Iterable[Any]) -> list[Any]:
         """Values of members, given group by group, in the order of the members."""
@@ -156,7 +162,7 @@ class Committee(Model):
     @property
     def step_layout(self) -> StepLayout:
         """The rows of all members."""
-        return reduce(or_, (group.member().step_layout for group in self.groups))
+        return reduce(or_, (group.step_layout for group in self.groups))
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: mean positions and velocities, internal states of all."""
@@ -254,7 +260,9 @@ def _group_members(members: Sequence[Model], weights: Any) -> Committee:
     for (structure, _), numbered in kinds.items():
         numbers = tuple(number for number, _ in numbered)
         stacked = tuple(jnp.stack(a) for a in zip(*(arrays for _, arrays in numbered), strict=True))
-        groups.append(MemberGroup(stacked, shares[np.array(numbers)], numbers, structure))
+        first = members[numbers[0]]
+        static = structure, first.internal, first.warm_up, first.step_layout
+        groups.append(MemberGroup(stacked, shares[np.array(numbers)], numbers, *static))
     return Committee(tuple(groups), members[0].channels)
 
 
