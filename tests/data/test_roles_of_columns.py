@@ -161,17 +161,20 @@ def test_a_clock_without_a_name_may_stand_behind_others(tmp_path: Path) -> None:
     assert card["dt"] == pytest.approx(DT, rel=0.02)
 
 
-@pytest.mark.parametrize(("share", "dt"), [(0.02, 0.01), (0.2, 0.0112)])
-def test_few_long_intervals_are_gaps_and_many_are_the_jitter_of_a_clock(
-    share: float, dt: float, tmp_path: Path
+@pytest.mark.parametrize(
+    ("long", "share", "dt"), [(0.02, 0.02, 0.01), (0.02, 0.2, 0.012), (0.3, 0.1, 0.039)]
+)
+def test_few_long_intervals_are_gaps_and_many_are_none(
+    long: float, share: float, dt: float, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(8)
-    steps = np.where(rng.uniform(size=N) < share, 0.02, rng.choice([0.008, 0.012], N))
+    steps = np.where(rng.uniform(size=N) < share, long, rng.choice([0.008, 0.012], N))
     x, _ = moved_by(levels(8))
     table = np.column_stack([np.cumsum(steps), x, levels(8)])
     np.savetxt(tmp_path / "r.csv", table, "%.7g", ",", header="t,x_mm,u_V", comments="")
-    found = tomllib.loads(draft_card(tmp_path, ["r.csv"]).text)["dt"]
-    assert found == pytest.approx(dt if share < 0.05 else np.median(steps), rel=0.01)
+    made = draft_card(tmp_path, ["r.csv"])
+    assert made.dt == pytest.approx(dt, rel=0.03)
+    assert not any("gap" in record.piece.because for record in made.splits.records)
 
 
 def test_an_input_may_be_constant_in_a_record_and_differ_between_them(tmp_path: Path) -> None:

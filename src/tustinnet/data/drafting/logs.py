@@ -44,8 +44,7 @@ class ClockLevels(NamedTuple):
         slow: root mean square of steps of intervals over their deviation; of jitter it is
             the root of 2.
         round: relative; a period this near to one of two digits is that.
-        near: share of intervals below one and a half of the median, without which the others are
-            no gaps.
+        near: share of the intervals, without which the longer ones are no gaps.
         gap: longest interval within a record [periods].
     """
 
@@ -543,9 +542,15 @@ def _change_slowly(intervals: Values) -> bool:
 def _period(intervals: Values) -> tuple[float, float]:
     """The period of a clock, and the largest deviation from it, gaps aside."""
     median = float(np.median(intervals))
-    is_near = intervals < 1.5 * median
-    # of timestamps in whole ms, 3, 3 and 4 are 3.33; where many are longer these are no gaps
-    dt = float(intervals[is_near].mean() if is_near.mean() > CLOCK.near else median)
+    near = intervals[intervals < 1.5 * median]
+    usual = intervals[intervals <= CLOCK.gap * median]
+    fewest = CLOCK.near * len(intervals)
+    if len(usual) < fewest:  # bursts of samples: what is between them is no gap
+        dt = float(intervals.mean())
+    elif len(near) < fewest:
+        dt = median
+    else:
+        dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
     kept = intervals[intervals <= CLOCK.gap * dt]
     dt = next(
         (
