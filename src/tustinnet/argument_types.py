@@ -44,7 +44,7 @@ def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
 def _find_misfit(
     function: Callable[..., Any], args: Iterable[Any], named: Mapping[str, Any]
 ) -> InputError | None:
-    """What is wrong with the first argument of another type than declared; None without one."""
+    """The mistake of the first argument of another type than declared; None without one."""
     try:
         given = signature(function).bind_partial(*args, **named).arguments
     except TypeError:  # which says what there is too much

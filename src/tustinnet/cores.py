@@ -16,7 +16,7 @@ def count_cores() -> int:
 
 
 class OtherPrograms:
-    """What other programs compute from now on."""
+    """The computing time of other programs from now on."""
 
     def __init__(self) -> None:
         self._began, self._others = time.monotonic(), _seconds_of_others()

@@ -13,7 +13,7 @@ from tustinnet.words.sentence import SEVERITIES, Severity
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found, and the numbers and names that it is about.
+    """A finding: its code, and the numbers and names that it is about.
 
     Attributes:
         code: what was found, a key of `tustinnet.words.WORDS`.
@@ -43,7 +43,7 @@ class Finding:
 
     @property
     def what(self) -> str:
-        """What was found, in words."""
+        """The finding in words."""
         return put_in_words(WORDS[self.code].text, self._named)
 
     @property
@@ -53,12 +53,12 @@ class Finding:
 
     @property
     def statement(self) -> str:
-        """What was found and how it shows, as a sentence."""
+        """The finding and how it shows, as a sentence."""
         return f"{self.what} ({self.size})" if self.size else self.what
 
     @property
     def text(self) -> str:
-        """What was found, how it shows, and what to do about it, as a sentence."""
+        """The finding, how it shows, and what to do about it, as a sentence."""
         return f"{self.statement}; {self.mend}" if self.mend else self.statement
 
     def __str__(self) -> str:

@@ -19,7 +19,7 @@ from tustinnet.old_names import NAMES, attribute_error
 
 
 class LateModule(ModuleType):
-    """What stands for a module that may not be loaded yet, and has all that the module has."""
+    """A stand-in for a module that may not be loaded yet, with all that the module has."""
 
     def __getattribute__(self, name: str) -> Any:
         return getattr(import_module(super().__getattribute__("__name__")), name)

@@ -22,7 +22,7 @@ WINDOW = 0.2  # rad, to both sides of an angle that is to be held
 
 @dataclass(frozen=True)
 class Goal:
-    """What a controller is to reach and to hold.
+    """The goal that a controller is to reach and to hold.
 
     Attributes:
         at: positions by the name of their coordinate [rad or m]; angles count up to whole turns.
@@ -88,7 +88,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a goal.
+    """The outcome of a closed loop: whether its goal is met.
 
     Attributes:
         end: `held` where it was met; else why not, in a word.
@@ -230,7 +230,7 @@ def _is_held_too_short(
 
 
 def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: str) -> Outcome:
-    """What became of a goal in a run."""
+    """The outcome of a run for a goal."""
     q, dt = result.states[:, channels.position], result.dt
     end = (len(q) - 1) * dt
     is_finite = math.isfinite(result.states[-1].sum())

@@ -61,7 +61,7 @@ class Cost:
         return z - np.concatenate([self.goal, np.tile(u, (z.shape[-1] - n_x) // n_u)])
 
     def _beyond(self, x: Float[np.ndarray, "*rows n_x"]) -> Float[np.ndarray, "*rows n_x"]:
-        """What is beyond the limits, with its sign."""
+        """The part of a state beyond its limits, with its sign."""
         return np.maximum(x - self.upper, 0.0) - np.maximum(self.lower - x, 0.0)
 
     def total(

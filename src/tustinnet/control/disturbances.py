@@ -57,11 +57,11 @@ class DisturbedModel(Model):
 
     @property
     def step_layout(self) -> StepLayout:
-        """That of the inner model."""
+        """The layout of the inner model's steps."""
         return self.inner.step_layout
 
     def simplify(self) -> "DisturbedModel":
-        """The same about a cheaper inner model."""
+        """The model about a cheaper inner model."""
         return replace(self, inner=self.inner.simplify())
 
     def step(self, x: State, u: StepInput) -> State:

@@ -95,7 +95,7 @@ class Feedback:
 
     @property
     def pid(self) -> Pid | None:
-        """The same feedback as a PID controller, None where it is more than that.
+        """The feedback as a PID controller, None where it is more than that.
 
         It is one of one coordinate by one input, without internal states and late inputs.
         """

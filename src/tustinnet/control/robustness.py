@@ -85,7 +85,7 @@ class RobustnessRow:
 
 @dataclass(frozen=True)
 class Robustness:
-    """What a controller does on plants that differ from its model.
+    """The outcomes of a controller on plants that differ from its model.
 
     Attributes:
         goal: what it was to reach.

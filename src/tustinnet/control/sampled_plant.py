@@ -18,7 +18,7 @@ Vector = Float[np.ndarray, " _"]
 
 @runtime_checkable
 class Plant(Protocol):
-    """What a controller drives: a simulated device, or a real one.
+    """The plant that a controller drives: a simulated device, or a real one.
 
     Attributes:
         dt: sampling period [s].
@@ -33,7 +33,7 @@ class Plant(Protocol):
         ...
 
     def measure(self) -> Vector:
-        """What the encoders read now, (n_q,)."""
+        """The positions that the encoders read now, (n_q,)."""
         ...
 
     def apply(self, u: Vector) -> None:
@@ -131,7 +131,7 @@ class SampledPlant(ABC):
         self.state = self.restart(q)
 
     def measure(self) -> Vector:
-        """What the encoders read now, (n_q,)."""
+        """The positions that the encoders read now, (n_q,)."""
         q = self.state[self.channels.position]
         if self._is_noisy:
             q = q + self._noise * self.generator.normal(size=len(q))

@@ -76,9 +76,9 @@ def with_near_set_points(experiment: "Experiment") -> "Experiment":
         j = next(j for j, c in enumerate(channels.coordinates) if c.name == loop.coordinate)
         if channels.angular[j]:
             k = names.index(loop.position)
-            wanted = resampling.unwrap_angle(u[:, k])[0]
-            turns = np.round(np.median(experiment.q[:, j] - wanted) / (2 * np.pi))
-            u[:, k] = wanted + 2 * np.pi * turns
+            angle = resampling.unwrap_angle(u[:, k])[0]
+            turns = np.round(np.median(experiment.q[:, j] - angle) / (2 * np.pi))
+            u[:, k] = angle + 2 * np.pi * turns
     return experiment if (u == experiment.u).all() else replace(experiment, u=u)
 
 

@@ -165,7 +165,7 @@ class Guard:
         os._exit(1)
 
     def _find_harm(self, event: str, arguments: tuple[Any, ...]) -> str:
-        """What an event does that reading a file never has to, in words; else empty."""
+        """The harm of an event that reading a file never needs, in words; else empty."""
         if event.startswith(_STARTS):
             return "start a process"
         if event.startswith("socket."):

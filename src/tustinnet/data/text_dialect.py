@@ -144,7 +144,7 @@ class Dialect:
         return re.compile(pattern)
 
     def describe(self) -> str:
-        """What is unusual about it, in words; empty for commas and decimal points."""
+        """The unusual marks of the dialect in words; empty for commas and decimal points."""
         names = {"\t": "tabs", BLANKS: "blanks", ",": ""}
         mark = names.get(self.delimiter, f"'{self.delimiter}'")
         parts = [f"separated by {mark}"] if mark else []

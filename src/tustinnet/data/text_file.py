@@ -486,8 +486,8 @@ def _names_in(comments: Sequence[str], dialect: Dialect, width: int) -> list[str
     """
     comment = next(filter(None, reversed(comments)), "")
     ways = [dialect.split(comment)]
-    if said := _COLUMNS_ARE.match(comment):
-        ways.append(re.split(r"[\s,;]+", comment[said.end() :].strip()))
+    if announced := _COLUMNS_ARE.match(comment):
+        ways.append(re.split(r"[\s,;]+", comment[announced.end() :].strip()))
     if dialect.delimiter == BLANKS:
         ways.insert(1, re.split(r"\s{2,}", comment))  # names of several words
     for names in ways:

@@ -54,7 +54,7 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
     units = dict.fromkeys(times, columns.units[time]) if time in columns.units else {}
     return Columns(
         tuple(columns_by_name),
-        lambda wanted: [columns_by_name[name] for name in wanted],
+        lambda names: [columns_by_name[name] for name in names],
         notes=(*columns.notes, note),
         clocks=clocks,
         units=units,

@@ -15,7 +15,7 @@ from tustinnet.program.reading import read
 
 @dataclass(frozen=True, eq=False)
 class SampledValues:
-    """What happens at each sample: states that settle, and values that are held until the next.
+    """Changes at each sample: states that settle, and values that are held until the next.
 
     Attributes:
         function: of the state (n_x,), the inputs (n_u,) at the sample, the parameters that

@@ -48,7 +48,7 @@ class Reference:
 
     @property
     def label(self) -> str:
-        """What it does, in two words."""
+        """The predictor in two words, as `standing still`."""
         return "constant speed" if self.moves else "standing still"
 
     @property
@@ -67,7 +67,7 @@ class Reference:
         return mean_rmse_by_unit(self.scores, self.channels)
 
     def as_plain(self) -> dict[str, Any]:
-        """What it does, and its errors, as plain values."""
+        """The predictor and its errors as plain values."""
         by_unit = self.mean_by_unit
         return {"predictor": self.label, "mean": self.mean, "mean_by_unit": by_unit}
 

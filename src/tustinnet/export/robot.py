@@ -85,7 +85,7 @@ class RobotTarget(Target):
         return _velocities(source, *self._held(source))
 
     def stepper(self, folder: Path, source: Source) -> Stepper:
-        """The same by the file: what MuJoCo computes, or the equations with the numbers in a URDF.
+        """The step by the written file: by MuJoCo, or by the equations with the numbers in a URDF.
 
         Dry friction is that of the equations in both, with the numbers in the file.
         """

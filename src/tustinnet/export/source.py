@@ -70,7 +70,7 @@ class Source:
     layout: InputLayout | None = None
 
     def described(self, range: Range | None, about: Mapping[str, Any]) -> "Source":
-        """The same of a model file: its step is not read again."""
+        """A source of a model file, whose step is not read again."""
         other = replace(self, range=range, about=about)
         vars(other)["equations"] = self.equations
         return other

@@ -39,7 +39,7 @@ class PreparedRecords:
 
 @dataclass(frozen=True)
 class PreparationOptions:
-    """What is done to records before a fit.
+    """The preparation of records before a fit.
 
     Attributes:
         system: the system that is given; where none is, or one that is made for the records, a

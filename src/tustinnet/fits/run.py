@@ -102,7 +102,7 @@ class Run:
 
     @cached_property
     def reference(self) -> Reference:
-        """What a trivial predictor is off by on the records that rank the members."""
+        """The errors of trivial predictors on the records that rank the members."""
         return find_reference(self.roles.ranking, self.best.scores[0].horizon)
 
     @property

@@ -115,7 +115,7 @@ def _acting_delay(timing: InputTiming) -> float:
 
 
 def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: float) -> Finding:
-    """What was found out about an input."""
+    """A sentence on the timing of an input."""
     hold = timing.hold if declared.hold is None else None
     common = {"input": name, "hold": hold, "rivals": list(timing.rivals) if hold else []}
     if declared.delay is not None:

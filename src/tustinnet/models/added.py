@@ -64,7 +64,7 @@ class PlacedForce:
         return self.places[0][0]
 
     def along(self, x: Any) -> Any:
-        """What the force sees of positions, velocities or forces of all coordinates, (n_q,)."""
+        """The part of a vector over all coordinates that is along the force."""
         return sum(factor * x[i] for i, factor in self.places)
 
     @property
@@ -196,7 +196,7 @@ def with_forces(
     curves = {f.index: (f, law) for f in added if isinstance(law := f.law, InputCurve)}
 
     def acting(q: Any, v: Any, z: Any, u: Any, p: Values) -> Any:
-        """What acts: the inputs, in the place of those that lag the states that follow them."""
+        """The acting inputs: in the place of those that lag the states that follow them."""
         reached = [z[lagging[i]] if i in lagging else u[i] for i in range(len(u))]
         for i, (force, law) in curves.items():
             reached[i] = law.acting(reached[i], *force.values(p))

@@ -354,7 +354,7 @@ def lag_rate(u: Value, w: Value, time_constant: Value) -> Any:
 
 
 def dead_zone(u: Value, width: Value) -> Any:
-    """What acts of an input that has a dead zone: `u - clip(u, -d, d)`, 0 within.
+    """An input behind its dead zone: `u - clip(u, -d, d)`, 0 within.
 
     Args:
         u: the input, in its unit.
@@ -570,7 +570,7 @@ class ActuatorLag(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class InputCurve(Law):
-    """What acts on the system in the place of an input, or of what follows it with a lag.
+    """A curve of what acts in the place of an input, or of what follows it with a lag.
 
     Attributes:
         acting: `acting(u, *values)`, in the unit of the input.

@@ -656,7 +656,7 @@ class LagrangianModel(ContinuousModel):
         return jnp.concatenate([x[:first], memory.compute_settled(x[first:], self.values)])
 
     def computed(self, x: State, w: InputVector) -> Float[Array, " computed"]:
-        """What the controller in the loop computes, see `PDFeedback.compute`.
+        """The command of the controller in the loop, see `PDFeedback.compute`.
 
         Args:
             x: the state, (n_x,).

@@ -35,7 +35,7 @@ _PANEL_SIZE = (6.0, 1.3)  # inches
 
 @singledispatch
 def to_html(shown: Any) -> str:
-    """What a notebook shows of an object."""
+    """An object as HTML, as a notebook shows it."""
     raise NotImplementedError(type(shown).__name__)
 
 

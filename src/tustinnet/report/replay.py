@@ -34,7 +34,7 @@ def replay_table(replays: Sequence[Replay]) -> Table:
 
 
 def replay_sentences(replays: Sequence[Replay], consistency: FilterConsistency) -> list[str]:
-    """What follows from the replays of records."""
+    """Sentences on the replays of records."""
     lines = []
     if foreign := sum(one.is_foreign for one in replays):
         lines.append(

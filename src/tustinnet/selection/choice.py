@@ -169,7 +169,7 @@ class Choice(Shown):
         return mean / self.reference.mean if self.reference.mean else math.inf
 
     def _shortfall(self, mean: float) -> Iterator[Finding]:
-        """What would help where the chosen one is of little use."""
+        """The remedy where the chosen candidate is of little use."""
         if self._share_of_reference(mean) <= _POOR:
             return
         remedies = ["look at them (inspect)"]

@@ -114,7 +114,7 @@ class _Machines(Executor):
 def _call(
     expected: dict[str, str], fn: Callable[..., Any], sent: bytes, *args: Any, **named: Any
 ) -> Any:
-    """What a worker does: a call, if its packages are those of the process that asks.
+    """The result of a call in a worker whose packages are those of the process that asks.
 
     Args:
         expected: the versions of these packages.

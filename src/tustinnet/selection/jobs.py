@@ -214,7 +214,7 @@ class RunContext:
         return None if self.system is None else load_system_or_template(self.system)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a worker is sent: nothing that was computed here, and the system's file itself."""
+        """The fields that a worker is sent: nothing computed here, and the system's file itself."""
         state = {f.name: getattr(self, f.name) for f in fields(self)}
         if isinstance(self.system, str | Path):
             state["system"] = find_system(self.system)

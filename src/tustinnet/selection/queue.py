@@ -122,9 +122,9 @@ class CandidateQueue:
             depends_on = {*candidate.corrects, *candidate.begins_with}
             for job in jobs:
                 waits = any((name, job.fold) in earlier for name in depends_on)
-                begun = None if waits else self._begin(job, candidate, steps)
-                if begun is not None:
-                    return [begun]
+                next_job = None if waits else self._begin(job, candidate, steps)
+                if next_job is not None:
+                    return [next_job]
             earlier |= {(job.candidate, job.fold) for job in jobs}
         if len(self._jobs) > known:  # some were left out: others may have waited for them
             return self.choose()

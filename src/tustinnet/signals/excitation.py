@@ -35,7 +35,7 @@ class Excitation(NamedTuple):
         return np.einsum("koi,o->ki", self.pieces, shares)
 
     def with_order(self, order: int) -> "Excitation":
-        """The same inputs with at least so many coefficients a period."""
+        """The inputs with at least so many coefficients a period."""
         missing = max(0, order - self.pieces.shape[1])
         return self._replace(pieces=np.pad(self.pieces, ((0, 0), (0, missing), (0, 0))))
 

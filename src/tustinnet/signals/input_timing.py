@@ -35,7 +35,7 @@ Array = Float[np.ndarray, "..."]
 
 @dataclass(frozen=True)
 class TimingLevels:
-    """What decides between hypotheses; set on simulated systems, then tried on others.
+    """Levels that decide between hypotheses; set on simulated systems, then tried on others.
 
     Attributes:
         rows: of all records, at most; more say little that is new.
@@ -149,7 +149,7 @@ class Response(NamedTuple):
     lag: float = 0.0
 
     def weights(self, lags: Int[np.ndarray, " lags"]) -> Float[np.ndarray, " lags"]:
-        """What inputs some periods before add to a second difference, for a gain of 1.
+        """The weights of inputs some periods before in a second difference, for a gain of 1.
 
         Args:
             lags: the periods; negative ones are later inputs.
@@ -484,7 +484,7 @@ def _robust_deviation(x: Array) -> float:
 
 
 def _without(columns: Array, y: Array, weight: Array | None = None) -> Array:
-    """What a weighted regression on columns, with a slight ridge, leaves of y."""
+    """The residual of y after a weighted regression on columns, with a slight ridge."""
     z = columns / (np.sqrt(np.mean(columns**2, 0)) + 1e-12)
     weighted = z if weight is None else z * weight[:, None]
     ridge = 1e-6 * len(z) * np.eye(z.shape[1])

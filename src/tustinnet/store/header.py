@@ -70,7 +70,7 @@ class _Stretch(_Exact):
 
 
 class _Finding(Entries):
-    """What was found, see `finding.Finding.as_plain`."""
+    """A finding in a header, see `finding.Finding.as_plain`."""
 
     code: str
     text: str

@@ -219,8 +219,8 @@ def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
     groups = range(spec.compiler.inertiagrouprange[0], spec.compiler.inertiagrouprange[1] + 1)
     for body in spec.bodies:
         needs_shapes = _moves(body) and (by_shape or not body.explicitinertial)
-        for seen in (*body.geoms, *body.sites):
-            seen.material = ""
+        for shown in (*body.geoms, *body.sites):
+            shown.material = ""
         for geom in list(body.geoms):
             if geom.type not in shapes and not geom.meshname:
                 continue

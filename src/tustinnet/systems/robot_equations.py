@@ -50,9 +50,9 @@ class Drive:
         a = self.actuator
         gains = {name: p[f"{self.label}.{name}"] for name in a.gains}
         travel, speed = self.ratio * q + self.offset, self.ratio * v
-        asked = u if self.motor_constant is None else p[self.motor_constant] * u
+        signal = u if self.motor_constant is None else p[self.motor_constant] * u
         limits = a.goal_range if a.integrates else a.input_range
-        force = gains.get(a.goal or "gain", a.gain) * _within(limits, asked) + a.bias
+        force = gains.get(a.goal or "gain", a.gain) * _within(limits, signal) + a.bias
         for name, motion in (("kp", travel), ("kv", speed)):
             if name in gains:
                 force = force - gains[name] * a.gear * motion

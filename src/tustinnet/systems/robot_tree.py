@@ -301,7 +301,7 @@ class RobotTree:
 
 
 def felt(motions: Sequence[JointMotion], kind: str) -> float:
-    """What a coordinate feels of the armature, viscous or Coulomb friction of joints.
+    """The armature, viscous or Coulomb friction of joints as a coordinate feels it.
 
     Args:
         motions: how it moves the joints.

@@ -172,7 +172,7 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
     """Evidence in the words and the unit of a name."""
     w, is_command = WEIGHTS, reading.qualifier == "command"
     evidence: list[Evidence] = []
-    spoken: set[Role] = set()
+    named_roles: set[Role] = set()
     is_stated = bool(reading.stated(reading.quantities))
     for quantity, weight in reading.quantities.items():
         word, role = reading.word[quantity], _ROLE_OF[quantity]
@@ -181,23 +181,23 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         text = f"in {reading.unit} by its name" if word.startswith("[") else f"'{word}' in its name"
         if word == "[us]" and not reading.stated(q for q in reading.quantities if q != "time"):
             role, weight = "input", w.letter  # of pulses that drive a servo, as it is no clock
-        spoken.add(role)
+        named_roles.add(role)
         if is_command and role in ("position", "velocity", "acceleration"):
             role = "set point"
         evidence.append(Evidence(role, max(weight, w.letter), text))
     evidence += [
         Evidence(role, -w.against * (2 if is_stated else 1), "")
         for role in ROLES[:-1]
-        if spoken
-        and role not in spoken
+        if named_roles
+        and role not in named_roles
         and not (is_command and role == "set point")
         # an acceleration may be commanded, as of a cart on a stepper
-        and not (role == "input" and spoken == {"acceleration"})
+        and not (role == "input" and named_roles == {"acceleration"})
     ]
-    if "input" in spoken:
+    if "input" in named_roles:
         evidence.append(Evidence("input", -w.later * _STAGES.index(stage_of(reading)), ""))
     if is_command:
-        points = 0.25 * w.command if "input" in spoken else w.command
+        points = 0.25 * w.command if "input" in named_roles else w.command
         evidence += [
             Evidence("set point", points, "named a command"),
             Evidence("input", 0.5 * w.command, "named a command"),
@@ -206,7 +206,7 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
         ]
     elif reading.qualifier in ("filtered", "model"):
         evidence.append(Evidence("other", w.derived, f"named {reading.qualifier}"))
-    elif reading.qualifier == "measured" and "input" in spoken:
+    elif reading.qualifier == "measured" and "input" in named_roles:
         evidence.append(Evidence("other", 0.5 * w.derived, "a measured value of an input"))
     return evidence
 

@@ -664,20 +664,20 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
         )
         for name in logs[0].values
     }
-    spoken = {word for r in readings.values() for word in r.words}
+    words = {word for r in readings.values() for word in r.words}
     return {
-        name: replace(r, kind=None) if _is_output(r, spoken) else r for name, r in readings.items()
+        name: replace(r, kind=None) if _is_output(r, words) else r for name, r in readings.items()
     }
 
 
-def _is_output(reading: NameReading, spoken: Collection[str]) -> bool:
+def _is_output(reading: NameReading, words: Collection[str]) -> bool:
     """Whether x, y or z in a name is no direction: an element `x[1]` of a vector, or y without x.
 
     Args:
         reading: the meaning of the name.
-        spoken: the words of all names.
+        words: the words of all names.
     """
     letters = [m[1] for word in reading.words if (m := _VECTOR.fullmatch(word))]
     if not letters or reading.unit or {*reading.words} & LINEAR - {"x", "y", "z"}:
         return False
-    return any(word.isdigit() for word in reading.words) or (letters == ["y"] and "x" not in spoken)
+    return any(word.isdigit() for word in reading.words) or (letters == ["y"] and "x" not in words)

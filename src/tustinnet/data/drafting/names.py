@@ -352,9 +352,9 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if len(ending) > 1:
         return ending not in _NO_ENDINGS
     symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
-    quantity, spoken = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
-    if quantity in spoken:
+    quantity, named_quantities = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
+    if quantity in named_quantities:
         return symbol not in ("q", *ANGULAR)
-    is_motion = bool(spoken & {"position", "velocity", "acceleration"})
-    is_possible = not spoken if ending == "m" else quantity in INPUTS and not is_motion
+    is_motion = bool(named_quantities & {"position", "velocity", "acceleration"})
+    is_possible = not named_quantities if ending == "m" else quantity in INPUTS and not is_motion
     return is_possible and len(symbol) > 1

@@ -128,8 +128,8 @@ def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
         records: the columns of each record.
 
     Returns:
-        The share of the variance of column j that the earlier value of column i leaves nothing of,
-        [i, j], at most 1; and the lag.
+        The share of the variance of column j that earlier values of column i explain one to one,
+        [i, j], at most 1; and that lag.
     """
     size = records[0].shape[1]
     best, lags = np.full((size, size), -np.inf), np.zeros((size, size))

@@ -91,10 +91,10 @@ def choose_splits(
         positions: positions of each coordinate, record by record, without wraps.
         inputs: columns of the inputs.
     """
-    said = _splits_by_name(pieces)
-    if said is not None:
+    by_name = _splits_by_name(pieces)
+    if by_name is not None:
         records = [
-            DraftRecord(p, _kind(p), "", split) for p, split in zip(pieces, said, strict=True)
+            DraftRecord(p, _kind(p), "", split) for p, split in zip(pieces, by_name, strict=True)
         ]
         return Splits(tuple(records), ("splits by the names of files or folders",))
     sentences: list[str] = []
@@ -151,8 +151,8 @@ def _splits_by_name(pieces: Sequence[Piece]) -> list[str] | None:
         words = {*_tokens(path.stem), *(t for part in path.parent.parts for t in _tokens(part))}
         found = [split for split, names in _SPLIT_WORDS.items() if names & words]
         splits.append(found[-1] if found else None)
-    said = {split for split in splits if split}
-    if not said & {"validation", "test"} or (said == {"test"} and None not in splits):
+    named = {split for split in splits if split}
+    if not named & {"validation", "test"} or (named == {"test"} and None not in splits):
         return None
     return [split or "train" for split in splits]
 

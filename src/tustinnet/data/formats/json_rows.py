@@ -25,7 +25,7 @@ _NUMBER = (int, float)  # and truth values, which are integers
 
 @dataclass
 class _Arrays:
-    """What a document holds, by names.
+    """The arrays of a document, by names.
 
     Attributes:
         numbers: arrays of numbers, NaN where a row has none.

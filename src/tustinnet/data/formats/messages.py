@@ -119,10 +119,10 @@ def topic_arrays(topics: Iterable[Topic], begin: int, names: set[str]) -> dict[s
         times = dict.fromkeys(layout.clocks.values())
         # a clock ticks with the messages that have the first of its columns
         ticks = {t: next(c for c, clock in layout.clocks.items() if clock == t) for t in times}
-        wanted = {*names} & {*layout.clocks, *times}
-        if not wanted:
+        requested = {*names} & {*layout.clocks, *times}
+        if not requested:
             continue
-        columns = {ticks.get(name, name) for name in wanted}
+        columns = {ticks.get(name, name) for name in requested}
         # the fields of a message in which they are
         fields = {re.split(r"[/[]", name.removeprefix(f"{prefix}/"))[0] for name in columns}
         stamps: list[int] = []
@@ -137,7 +137,7 @@ def topic_arrays(topics: Iterable[Topic], begin: int, names: set[str]) -> dict[s
         elapsed = (
             np.array([t - (begin if _is_near(t, begin) else 0) for t in stamps], np.int64) / 1e9
         )
-        for name in wanted:
+        for name in requested:
             column = ticks.get(name, name)
             t = elapsed[places[column]]
             order = np.argsort(t, kind="stable")

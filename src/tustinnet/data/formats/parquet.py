@@ -95,7 +95,7 @@ def _places(
 
 
 def _labels(info: dict[str, Any] | None, name: str, length: int) -> list[str]:
-    """What follows the name of a list for each of its numbers: names of LeRobot, else [0], ..."""
+    """The endings of a list's name for each of its numbers: names of LeRobot, else [0], ..."""
     features = (info or {}).get("features")
     feature = features.get(name) if isinstance(features, dict) else None
     names = feature.get("names") if isinstance(feature, dict) else None

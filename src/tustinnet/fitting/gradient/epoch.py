@@ -175,7 +175,7 @@ def _run(
 
 
 def _replace_empty(arrays: PyTree) -> PyTree:
-    """The same arrays, those without entries made where they are used.
+    """The arrays, those without entries made where they are used.
 
     JAX 0.11 ends with a segmentation fault where it compiles a function of several devices that
     reads an array without entries from outside.

@@ -270,17 +270,17 @@ class ForcesAlong:
         self.at_rest[:, self.points.shape[1] - part.u.shape[1] :] = 0.0
 
     def missing(self, values: Mapping[str, float]) -> Float[np.ndarray, "k n_q"]:
-        """What the motion needs and the inputs do not give, as it is compared [N m or N]."""
+        """The missing forces, filtered as they are compared [N m or N]."""
         return self.part.compare(self._evaluate(self.points, values))
 
     def needed(self, values: Mapping[str, float]) -> Float[np.ndarray, "k n_q"]:
-        """What the motion needs, as it is compared [N m or N]."""
+        """The forces that the motion needs, filtered as they are compared [N m or N]."""
         return self.part.compare(self._evaluate(self.at_rest, values))
 
     def changes(
         self, values: Mapping[str, float], others: Sequence[Mapping[str, float]]
     ) -> Float[np.ndarray, "k n_q m"]:
-        """What other values change in the missing forces, as it is compared [N m or N].
+        """The change of the missing forces by other values, filtered as compared [N m or N].
 
         Args:
             values: the values of all parameters by name.

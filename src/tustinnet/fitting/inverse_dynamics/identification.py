@@ -189,7 +189,7 @@ def identify_by_inverse_dynamics(problem: Problem, state: SearchState) -> Identi
 
 
 class _Result(NamedTuple):
-    """What a search has found.
+    """The result of a search.
 
     Attributes:
         fit: the forces with what was added to them.
@@ -566,7 +566,7 @@ def _describe_slip(
 def _describe_carried(
     space: SearchSpace, vector: ParameterVector, errors: _Errors
 ) -> list[Finding]:
-    """What links carry in groups of records beside what they do in the lightest one.
+    """The payload of links in groups of records, beside that of the lightest group.
 
     The error of a mass is that of the difference: most of what is not known of a link is the same
     in all groups.

@@ -78,19 +78,19 @@ class LinearForces:
         return _input_gains(self.system, self.parts[0].q[0])
 
     def of_records(self, records: Sequence[Experiment]) -> "LinearForces":
-        """The same along other records."""
+        """The linear forces along other records."""
         cutoff = self.parts[0].cutoff
         return replace(self, parts=tuple(filter_record(e, cutoff) for e in records))
 
     def with_forces(
         self, forces: Sequence[PlacedForce], parameters: Sequence[Parameter]
     ) -> "LinearForces":
-        """The same with further forces beside the system, whose parameters are searched for."""
+        """The linear forces with further forces beside the system, with parameters of their own."""
         space = self.space.adding(parameters)
         return self._with_beside(space, (*self.beside, *forces), (*self.brought, *parameters))
 
     def without(self, forces: Sequence[PlacedForce]) -> "LinearForces":
-        """The same without some of the forces beside the system."""
+        """The linear forces without some of those beside the system."""
         beside = tuple(force for force in self.beside if force not in forces)
         used = {name for force in beside for name in force.brought}
         brought = tuple(p for p in self.brought if p.name in used)
@@ -152,7 +152,7 @@ class LinearForces:
         return columns
 
     def missing(self, vector: ParameterVector) -> list[Float[np.ndarray, "_ n_q"]]:
-        """What the motion of each record needs and nothing gives [N m or N]."""
+        """The missing forces of each record: needed by its motion, given by nothing [N m or N]."""
         values = self.space.to_values(vector)
         if not self.beside:
             return [along.missing(values) for along in self.along]
@@ -166,7 +166,7 @@ class LinearForces:
     def columns_beside(
         self, vector: ParameterVector, forces: Sequence[PlacedForce]
     ) -> list[Float[np.ndarray, "_ n_q _"]]:
-        """What the motion of each record needs because of some of the forces, by their levels."""
+        """The forces that each record's motion needs because of some forces, by their levels."""
         values, parts = self.space.to_values(vector), self.parts
         joined = _JoinedMotion.of(parts)
         needs_load = any(isinstance(f.law, Friction) and f.law.needs_load for f in forces)
@@ -275,7 +275,7 @@ def levels_of(force: PlacedForce) -> list[str]:
 def _needed_by(
     force: PlacedForce, motion: _JoinedMotion, load: Array | np.ndarray, values: Mapping[str, float]
 ) -> Float[np.ndarray, "n m"]:
-    """What a motion needs because of a force, along its direction, for each level of 1.
+    """The force that a motion needs because of another one, along its direction, for a level of 1.
 
     Args:
         force: the force.

@@ -42,7 +42,7 @@ class RecordForces:
 
     @property
     def missing(self) -> Float[np.ndarray, "k n_q"]:
-        """What the motion needs and the actuators do not give, (k, n_q) [N m or N]."""
+        """The missing forces: needed by the motion, not given by actuators, (k, n_q) [N m or N]."""
         return self.needed - self.applied
 
     @property
@@ -52,12 +52,12 @@ class RecordForces:
 
     @property
     def errors(self) -> tuple[ForceError, ...]:
-        """What is missing at each coordinate, in N m or N and by the actuators' forces."""
+        """The missing force at each coordinate, in N m or N and by the actuators' forces."""
         return force_errors([self])
 
 
 def force_errors(forces: Sequence[RecordForces]) -> tuple[ForceError, ...]:
-    """What is missing at each coordinate along the records of each split.
+    """The missing forces at each coordinate along the records of each split.
 
     Args:
         forces: the forces along records of the same coordinates.

@@ -109,7 +109,7 @@ class Prior:
     def of_gains(
         self, counts: Float[np.ndarray, " n_q"], vector: ParameterVector
     ) -> tuple[float, ParameterVector]:
-        """What is added to the cost because forces are compared in units of the inputs.
+        """The addition to the cost because forces are compared in units of the inputs.
 
         A smaller gain makes the noise of an input smaller in N m, and explains nothing: the density
         of inputs is that of forces times their derivative by the input, for each measurement.

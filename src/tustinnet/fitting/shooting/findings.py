@@ -335,7 +335,7 @@ def describe_errors(
     noise_ratio: float | None,
     n_records: int,
 ) -> list[Finding]:
-    """What the residuals show, and which errors of the parameters to trust.
+    """Findings on the residuals, and which errors of the parameters to trust.
 
     Args:
         uncertainty: the covariances.

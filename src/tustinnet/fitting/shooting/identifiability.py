@@ -35,7 +35,7 @@ class ConfoundedParameters:
 
     @property
     def finding(self) -> Finding:
-        """What is said of it: they have no effect, only their ratios have, or other changes."""
+        """The finding: the parameters have no effect, only their ratios have, or other changes."""
         if len(self.shares) == 1:
             return make_finding("no effect", fixed=self.suggestion)
         is_ratio = np.allclose([*self.shares.values()], 1.0, atol=1e-3)
