@@ -40,6 +40,12 @@ NAMES = [
     ("i2_A", "current", "A", False),
     ("XTACHO", "velocity", "", False),
     ("cylinder_p", "pressure", "", False),
+    ("angleD_raw", "velocity", "", False),
+    ("positionDD", "acceleration", "", False),
+    ("ID", "counter", "", False),
+    ("Tcoil_C", "other", "degC", False),
+    ("tau_c", "torque", "", False),
+    ("angle_squared", "other", "", False),
 ]
 
 
@@ -48,6 +54,17 @@ def test_words_and_units_of_a_name(name: str, quantity: str, unit: str, is_comma
     reading = read_name(name)
     assert (reading.quantity, reading.unit) == (quantity, unit)
     assert (reading.qualifier == "command") == is_command
+
+
+def test_units_are_read_from_comments_and_from_attributes_of_a_scope(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{k * k},{k % 7}\n" for k in range(30))
+    (tmp_path / "a.csv").write_text(f"# x: mm\n# L: 0.4\n# u: motor power\nt,x,u\n{rows}")
+    assert read_columns(tmp_path / "a.csv").units == {"x": "mm"}
+    above = {"Name": ("x", "u"), "SampleTime[ms]": (1, 1), "Unit": ("mm (Length)", "(None)")}
+    lines = [f"{key};{x};{key};{u}" for key, (x, u) in above.items()]
+    lines += [f"{k};{k * k};{k};{k % 7}" for k in range(30)]
+    (tmp_path / "b.csv").write_text("\n".join(lines) + "\n")
+    assert read_columns(tmp_path / "b.csv").units["x"] == "mm"
 
 
 def test_labels_beside_the_numbers_of_a_mat_file_are_their_names(tmp_path: Path) -> None:

@@ -415,6 +415,13 @@ def find_units_above(rows: Sequence[Sequence[str]], names: Sequence[str]) -> dic
     return {}
 
 
+def find_units_in_comments(comments: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Units by name, from comments of a name and its unit, as `# angle: rad`."""
+    pairs = [comment.strip().partition(":") for comment in comments]
+    units = {name.strip(): text.strip() for name, colon, text in pairs if colon and text.strip()}
+    return {name: text for name, text in units.items() if name in names and _is_unit(text)}
+
+
 def _are_units(cells: Sequence[str]) -> bool:
     """Whether most cells of a row are units of measurement."""
     texts = [cell for cell in cells if cell]

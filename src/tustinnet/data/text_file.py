@@ -33,6 +33,7 @@ from tustinnet.data.text_dialect import (
     find_dialect,
     find_table,
     find_units_above,
+    find_units_in_comments,
     is_comment,
     read_header,
 )
@@ -157,6 +158,7 @@ def read_text(
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
     units = {} if file.pairs is not None else find_units_above(file.above, names)
+    units |= find_units_in_comments(file.comments, names)
     units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if file.pairs is None else file.pairs.clocks
     columns = Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)

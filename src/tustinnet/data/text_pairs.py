@@ -13,6 +13,7 @@ from tustinnet.data.units import TIME
 
 _NAMES = ("name", "signal", "symbol", "symbolname", "channel", "variable")
 _UNITS = ("unit", "units", "einheit")
+_QUANTITY = re.compile(r"(?<=\S)\s+\(.*\)$")  # `mm (Length)`
 _TIME_UNIT = re.compile(r"time\s*[\[(](s|ms|us|ns)[\])]")
 
 
@@ -61,7 +62,7 @@ def find_pairs(above: Sequence[Sequence[str]], table: Table) -> Pairs | None:
     unit = next((match[1] for match in matches if match), None)
     return Pairs(
         tuple(name for value in values for name in (f"{value}/time", value)),
-        {value: text for value, text in zip(values, texts, strict=False) if text}
+        {v: _QUANTITY.sub("", text) for v, text in zip(values, texts, strict=False) if text}
         | dict.fromkeys([f"{value}/time" for value in values] if unit else [], "s"),
         None if unit is None else TIME[unit],
     )

@@ -219,7 +219,7 @@ class Assignment:
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
         # a rival that turns out to be better takes the place of the best
-        for _ in range(4):
+        for _ in range(12):
             better, uses = best, self.uses(best)
             for family in free:
                 members = self.families[family]

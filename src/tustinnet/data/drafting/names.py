@@ -40,6 +40,7 @@ _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the 
 _DECISIVE = 8.0  # of one that no other word or unit changes: `position error [mm]`, `battery [V]`
 _ACCENTS = re.compile("[\u0300-\u036f]")
 _PREFIXED = re.compile(r"(?<![A-Za-z])[mkuM](A|V|Nm|N|W|Pa|Hz)(?![A-Za-z])")  # one unit, not two
+_DERIVED = re.compile(r"(?<=[a-z])D{1,2}(?![A-Za-z])")  # `angleD`: its rate
 _BRACKETS = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _BEHIND_STROKE = re.compile(r"^([^/]+?)\s*/\s*([^/]+)$")  # `phi / deg`, as DIN 1313 has it
 _IN = re.compile(r"(?i)^(.+?)[\s_,]+in[\s_]+(\S+)$")  # `Winkel in Grad`
@@ -298,6 +299,7 @@ def _take_unit(name: str) -> tuple[str, str, Quantity | None, bool]:
 def _split_words(name: str) -> list[str]:
     """Words in lower case: `motorCnt 1` has motor, cnt and 1; `q1` has q and 1."""
     name = _PREFIXED.sub(lambda unit: unit[0].lower(), name)
+    name = _DERIVED.sub(lambda d: "_dot" * len(d[0]), name)
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     spaced = re.sub(r"(?<=[^\W\d_])(?=\d)", "_", spaced)  # `q1`, but `s2` of `rad_s2` below
     words = [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
@@ -356,5 +358,7 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if quantity in named_quantities:
         return symbol not in ("q", *ANGULAR)
     is_motion = bool(named_quantities & {"position", "velocity", "acceleration"})
+    if ending == "c":  # `Tcoil_C`
+        return symbol.startswith("t") and not named_quantities
     is_possible = not named_quantities if ending == "m" else quantity in INPUTS and not is_motion
     return is_possible and len(symbol) > 1

@@ -51,7 +51,7 @@ _STRONG: dict[Quantity, str] = {
     "active usable saturated",
     "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
     "batt fric friction reibung humidity rssi checksum crc supply versorgung latency reward "
-    "energy energie hours tcp ee eef",
+    "energy energie hours tcp ee eef squared",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
