@@ -161,6 +161,15 @@ def test_a_clock_without_a_name_may_stand_behind_others(tmp_path: Path) -> None:
     assert card["dt"] == pytest.approx(DT, rel=0.02)
 
 
+@pytest.mark.real
+def test_the_clock_of_measured_records_without_a_header_is_found(real_data: Path) -> None:
+    files = sorted(p.relative_to(real_data).as_posix() for p in real_data.glob("train/*.csv"))
+    made = draft_card(real_data, files)
+    assert (made.clock.column, made.dt) == ("column 4", pytest.approx(0.01, rel=1e-4))
+    assert [c.column for c in made.choice.coordinates] == ["column 2", "column 3"]
+    assert [i.column for i in made.choice.inputs] == ["column 1"]
+
+
 @pytest.mark.parametrize(
     ("long", "share", "dt"), [(0.02, 0.02, 0.01), (0.02, 0.2, 0.012), (0.3, 0.1, 0.039)]
 )

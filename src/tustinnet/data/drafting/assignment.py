@@ -103,7 +103,10 @@ class _Prices:
             [
                 [
                     # of several joints two families of inputs are stages, whatever their names say
-                    (t.stage[u] != t.stage[v] or (is_of_many[u] and t.family[u] != t.family[v]))
+                    (
+                        t.stage[u] != t.stage[v]
+                        or (is_of_many[u] and is_of_many[v] and t.family[u] != t.family[v])
+                    )
                     and not (is_other[u] or is_other[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
                     for v in columns
@@ -321,13 +324,13 @@ class Assignment:
             partner = t.names[other]
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
-        is_spoken = t.readings[i].quantities or role in (_ACCELERATION, _OTHER)
+        says_something = t.readings[i].quantities or role in (_ACCELERATION, _OTHER)
         return Verdict(
             ROLES[role],
             tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),
             ROLES[self.rivals[family]],
             self.margins[family],
-            WEIGHTS.near if is_spoken else WEIGHTS.near_of_numbers,
+            WEIGHTS.near if says_something else WEIGHTS.near_of_numbers,
             partner,
         )
 

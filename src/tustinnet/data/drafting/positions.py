@@ -261,13 +261,13 @@ def _unit_by_size(
     """The unit of a position by its range, with a question where that is not clear."""
     numbers = findings.numbers[column]
     # positions of one kind, of one machine, are in one unit
-    turns = {
+    wrapping = (
         _unit_of_turn(n)
         for name in findings.columns("position")
-        if (n := findings.numbers[name]).wrap and findings.readings[name].kind == kind
-    }
-    if len(turns) == 1 and not numbers.whole:
-        because.append(f"in {(unit := turns.pop())} as another angle, which wraps")
+        if (n := findings.numbers[name]).wrap and findings.readings[name].kind == "angular"
+    )
+    if kind == "angular" and len(units := {*wrapping} & {*ANGLE}) == 1 and not numbers.whole:
+        because.append(f"in {(unit := units.pop())} as another angle, which wraps")
         return unit
     of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
     largest = max(findings.numbers[n].largest for n in (column, *of_kind))
