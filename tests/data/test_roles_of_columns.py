@@ -194,6 +194,7 @@ def test_an_input_may_be_constant_in_a_record_and_differ_between_them(tmp_path: 
     made = draft(tmp_path, *records)
     assert uses(made) == {"duty": "input", "angle": "coordinate", "mass": ""}
     assert any(q.text.startswith("what is 'duty'") for q in made.questions)
+    assert made.choice.unused["mass"] == "constant, another one in each record"
 
 
 def test_a_flag_is_no_input_though_it_is_of_a_control(tmp_path: Path) -> None:

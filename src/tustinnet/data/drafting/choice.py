@@ -130,7 +130,7 @@ def _why_unused(
 ) -> str:
     """The reason why a column of a role is not used."""
     if verdict.role == "constant":
-        return "constant"
+        return "constant" + ", another one in each record" * (findings.numbers[name].distinct > 1)
     for used in (*inputs, *motion):
         factor = find_copy(findings.samples[used], findings.samples[name])
         if factor and used in inputs:
