@@ -119,6 +119,18 @@ def test_a_slope_is_a_velocity(tmp_path: Path) -> None:
     }
 
 
+def test_what_a_program_adds_up_is_no_position_for_that(tmp_path: Path) -> None:
+    _, v = moved_by(levels(2))
+
+    def margin(step: float) -> float:
+        """The points by which the rate is the velocity of its sum; 0 where it is none."""
+        made = draft(tmp_path, {"one": levels(2), "two": np.cumsum(v) * step, "three": v})
+        (rate,) = (c for c in made.columns if c.name == "three")
+        return rate.margin if rate.role == "velocity" else 0.0
+
+    assert margin(1.0) < margin(DT)
+
+
 def test_what_a_position_follows_one_to_one_is_its_set_point(tmp_path: Path) -> None:
     goal = np.sin(np.arange(N) / 40) + np.sin(np.arange(N) / 23)
     late = np.roll(goal, 9)

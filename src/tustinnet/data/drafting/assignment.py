@@ -14,6 +14,7 @@ from tustinnet.data.drafting.vocabulary import OUTSIDE
 
 NO_REASON = "nothing else fits"
 _MANY_FAMILIES = 14  # families; of more of them no two are swapped
+_MOST_ROUNDS = 50  # in which a better assignment is found
 
 Roles = Int[np.ndarray, " c"]
 """The role of each column, by its place in `ROLES`."""
@@ -64,8 +65,7 @@ class _Prices:
         velocities: of two velocities.
         motion: of an input that repeats a position or velocity, unless its name says that it is
             an input.
-        inputs: of two inputs that are proportional.
-        are_stages: whether two inputs are stages of one drive.
+        inputs: of two inputs that are proportional, or stages of one drive.
         are_related: whether one is a copy, a derivative or a set point of the other.
     """
 
@@ -99,7 +99,7 @@ class _Prices:
         is_other = t.is_free | [bool(OUTSIDE & {*r.words}) for r in t.readings]
         sizes = Counter(t.family)
         is_of_many = [sizes[f] > 1 and t.joint[i] is not None for i, f in enumerate(t.family)]
-        self.are_stages = np.array(
+        are_stages = np.array(
             [
                 [
                     # of several joints two families of inputs are stages, whatever their names say
@@ -114,6 +114,7 @@ class _Prices:
                 for u in columns
             ]
         )
+        self.inputs += w.stage * are_stages
 
 
 class Assignment:
@@ -140,6 +141,10 @@ class Assignment:
         says_command = [table.says(i, "input") for i in range(len(table.names))]
         self.is_command = np.array(says_command) & (np.array(table.stage) == "command")
         self.cache: dict[bytes, float] = {}
+        self.related = {
+            pair: bool(self.prices.are_related[np.ix_(*(self.families[f] for f in pair))].any())
+            for pair in itertools.product(self.families, repeat=2)
+        }
         self.roles, self.margins, self.rivals = self._find_best()
 
     # --- the score ---
@@ -206,8 +211,7 @@ class Assignment:
         causes = np.maximum(causes, np.where(self.is_command[inputs], later, -9.0))
         total = float(causes.sum()) - _sum(self.prices.inputs, inputs, inputs) / 2
         families = {t.family[u] for u in inputs}
-        total -= w.further_input * max(0, len(families) - 1)
-        return total - w.stage * np.triu(self.prices.are_stages[np.ix_(inputs, inputs)]).sum()
+        return total - w.further_input * max(0, len(families) - 1)
 
     # --- the search ---
 
@@ -221,9 +225,8 @@ class Assignment:
         best = self._climb(start)
         margins: dict[int, float] = {}
         rivals: dict[int, int] = {}
-        # a rival that turns out to be better takes the place of the best
-        for _ in range(12):
-            better, uses = best, self.uses(best)
+        for _ in range(_MOST_ROUNDS):
+            uses = self.uses(best)
             for family in free:
                 members = self.families[family]
                 others = [
@@ -231,12 +234,14 @@ class Assignment:
                 ]
                 near = [o for o in others if (self.uses(o)[members] != uses[members]).any()]
                 rival = max(near, key=self.score)
-                better = max(better, *others, key=self.score)
                 margins[family] = self.score(best) - self.score(rival)
                 rivals[family] = int(rival[members[0]])
-            if self.score(better) <= self.score(best) + 1e-9:
+                better = max(others, key=self.score)
+                if self.score(better) > self.score(best) + 1e-9:
+                    break
+            else:
                 break
-            best = self._climb(better)
+            best = self._climb(better)  # it takes the place of the best
         return best, margins, rivals
 
     def _with(self, roles: Roles, choice: Mapping[int, int]) -> Roles:
@@ -256,7 +261,7 @@ class Assignment:
         """
         free = [f for f in self.families if f not in self.held and f != kept]
         if kept is not None and len(free) > _MANY_FAMILIES:
-            free = [f for f in free if self._are_related(kept, f)]
+            free = [f for f in free if self.related[kept, f]]
         while True:
             before = self.score(roles)
             for family in free:
@@ -275,11 +280,6 @@ class Assignment:
             roles = max((roles, *swaps), key=self.score)
             if self.score(roles) <= before + 1e-9:
                 return roles
-
-    def _are_related(self, first: int, second: int) -> bool:
-        """Whether the roles of two families depend on one another."""
-        pair = np.ix_(self.families[first], self.families[second])
-        return bool(self.prices.are_related[pair].any())
 
     # --- what follows from it ---
 

@@ -92,6 +92,8 @@ class Weights:
         wrap: of values that start again after a turn, for a position.
         count: of steps of one encoder count, for a position.
         derivative: at most, for a velocity whose integral is the change of a position.
+        increment: less for one that is the change in a sample, as what a program adds up.
+        per_sample: relative deviation from that.
         member: for a velocity that has the place of its position in a block.
         follow: at most, for a set point that a position follows one to one, and later, unless a
             name says a command.
@@ -132,6 +134,8 @@ class Weights:
     wrap: float = 4.0
     count: float = 1.0
     derivative: float = 6.0
+    increment: float = 3.0
+    per_sample: float = 0.01
     member: float = 1.0
     follow: float = 4.0
     cause: float = 5.0
@@ -443,6 +447,8 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     w = WEIGHTS
     fit = np.where(slopes.correlation > 0, slopes.correlation, 0.0) ** 2
     points = np.minimum(w.derivative, 1.5 - np.log(1.001 - fit))
+    is_per_sample = np.abs(slopes.factor / slopes.dt - 1) < w.per_sample
+    points = np.where(is_per_sample & (slopes.dt != 1), points - w.increment, points)
     least, clear = w.slopes
     points = np.where(fit < clear, -0.25 * w.no_slope, points)
     points = np.where(fit < least, -w.no_slope, points)

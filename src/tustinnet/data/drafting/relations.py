@@ -57,11 +57,13 @@ class Slopes:
         names: the columns.
         correlation: of the change of column i with the integral of column j, [i, j].
         factor: column j over the slope of column i, [i, j].
+        dt: the usual interval between samples [s].
     """
 
     names: tuple[str, ...]
     correlation: Pairs
     factor: Pairs
+    dt: float
 
     def between(self, position: str, velocity: str) -> tuple[float, float]:
         """Correlation and factor of a velocity with the slope of a position."""
@@ -72,7 +74,7 @@ class Slopes:
         """The comparison of some of the columns."""
         chosen = [self.names.index(name) for name in names]
         pick = np.ix_(chosen, chosen)
-        return Slopes(tuple(names), self.correlation[pick], self.factor[pick])
+        return Slopes(tuple(names), self.correlation[pick], self.factor[pick], self.dt)
 
 
 @np.errstate(all="ignore")  # constants have no correlation; it is set to 0
@@ -88,7 +90,8 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
     """
     names = tuple(columns)
     size = len(names)
-    best = Slopes(names, *(np.zeros((size, size)) for _ in range(2)))
+    dt = float(np.median(np.concatenate([np.diff(t) for t in times])))
+    best = Slopes(names, *(np.zeros((size, size)) for _ in range(2)), dt)
     stacks = [np.stack([columns[name][k] for name in names], axis=1) for k in range(len(times))]
     stacks = [np.where(np.isfinite(stack), stack, 0.0) for stack in stacks]
     # samples over which columns are integrated
@@ -116,6 +119,7 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
             names,
             np.where(better, correlation, best.correlation),
             np.where(better, factor, best.factor),
+            dt,
         )
     return best
 
