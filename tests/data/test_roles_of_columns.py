@@ -209,6 +209,38 @@ def test_an_input_may_be_constant_in_a_record_and_differ_between_them(tmp_path: 
     assert made.choice.unused["mass"] == "constant, another one in each record"
 
 
+def test_a_bystander_of_two_neighbouring_values_is_no_input(tmp_path: Path) -> None:
+    gain = 126.0 + (np.arange(N) % 97 < 40)
+    made = draft(tmp_path, {"x_mm": moved_by(levels(9))[0], "agc": gain})
+    assert uses(made) == {"x_mm": "coordinate", "agc": ""}
+
+
+def test_a_count_of_interrupts_is_no_encoder(tmp_path: Path) -> None:
+    counts = np.round(np.arange(N) * 1.7) + 40
+    u = levels(9)
+    made = draft(tmp_path, {"imu_int_count": counts, "x_mm": moved_by(u)[0], "u_V": u})
+    assert uses(made) == {"imu_int_count": "", "x_mm": "coordinate", "u_V": "input"}
+    assert made.clock.others["imu_int_count"] == "counts with the time"
+
+
+def test_a_stale_sample_spoils_no_velocity(tmp_path: Path) -> None:
+    u = levels(2)
+    x, v = moved_by(u)
+    stale = v.copy()
+    stale[3] = 300.0
+    assert uses(draft(tmp_path, {"u_V": u, "s": x, "d_s": stale}))["d_s"] == "s"
+
+
+@pytest.mark.parametrize(("step", "unit"), [(1000, "us"), (10, "ms"), (10_000_000, "ns")])
+def test_whole_numbers_of_a_clock_are_in_the_unit_of_a_usual_period(
+    step: int, unit: str, tmp_path: Path
+) -> None:
+    u = levels(2)
+    table = np.column_stack([step * np.arange(N), moved_by(u)[0], u])
+    np.savetxt(tmp_path / "r.csv", table, "%.9g", ",", header="t,x_mm,u_V", comments="")
+    assert draft_card(tmp_path, ["r.csv"]).clock.unit == unit
+
+
 def test_a_flag_is_no_input_though_it_is_of_a_control(tmp_path: Path) -> None:
     u = levels(9)
     flag = (np.arange(N) > 90).astype(float)

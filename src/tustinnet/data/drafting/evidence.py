@@ -218,7 +218,8 @@ def name_evidence(reading: NameReading) -> list[Evidence]:
 def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     """Evidence in the numbers of a column alone."""
     w = WEIGHTS
-    if reading.stated(["voltage", "pressure"]) and numbers.is_nearly_constant:
+    may_rest = numbers.binary or reading.stated(["voltage", "pressure"])
+    if may_rest and numbers.is_nearly_constant:
         return [Evidence("other", 2 * w.useless, "nearly constant, as a supply or the air")]
     if numbers.binary and reading.stated(["flag"]):
         return [Evidence("other", 2 * w.useless, "a flag by its name")]

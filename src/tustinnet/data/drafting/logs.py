@@ -46,6 +46,7 @@ class ClockLevels(NamedTuple):
         round: relative; a period this near to one of two digits is that.
         near: share of the intervals, without which the longer ones are no gaps.
         gap: longest interval within a record [periods].
+        counts: correlation of what counts with the time.
     """
 
     regular: float = 0.5
@@ -54,6 +55,7 @@ class ClockLevels(NamedTuple):
     round: float = 5e-4
     near: float = 0.95
     gap: float = 10.0
+    counts: float = 1 - 1e-6
 
 
 CLOCK = ClockLevels()
@@ -476,6 +478,12 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     # the first of equal ones
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
+    times = [log.values[best] for log in logs]
+    others |= {
+        name: "counts with the time"
+        for name in readings.keys() - {best} - others.keys()
+        if _counts_with(times, [log.values[name] for log in logs])
+    }
     unit, because, sure = "s", "in s, as the file says", True
     if not own_times or logs[0].joined or logs[0].units.get(best) != "s":
         unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
@@ -493,6 +501,14 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     if not because.endswith(reason):  # a unit in the name says what the name is
         because = f"{reason}; {because}"
     return Clock(best, unit, because, dt, worst, sure, others)
+
+
+@np.errstate(all="ignore")  # constants count nothing
+def _counts_with(times: Sequence[Values], columns: Sequence[Values]) -> bool:
+    """Whether whole numbers of a column rise with the time in every record, but for rounding."""
+    correlations = [float(np.corrcoef(t, x)[0, 1]) for t, x in zip(times, columns, strict=True)]
+    is_whole = all((x == np.round(x)).all() for x in columns)
+    return is_whole and min(map(len, times)) > _SHORTEST_RECORD and min(correlations) > CLOCK.counts
 
 
 def _find_rounded_clock(
@@ -587,7 +603,9 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     if any((column != np.round(column)).any() for column in columns):
         return "s", f"in s: intervals of {step:.4g}", step < _LOGGED_PERIODS[1]
     fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _LOGGED_PERIODS[1]]
-    unit = fits[0] if fits else "s" if step < _LOGGED_PERIODS[1] else "ns"
+    # of several the one whose period is nearest to 10 ms
+    nearest = min(fits, key=lambda unit: abs(np.log(100 * step * TIME[unit])), default=None)
+    unit = nearest or ("s" if step < _LOGGED_PERIODS[1] else "ns")
     if step == 1:
         return "ms", "in ms? whole numbers 1 apart", False
     return unit, f"in {unit}: whole numbers {step:.4g} apart", len(fits) == 1

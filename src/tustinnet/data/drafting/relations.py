@@ -109,7 +109,7 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
         if sum(map(len, changes)) < 30:
             continue
         change, integral = np.concatenate(changes), np.concatenate(integrals)
-        change, integral = change - change.mean(axis=0), integral - integral.mean(axis=0)
+        change, integral = (_limit(x) - _limit(x).mean(axis=0) for x in (change, integral))
         spread, spreads = change.std(axis=0), integral.std(axis=0)
         product = change.T @ integral / len(change)
         correlation = np.nan_to_num(product / np.outer(spread, spreads))
@@ -122,6 +122,12 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
             dt,
         )
     return best
+
+
+def _limit(columns: Table) -> Table:
+    """Columns within what they usually are: a stale sample or a wrap is no motion."""
+    largest = 4 * np.quantile(np.abs(columns), 0.98, axis=0)
+    return np.clip(columns, -largest, largest)
 
 
 @np.errstate(all="ignore")  # constants follow nothing

@@ -83,7 +83,7 @@ _OTHERS = {
     "pole pendulum pendel joint gelenk shoulder elbow wrist hip knee schulter ellbogen encoder enc "
     "disc scheibe link drehgeber resolver azimuth elevation omega gyro tacho drehzahl rpm "
     "winkelgeschwindigkeit wheel rad_ rotor torque tau moment drehmoment hoek",
-    "length": "x y z weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
+    "length": "x y z s weg hub lage cart wagen trolley katze slide schlitten carriage displacement "
     "height hoehe distance dist abstand auslenkung deflection laser ball kugel piston kolben sled "
     "stage gantry lift ram plunger stroke linear force kraft chariot length laenge",
     "container": "states state joint joints observation msg data value values log logs signals",
