@@ -241,6 +241,14 @@ def test_whole_numbers_of_a_clock_are_in_the_unit_of_a_usual_period(
     assert draft_card(tmp_path, ["r.csv"]).clock.unit == unit
 
 
+def test_the_sine_of_an_angle_is_no_control_error(tmp_path: Path) -> None:
+    u = levels(9)
+    angle = np.pi + moved_by(u)[0] / 100
+    made = draft(tmp_path, {"u_V": u, "angle": angle, "angle_sin": np.sin(angle)})
+    assert uses(made)["angle"] == "coordinate"
+    assert "set point" not in made.text
+
+
 def test_a_flag_is_no_input_though_it_is_of_a_control(tmp_path: Path) -> None:
     u = levels(9)
     flag = (np.arange(N) > 90).astype(float)

@@ -370,6 +370,8 @@ class EvidenceTable:
         is_plain = [self.says(i, "position") and not r.qualifier for i, r in readings]
         for error, controlled, goal in [*sums, *((j, i, k) for i, j, k in sums)]:
             three = [i for i in (error, controlled, goal) if i is not None]
+            if any({"sin", "cos"} & {*self.readings[i].words} for i in three):
+                continue  # a pendulum near the top has a sine that its angle adds up with
             if len(three) > 2 and all(is_plain[i] for i in three):
                 if error < controlled:
                     text = "the sum or difference of two other positions"
