@@ -238,6 +238,7 @@ def test_a_motion_from_one_place_to_another(model, tmp_path, capsys):
     assert plan.x[-1, 0] == pytest.approx(0.4, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_predictive_control_is_designed_played_and_written(model, tmp_path, capsys, monkeypatch):
     out = tmp_path / "ahead"
     command = ("control", model, "--at", "angle=180deg", "--swing-up", *LIMITS, "--trust-beyond")

@@ -77,6 +77,7 @@ def worker_of(driver: int) -> int | None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
+@pytest.mark.thorough
 def test_a_selection_with_a_killed_worker_comes_to_what_one_process_comes_to(machine, tmp_path):
     said: list[str] = []
     # a job of a fold waits for another

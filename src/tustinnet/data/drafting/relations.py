@@ -91,7 +91,7 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
     names = tuple(columns)
     size = len(names)
     dt = float(np.median(np.concatenate([np.diff(t) for t in times])))
-    best = Slopes(names, *(np.zeros((size, size)) for _ in range(2)), dt)
+    best = Slopes(names, np.zeros((size, size)), np.zeros((size, size)), dt)
     stacks = [np.stack([columns[name][k] for name in names], axis=1) for k in range(len(times))]
     stacks = [np.where(np.isfinite(stack), stack, 0.0) for stack in stacks]
     # samples over which columns are integrated

@@ -74,7 +74,8 @@ _WEAK: dict[Quantity, str] = {
 _QUALIFIERS: dict[Qualifier, str] = {
     "command": "cmd command commanded setpoint sp target desired des ref reference soll sollwert "
     "vorgabe goal con fuehrungsgroesse request req set demand planned commands consigna",
-    "measured": "meas measured act actual ist istwert mess messwert fb feedback raw roh m sensor",
+    "measured": "meas measured applied act actual ist istwert mess messwert fb feedback raw roh m "
+    "sensor",
     "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman",
     "model": "sim simulated model predicted pred",
 }
