@@ -48,7 +48,7 @@ class Finding:
 
     @property
     def size(self) -> str:
-        """How it shows, with numbers and units; empty where `what` has them."""
+        """The sign of the finding, with numbers and units; empty where `what` has them."""
         return put_in_words(WORDS[self.code].size, self._named)
 
     @property

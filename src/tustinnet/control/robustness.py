@@ -35,7 +35,7 @@ class RobustnessRow:
 
     @property
     def successes(self) -> int:
-        """How many runs met the goal."""
+        """The number of runs that met the goal."""
         return sum(outcome.is_success for outcome in self.outcomes)
 
     @property
@@ -75,7 +75,7 @@ class RobustnessRow:
 
     @property
     def failures(self) -> str:
-        """How runs failed, and the first of these in a sentence; "" where all met the goal."""
+        """The ways in which runs failed, the first in a sentence; "" where all met the goal."""
         failed = [outcome for outcome in self.outcomes if not outcome.is_success]
         if not failed:
             return ""

@@ -243,7 +243,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _score(sample: list[str], delimiter: str) -> tuple[float, bool]:
-    """How well a delimiter fits: rows of one length times cells that are numbers."""
+    """The score of a delimiter: rows of one length times cells that are numbers."""
     rows = [_split(line, delimiter) for line in sample]
     (width, count), *_ = Counter(map(len, rows)).most_common(1)
     cells = [cell for row in rows if len(row) == width for cell in row if cell]

@@ -95,7 +95,7 @@ def _declared_timing(own: Input) -> DeclaredTiming:
 
 
 def _estimate(data: DataSet, declared: Sequence[DeclaredTiming]) -> list[InputTiming]:
-    """When the inputs act.
+    """The times at which the inputs act.
 
     Raises:
         InputError: records that do not tell.

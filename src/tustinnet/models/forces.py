@@ -596,7 +596,7 @@ def _positive(most: Callable[[Motion], float]) -> Callable[[Motion], SearchRange
 
 
 def _sticking_forces(motion: Motion) -> SearchRange:
-    """Up to twice the force: what sticks can be no larger, or nothing would move.
+    """Sticking forces up to twice the force: larger ones would let nothing move.
 
     Wider ranges, and initial values below a tenth of the force, lead to friction that is all spring
     or all damping.
@@ -614,20 +614,20 @@ def _stribeck_speeds(motion: Motion) -> SearchRange:
 
 
 def _relaxation_rates(motion: Motion) -> SearchRange:
-    """From one over the longest record to a quarter of the sampling rate."""
+    """Rates from one over the longest record to a quarter of the sampling rate."""
     slowest, fastest = 1 / motion.longest, 1 / (4 * motion.dt)
     return min(max(motion.speed / motion.travel, slowest), fastest), slowest, fastest
 
 
 def _presliding_deflections(motion: Motion) -> SearchRange:
-    """From the travel in a quarter of a period, within which no sample lies, to the whole one."""
+    """Deflections from the travel in a quarter of a period, between samples, to the whole."""
     least = motion.speed * motion.dt / 4
     most = max(motion.travel, 16 * least)
     return min(max(0.05 * motion.travel, 4 * least), most), least, most
 
 
 def _end(motion: Motion, which: int) -> SearchRange:
-    """Where few samples are beyond, and half of the travel to each side of that.
+    """The end beyond which few samples are, and half of the travel to each side.
 
     Further inside, ends would stand for what is missing between them.
     """
@@ -636,7 +636,7 @@ def _end(motion: Motion, which: int) -> SearchRange:
 
 
 def _stop_stiffness(motion: Motion) -> SearchRange:
-    """By which the usual force reaches a tenth of the travel into an end, a hundredth and less.
+    """Stiffnesses by which the usual force reaches a tenth of the travel into an end, or less.
 
     Soft ends have derivatives where hard ones have none to speak of.
     """
@@ -645,7 +645,7 @@ def _stop_stiffness(motion: Motion) -> SearchRange:
 
 
 def _time_constants(motion: Motion) -> SearchRange:
-    """From a quarter of a period, which hardly shows, to a quarter of the longest record."""
+    """Time constants from a quarter of a period to a quarter of the longest record."""
     return 2 * motion.dt, motion.dt / 4, max(motion.longest / 4, 4 * motion.dt)
 
 

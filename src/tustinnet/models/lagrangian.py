@@ -70,7 +70,7 @@ class Inertia:
     inverse: Callable[[Coordinates, Coordinates, Coordinates, Values], Any] | None = None
 
 
-class _Held(ContinuousModel):
+class _HeldLoop(ContinuousModel):
     """A closed loop from one sample to the next, while what its controller computed is held.
 
     Attributes:
@@ -118,7 +118,7 @@ class ChannelSource(ABC):
 
     @abstractmethod
     def input_joints(self) -> dict[str, str]:
-        """Of each input the coordinate on which it acts, by name."""
+        """The coordinate on which each input acts, by name."""
 
     @abstractmethod
     def call(self, **more: object) -> str:
@@ -639,7 +639,7 @@ class LagrangianModel(ContinuousModel):
         """The settled state, and the equations until the next sample: what is sampled is held."""
         feedback, x = self.system.feedback, self.settled(x)
         is_held = feedback is not None and feedback.is_sampled
-        return x, _Held(self, self.computed(x, u)) if is_held else self
+        return x, _HeldLoop(self, self.computed(x, u)) if is_held else self
 
     @property
     def changes_at_samples(self) -> bool:

@@ -12,7 +12,7 @@ from tustinnet.wording import counted
 
 
 def replay_table(replays: Sequence[Replay]) -> Table:
-    """How the inputs of records differ from those that the controller commands."""
+    """Differences of the inputs of records from those that the controller commands."""
     inputs = replays[0].record.inputs
     rows = []
     for one in replays:

@@ -176,7 +176,7 @@ class CandidateQueue:
 
     @property
     def _folds(self) -> int:
-        """How many folds are scored."""
+        """The number of folds that are scored."""
         folds = self.context.scoring.folds
         return min(self.plan.scored or folds, folds)
 
@@ -187,7 +187,7 @@ class CandidateQueue:
         return [Job(candidate.name, recipe, fold) for fold in missing]
 
     def _places(self) -> dict[str, int]:
-        """How many kinds are better than each candidate, by name.
+        """The number of kinds that are better than each candidate, by name.
 
         What a candidate corrects or begins with is as good as it.
         """

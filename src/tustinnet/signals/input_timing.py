@@ -103,7 +103,7 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True)
 class InputTiming:
-    """When an input acts.
+    """The time at which an input acts: hold, delay and lag.
 
     Attributes:
         verdict: what it has: a delay, a first-order lag, both, one of them of which records do not
@@ -136,7 +136,7 @@ _FREQUENCIES = (np.arange(256) + 0.5) / 512  # of the sampling rate
 
 
 class Response(NamedTuple):
-    """How an input acts.
+    """The response to an input.
 
     Attributes:
         hold: its course between samples.
@@ -186,7 +186,7 @@ def estimate_input_timing(
     angular: Bool[np.ndarray, " n_q"],
     declared: Sequence[DeclaredTiming],
 ) -> list[InputTiming]:
-    """When each input acts.
+    """The time at which each input acts.
 
     Args:
         positions: of each record, (n, n_q) [rad or m]; angles are not wrapped.

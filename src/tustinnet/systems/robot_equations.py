@@ -215,7 +215,7 @@ class RobotEquations:
             return jnp.stack([_within(ends, x) for ends, x in zip(limits, z, strict=True)])
 
         def spread(p: Any) -> Any:
-            """How far from its goal a servo holds what loads it most."""
+            """The distance from its goal at which a servo holds what loads it most."""
             return jnp.stack(
                 [
                     self.largest_forces[d.coordinate] / (p[f"{d.label}.kp"] * abs(d.actuator.gear))

@@ -445,12 +445,12 @@ def _judge(
         np.column_stack([_fill(samples[n][k][row : row + most]) for n in moving])
         for k, row in first.items()
     ]
-    table = EvidenceTable(moving, numbers, records, slopes.of(moving))
+    table = EvidenceTable(moving, numbers, records, slopes.for_columns(moving))
     verdicts = Assignment(table, known).verdicts()
     if not {v.role for v in verdicts.values()} & {"input", "set point"}:
-        for name in readings.keys() - moving.keys():
-            is_input = readings[name].quantity in INPUTS or name.startswith(NUMBERED)
-            if numbers[name].distinct > 1 and is_input:
+        for name, reading in readings.items():
+            is_input = reading.quantity in INPUTS or name.startswith(NUMBERED)
+            if name not in moving and numbers[name].distinct > 1 and is_input:
                 reason = "it never changes in a record, and differs between records"
                 verdicts[name] = Verdict("input", (reason,), "other", 0.0)
     return {n: verdicts.get(n, constant) for n in readings}

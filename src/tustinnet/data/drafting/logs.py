@@ -453,7 +453,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         if intervals is None:
             is_first &= not any(map(np.ptp, columns))
             continue
-        usual = intervals[intervals <= CLOCK.gap * np.median(intervals)]
+        usual = _without_gaps(intervals, np.median(intervals))
         spread = float(np.std(usual) / np.mean(usual))
         weight = reading.quantities.get("time", 0.0)
         if reading.quantity == "counter" or (
@@ -481,14 +481,14 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     times = [log.values[best] for log in logs]
     others |= {
         name: "counts with the time"
-        for name in readings.keys() - {best} - others.keys()
-        if _counts_with(times, [log.values[name] for log in logs])
+        for name in readings
+        if name not in {best, *others} and _counts_with(times, [log.values[name] for log in logs])
     }
     unit, because, sure = "s", "in s, as the file says", True
     if not own_times or logs[0].joined or logs[0].units.get(best) != "s":
-        unit, because, sure = _time_unit(best, readings[best], [log.values[best] for log in logs])
+        unit, because, sure = _time_unit(best, readings[best], times)
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
-    intervals = _intervals([log.values[best] for log in logs])
+    intervals = _intervals(times)
     assert intervals is not None
     if ticks := _TICKS.search(best):  # cards have no such unit
         unit = "us" if ticks[2][0] not in "mun" else ticks[2]
@@ -506,9 +506,10 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
 @np.errstate(all="ignore")  # constants count nothing
 def _counts_with(times: Sequence[Values], columns: Sequence[Values]) -> bool:
     """Whether whole numbers of a column rise with the time in every record, but for rounding."""
-    correlations = [float(np.corrcoef(t, x)[0, 1]) for t, x in zip(times, columns, strict=True)]
-    is_whole = all((x == np.round(x)).all() for x in columns)
-    return is_whole and min(map(len, times)) > _SHORTEST_RECORD and min(correlations) > CLOCK.counts
+    if min(map(len, times)) <= _SHORTEST_RECORD or any((x != np.round(x)).any() for x in columns):
+        return False
+    pairs = zip(times, columns, strict=True)
+    return all(float(np.corrcoef(t, x)[0, 1]) > CLOCK.counts for t, x in pairs)
 
 
 def _find_rounded_clock(
@@ -555,19 +556,25 @@ def _change_slowly(intervals: Values) -> bool:
     return bool(varies and np.sqrt(np.mean(steps**2)) < CLOCK.slow * spread)
 
 
+def _without_gaps(intervals: Values, period: float) -> Values:
+    """The intervals of a clock that are no gaps between records."""
+    return intervals[intervals <= CLOCK.gap * period]
+
+
 def _period(intervals: Values) -> tuple[float, float]:
     """The period of a clock, and the largest deviation from it, gaps aside."""
     median = float(np.median(intervals))
     near = intervals[intervals < 1.5 * median]
-    usual = intervals[intervals <= CLOCK.gap * median]
     fewest = CLOCK.near * len(intervals)
-    if len(usual) < fewest:  # bursts of samples: what is between them is no gap
+    if (
+        len(_without_gaps(intervals, median)) < fewest
+    ):  # bursts of samples: what is between them is no gap
         dt = float(intervals.mean())
     elif len(near) < fewest:
         dt = median
     else:
         dt = float(near.mean())  # of timestamps in whole ms, 3, 3 and 4 are 3.33
-    kept = intervals[intervals <= CLOCK.gap * dt]
+    kept = _without_gaps(intervals, dt)
     dt = next(
         (
             nice

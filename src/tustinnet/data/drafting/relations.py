@@ -70,7 +70,7 @@ class Slopes:
         i, j = self.names.index(position), self.names.index(velocity)
         return float(self.correlation[i, j]), float(self.factor[i, j])
 
-    def of(self, names: Iterable[str]) -> "Slopes":
+    def for_columns(self, names: Iterable[str]) -> "Slopes":
         """The comparison of some of the columns."""
         chosen = [self.names.index(name) for name in names]
         pick = np.ix_(chosen, chosen)
@@ -109,7 +109,7 @@ def compare_slopes(columns: Mapping[str, Sequence[Values]], times: Sequence[Valu
         if sum(map(len, changes)) < 30:
             continue
         change, integral = np.concatenate(changes), np.concatenate(integrals)
-        change, integral = (_limit(x) - _limit(x).mean(axis=0) for x in (change, integral))
+        change, integral = (x - x.mean(axis=0) for x in (_limit(change), _limit(integral)))
         spread, spreads = change.std(axis=0), integral.std(axis=0)
         product = change.T @ integral / len(change)
         correlation = np.nan_to_num(product / np.outer(spread, spreads))
@@ -132,7 +132,7 @@ def _limit(columns: Table) -> Table:
 
 @np.errstate(all="ignore")  # constants follow nothing
 def find_followers(records: Sequence[Table]) -> tuple[Pairs, Pairs]:
-    """How far columns repeat the values of others a little later, and how many samples later.
+    """The share in which columns repeat the values of others a little later, and the lag.
 
     Args:
         records: the columns of each record.
@@ -191,7 +191,7 @@ def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
 def find_copies(
     records: Sequence[Table], steps: Sequence[float], exact: float = RELATION.exact
 ) -> Pairs:
-    """Which columns repeat one another in another unit or from another zero, but for rounding.
+    """The factors of columns that repeat one another in another unit or from another zero.
 
     Args:
         records: the columns of each record.
@@ -228,7 +228,7 @@ def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float:
 
 @np.errstate(all="ignore")
 def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"]]:
-    """How much the past of each column helps to foresee each other one beyond its own past.
+    """The help of each column's past to foresee each other one beyond its own past.
 
     The own past has as many samples as the Bayesian information criterion takes, so that a smooth
     column is not "caused" by whatever else is smooth. Averages over some samples show what a slow

@@ -90,7 +90,7 @@ class _Arrays:
 
 
 def _read(path: Path) -> _Arrays:
-    """All that a file holds; names without the key that all of them are under."""
+    """The contents of a file; names without the key that all of them are under."""
     arrays = _Arrays()
     arrays.add("", _parse(path, arrays.notes))
     while len({name.partition("/")[0] for name in arrays.numbers}) == 1 and all(

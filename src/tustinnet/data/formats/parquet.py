@@ -67,7 +67,7 @@ def _items(path: Path, lists: "pl.Series", number: int) -> Array:
 def _places(
     table: "pl.LazyFrame", info: dict[str, Any] | None
 ) -> tuple[dict[str, Place], dict[str, str]]:
-    """Where each column of numbers is, and a description of everything else, by name."""
+    """The place of each column of numbers, and a description of everything else, by name."""
     import polars as pl
 
     schema = table.collect_schema()

@@ -168,7 +168,7 @@ class LinearForces:
     ) -> list[Float[np.ndarray, "_ n_q _"]]:
         """The forces that each record's motion needs because of some forces, by their levels."""
         values, parts = self.space.to_values(vector), self.parts
-        joined = _JoinedMotion.of(parts)
+        joined = _JoinedMotion.join(parts)
         needs_load = any(isinstance(f.law, Friction) and f.law.needs_load for f in forces)
         load = self._load(values) if needs_load else joined.q
         along, factors = [], []  # what each needs along its own direction, and of whom
@@ -212,7 +212,7 @@ class _JoinedMotion(NamedTuple):
     goes_on: Float[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, parts: Sequence[FilteredRecord]) -> "_JoinedMotion":
+    def join(cls, parts: Sequence[FilteredRecord]) -> "_JoinedMotion":
         """The motion of some records."""
         q, v, a = (np.concatenate([getattr(part, name) for part in parts]) for name in "qva")
         dt = np.concatenate([np.full(len(part.q), part.dt) for part in parts])

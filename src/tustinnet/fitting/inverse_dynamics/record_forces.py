@@ -47,7 +47,7 @@ class RecordForces:
 
     @property
     def moves(self) -> Bool[np.ndarray, "k n_q"]:
-        """Where each coordinate moves: faster than 2 % of its root mean square speed."""
+        """Samples at which each coordinate moves: faster than 2 % of its root mean square speed."""
         return self.speed >= rest_speeds(self.speed)
 
     @property

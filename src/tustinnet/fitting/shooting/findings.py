@@ -63,7 +63,7 @@ def describe_outcome(
 
 
 def describe_stop(state: SearchState) -> Finding:
-    """Where a search was stopped, and the stage whose result it has."""
+    """The point at which a search was stopped, and the stage whose result it has."""
     if not state.stages:
         return make_finding("out of time optional", stage=state.stage)
     return make_finding(
@@ -255,7 +255,7 @@ def describe_trials(trials: Sequence[tuple[str, float, float, bool]]) -> list[Fi
 def describe_informed(
     names: Sequence[str], informed: Bool[np.ndarray, " n_p"], rank: int
 ) -> Finding:
-    """How many combinations records determine, and the parameters that they say little of.
+    """The number of combinations that records determine, and the parameters hardly known.
 
     Args:
         names: the parameters.
