@@ -1,7 +1,8 @@
 """MDF files of measurement systems, versions 3 and 4: groups of channels, as `CAN1/speed`.
 
-Conversions from raw numbers are applied by `mdf_conversions`: asammdf evaluates those that are
-formulas as Python code. It gets none, nor files beside this one that attachments name.
+asammdf evaluates conversions from raw numbers that are formulas as Python code. It opens the file
+without any, and without files beside this one that attachments name; it is given those that are no
+formulas with the numbers themselves (ASAM MDF 4.1, section 6.17).
 """
 
 from collections.abc import Iterator
@@ -11,13 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.mdf_conversions import convert, reason_to_refuse
 from tustinnet.data.formats.reader import REAL, Array, Contents, Reader
 from tustinnet.errors import InputError
 
 # types of channels that are integers or floating point numbers, by the version of the format
 _NUMBERS = {3: {*range(4), *range(9, 17)}, 4: {*range(6)}}
 _HAS_INVALIDATION = 2  # a flag of channels
+# types of conversions by that version: none, lines, fractions, tables, names of values and ranges
+_CONVERSIONS = {3: {0, 1, 2, 9, 11, 12, 65535}, 4: {0, 1, 2, 4, 5, 7, 8}}
+_FORMULA = {3: 10, 4: 3}
+_MOST_CONVERSIONS = 8  # that refer to others
 
 
 class _Channel(NamedTuple):
@@ -65,7 +69,7 @@ def _contents(path: Path) -> Contents:
             elif (group.channel_dependencies or [None])[channel.number] is not None:
                 reason = "an array or a structure"
             else:
-                reason = reason_to_refuse(channel.conversion, file.version)
+                reason = _reason_to_refuse(channel.conversion, file.version)
             if reason:
                 others[channel.name] = reason
                 continue
@@ -95,10 +99,44 @@ def _samples(path: Path, file: _File, channel: _Channel) -> Array:
         raise InputError(
             f"{path}, {channel.name}", f"arrays of shape {samples.shape[1:]}", "numbers"
         )
-    samples = convert(channel.conversion, file.version, samples)
+    samples = _convert(channel.conversion, samples)
     if invalid is not None and np.any(invalid):
         samples = np.where(np.asarray(invalid), np.nan, samples.astype(float))
     return samples
+
+
+def _reason_to_refuse(conversion: Any, version: int, depth: int = 0) -> str:
+    """The reason why a conversion, which so many refer to, is not applied; empty where it is."""
+    if conversion is None:
+        return ""
+    if depth > _MOST_CONVERSIONS:
+        return f"converted by more than {_MOST_CONVERSIONS} conversions that refer to one another"
+    kind = conversion.conversion_type
+    if kind == _FORMULA[version]:
+        return "converted by a formula, which is not evaluated"
+    if kind not in _CONVERSIONS[version]:
+        return f"converted by a rule of type {kind}, which is not known here"
+    inner = (_reason_to_refuse(c, version, depth + 1) for c in _referenced(conversion))
+    return next(filter(None, inner), "")
+
+
+def _convert(conversion: Any, raw: Array) -> Array:
+    """Numbers from raw ones, (n,).
+
+    A name of a value says nothing of its number: values that have one stay raw, but where the
+    others are converted; there they are no numbers, as "sensor not available" is none.
+    """
+    if conversion is None:
+        return raw
+    are_names = not _referenced(conversion)
+    values = conversion.convert(raw, ignore_value2text_conversions=are_names)
+    return values if values.dtype.kind in REAL else np.full(len(raw), np.nan)  # all have names
+
+
+def _referenced(conversion: Any) -> list[Any]:
+    """The conversions to which one refers; texts have no formula, not even an empty one."""
+    blocks = getattr(conversion, "referenced_blocks", None) or {}
+    return [block for block in blocks.values() if hasattr(block, "formula")]
 
 
 @contextmanager
