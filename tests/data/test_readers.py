@@ -111,13 +111,19 @@ def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", [",", ";", " , ", "\t"])
-def test_rows_of_empty_cells_at_the_end_are_no_rows(row: str, tmp_path: Path, monkeypatch) -> None:
+def test_rows_of_empty_cells_at_the_end_are_no_rows(row: str, tmp_path: Path) -> None:
     mark = row.strip(" ")
     lines = (f"angle{mark}voltage", f"0.5{mark}1", f"-1.25{mark}0", f"3e-3{mark}-2")
     path = text_file(tmp_path, "\n".join([*lines, *[row] * 200]) + "\n")
     assert_columns(read_columns(path), TABLE)
-    monkeypatch.setattr("tustinnet.data.text_file._LARGE", 0)
-    assert_columns(read_columns(path), TABLE)
+
+
+def test_numbers_are_those_of_python(tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    numbers = generator.normal(size=3000) * 10.0 ** generator.integers(-300, 300, 3000)
+    texts = [(repr(x), f"{x:.9g}", f"{x:.25e}")[i % 3] for i, x in enumerate(numbers.tolist())]
+    path = text_file(tmp_path, "x,y\n" + "\n".join(f"{text},1" for text in texts))
+    assert read_columns(path)["x"].tolist() == [float(text) for text in texts]
 
 
 def test_numbers_that_are_not_finite_are_left_to_the_checks(tmp_path: Path) -> None:

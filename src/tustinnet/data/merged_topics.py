@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from tustinnet.data.columns import Column
 from tustinnet.errors import InputError
 
-MISSING = 0.1  # of the rows; columns that lack fewer have damaged rows
+_MISSING = 0.1  # of the rows; columns that lack fewer have damaged rows
 NOTE = "rows with values of some columns only: each has the times of its own"
 FEW_VALUES = "fewer than 10 values, or times that repeat"  # what is no topic
 _TIME = re.compile(r"(?i)time|zeit|stamp|(?<![a-z])t(?![a-z])")
@@ -50,7 +50,7 @@ def find_merged_topics(
     """
     missing = [(~rows).sum() for rows in present.values() if rows.sum() >= _FEWEST_VALUES]
     count = len(next(iter(present.values())))
-    if max(missing, default=0) < max(_FEWEST_VALUES, MISSING * count):
+    if max(missing, default=0) < max(_FEWEST_VALUES, _MISSING * count):
         return {}
     whole = [name for name, rows in present.items() if rows.all()]
     time = next((name for name in whole if _is_time(name, read)), None)

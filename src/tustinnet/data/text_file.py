@@ -16,7 +16,7 @@ from tustinnet.data.columns import (
     number_repeated,
     require_different,
 )
-from tustinnet.data.merged_topics import FEW_VALUES, MISSING, NOTE, find_merged_topics
+from tustinnet.data.merged_topics import FEW_VALUES, NOTE, find_merged_topics
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
@@ -51,14 +51,10 @@ NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
 _COMMENT = "\tComment"  # a last column of LabVIEW, of which rows may have no cell
-_LARGE = 4 * 2**20  # bytes, from which a file of plain rows is read without a text for every cell
 _PREAMBLE = 300  # lines above a table, at most
-_NEWLINE, _BLANK = ord("\n"), ord(" ")
 _EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing else
-_OTHER_MARKS = (ord("/"), ord("%"), ord("{"))  # with which other comments begin
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
-_AT_ONCE = 10**5  # lines that are checked at once
 
 
 def read_text(
@@ -76,7 +72,7 @@ def read_text(
     that would make one row of several lines is refused. Errors name the rows of the file as it is.
     """
     file = _find_rows(path, header, delimiter, decimal, encoding, skips_damaged=skips_damaged)
-    lines, dialect, plain, all_rows = file.lines, file.dialect, file.plain, file.rows
+    lines, dialect, pairs = file.lines, file.dialect, file.pairs
     if header is not None and not isinstance(header, bool):
         header = True
     table = _cells(path, lines, dialect)
@@ -92,14 +88,14 @@ def read_text(
         )
     numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
     found = Header(numbered, {}, 0)
-    if file.pairs is not None:
-        found = Header([*file.pairs.names], file.pairs.units, 0)
+    if pairs is not None:
+        found = Header([*pairs.names], pairs.units, 0)
     elif (not is_sample) if header is None else header:
         rows = [_texts(table, k) for k in range(min(HEADER_ROWS, len(table)))]
         found = read_header(rows, dialect)
     elif header is None and (names := _names_in(file.comments, dialect, table.width)):
         found = Header(names, {}, 0)
-    if len(all_rows) <= found.rows:
+    if len(lines) <= found.rows:
         raise InputError(path, "the file holds no samples", "rows of numbers")
     names = number_repeated([a or b for a, b in zip(found.names, numbered, strict=True)])
     require_different(names, path)
@@ -107,7 +103,7 @@ def read_text(
         name for name, other in zip(names, found.names, strict=True) if other not in ("", name)
     ]
     index = {name: column for column, name in enumerate(names)}
-    rows, first_row = all_rows[found.rows :], lines[0][0]
+    first_row, rows = lines[0][0], [row for row, _ in lines[found.rows :]]
     dates = [n for n, cell in zip(names, _texts(table, found.rows), strict=True) if is_date(cell)]
 
     def read(requested: list[str]) -> list[Column]:
@@ -121,18 +117,9 @@ def read_text(
                 "names or numbers only",
                 "set `header = true` (names) or `header = false` (a sample) under [format]",
             )
-        cells = table
-        if plain is not None:
-            numbers = plain.numbers([index[name] for name in requested], skipped=found.rows)
-            if numbers is not None:
-                return numbers
-            # the cell that is no number is looked for as in any other file
-            cells = _cells(path, _lines(plain.text.decode())[0], dialect)
-        cells = cells.slice(found.rows)
-        if file.pairs is not None:
-            return [
-                _of_pair(cells, index[name], file.pairs, path, dialect, rows) for name in requested
-            ]
+        cells = table.slice(found.rows)
+        if pairs is not None:
+            return [_of_pair(cells, index[name], pairs, path, dialect, rows) for name in requested]
         return [
             _numbers(
                 cells.to_series(index[name]), dialect, path, name, rows, has_header=found.rows > 0
@@ -143,7 +130,7 @@ def read_text(
     described = (
         dialect if delimiter is None else Dialect(",", dialect.decimal, dialect.thousands)
     ).describe()
-    is_in_comment = is_sample and found.names != numbered and file.pairs is None
+    is_in_comment = is_sample and found.names != numbered and pairs is None
     is_bare = header is None and is_sample and names == numbered
     notes = [
         *([file.remark] if file.remark else []),
@@ -151,16 +138,16 @@ def read_text(
         *([f"{counted(file.skipped, 'row')} before the header skipped"] if file.skipped else []),
         *([f"{file.damaged} {DAMAGED_ROWS}"] if file.damaged else []),
         *([f"names and units in {found.rows} rows"] if found.rows > 1 else []),
-        *(["pairs of columns, times and values"] if file.pairs is not None else []),
+        *(["pairs of columns, times and values"] if pairs is not None else []),
         *(["names of the columns in a comment"] if is_in_comment else []),
         *([NO_HEADER] if is_bare else []),
         *(f"a later column of the same name: '{name}'" for name in repeated),
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    units = {} if file.pairs is not None else find_units_above(file.above, names)
+    units = {} if pairs is not None else find_units_above(file.above, names)
     units |= find_units_in_comments(file.comments, names)
     units = units | found.units | dict.fromkeys(dates, "s")
-    clocks = {} if file.pairs is None else file.pairs.clocks
+    clocks = {} if pairs is None else pairs.clocks
     columns = Columns(names, read, rows, tuple(notes), clocks=clocks, units=units)
     return columns if clocks else _by_topic(columns, table, found.rows, dialect, path)
 
@@ -232,8 +219,7 @@ class _FoundRows:
     """The rows of a file, and how they are written.
 
     Attributes:
-        lines: the rows and their text; of plain rows only the first.
-        rows: the rows in the file, counted from 1.
+        lines: the rows and their text.
         comments: the comments before them, without their marks.
         dialect: the marks of the file.
         remark: on its encoding.
@@ -241,11 +227,9 @@ class _FoundRows:
         above: the cells of these rows.
         damaged: number of rows that are no samples and are left out.
         pairs: the names of columns in pairs, if they are.
-        plain: the rows, where they can be read as numbers at once.
     """
 
     lines: Lines
-    rows: Sequence[int] | Int[np.ndarray, " n"]
     comments: Sequence[str]
     dialect: Dialect
     remark: str = ""
@@ -253,7 +237,6 @@ class _FoundRows:
     above: Sequence[Sequence[str]] = ()
     damaged: int = 0
     pairs: Pairs | None = None
-    plain: "_PlainRows | None" = None
 
 
 def _prefers_tabs(path: Path) -> bool:
@@ -271,13 +254,6 @@ def _find_rows(
 ) -> _FoundRows:
     """The rows of a file that are no comments nor blank, and no lines above a header."""
     first_row = 0 if header is None or isinstance(header, bool) else header
-    is_usual = encoding is None and decimal in {None, "."} and not (first_row or skips_damaged)
-    if is_usual and path.stat().st_size > _LARGE:
-        plain = _plain_rows(path, delimiter)
-        if plain is not None:
-            return _FoundRows(
-                plain.first_lines, plain.rows, plain.comments, plain.dialect, plain=plain
-            )
     text, remark = decode(path, encoding)
     lines, comments = _lines(text)
     if first_row:
@@ -313,110 +289,7 @@ def _find_rows(
         lines = [*heading, *samples]
         if not samples:
             raise InputError(path, "no row of numbers", "rows of samples")
-    rows = [row for row, _ in lines]
-    return _FoundRows(lines, rows, comments, dialect, remark, skipped, above, damaged, pairs)
-
-
-@dataclass(frozen=True)
-class _PlainRows:
-    """The rows of a file that can be read as numbers at once, without a text for every cell.
-
-    Attributes:
-        text: the rows, without blank lines and comments.
-        rows: their rows in the file, counted from 1.
-        comments: the comments before them, without their marks.
-        dialect: the marks of the file.
-    """
-
-    text: bytes
-    rows: Sequence[int] | Int[np.ndarray, " n"]
-    comments: Sequence[str]
-    dialect: Dialect
-
-    @property
-    def first_lines(self) -> Lines:
-        """The first rows, among which are names and units."""
-        lines = self.text.split(b"\n", HEADER_ROWS)[:HEADER_ROWS]
-        return [(int(row), line.decode()) for row, line in zip(self.rows, lines, strict=False)]
-
-    def numbers(self, columns: list[int], *, skipped: int) -> list[Column] | None:
-        """The numbers of some columns, without the rows that are skipped; None where one is none.
-
-        Args:
-            columns: indices of the columns.
-            skipped: number of rows before the first sample.
-        """
-        import polars as pl
-
-        delimiter = self.dialect.delimiter
-        width = self.first_lines[0][1].count(delimiter) + 1
-        schema = {str(i): pl.Float64 if i in columns else pl.String for i in range(width)}
-        names = [str(column) for column in columns]
-        try:
-            lazy = pl.scan_csv(
-                self.text, has_header=False, separator=delimiter, skip_rows=skipped, schema=schema
-            )
-            table = lazy.select(names).collect()
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
-            return None
-        if len(table) != len(self.rows) - skipped or any(table.null_count().row(0)):
-            return None
-        return [table[name].to_numpy() for name in names]
-
-
-def _plain_rows(path: Path, delimiter: str | None) -> _PlainRows | None:
-    """The rows of a file in ASCII without quotes, each as long as the first; None of others."""
-    content = path.read_bytes().replace(b"\r\n", b"\n")
-    if not content.isascii() or any(mark in content for mark in (b'"', b"\r", b"\0")):
-        return None
-    marks = np.frombuffer(content, np.uint8)
-    ends = np.flatnonzero(marks == _NEWLINE)
-    if not content.endswith(b"\n"):
-        ends = np.append(ends, len(content))
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    first = marks[np.minimum(starts, len(marks) - 1)]
-    is_row = (starts < ends) & (first != ord("#"))
-    rows = np.flatnonzero(is_row)
-    # perhaps blank, or another comment: a closer look is needed
-    if not len(rows) or (first[rows] <= _BLANK).any() or np.isin(first[rows], _OTHER_MARKS).any():
-        return None
-
-    def line(index: int) -> str:
-        return content[starts[index] : ends[index]].decode()
-
-    sample = rows[np.unique(np.linspace(0, len(rows) - 1, SAMPLE_LINES).astype(int))]
-    lines = [(k + 1, line(k)) for k in (*rows[:SAMPLE_LINES].tolist(), *sample.tolist())]
-    tabs = _prefers_tabs(path)
-    try:
-        dialect = find_dialect(lines, delimiter, None, prefers_tabs=tabs, where=path)
-    except InputError:
-        return None
-    # of merged topics: which cells are empty has to be known
-    if sum(map(content.count, (b",,", b",\n", b"nan", b"NaN"))) > MISSING * len(rows):
-        return None
-    last = lines[-1][1]
-    is_usual = dialect.delimiter != BLANKS and dialect.decimal == "." and not dialect.thousands
-    if not is_usual or _LABELLED.match(last) is not None or not last.strip(_EMPTY):
-        return None
-    mark = ord(dialect.delimiter)
-    cells = line(int(rows[0])).count(dialect.delimiter)
-    for begin in range(0, len(starts), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        origin, stop = starts[some][0], ends[some][-1] + 1
-        is_mark = (marks[origin:stop] == mark).astype(np.uint32)
-        if len(is_mark) == starts[some][-1] - origin:  # the last line is empty
-            is_mark = np.append(is_mark, np.uint32(0))
-        counts = np.add.reduceat(is_mark, starts[some] - origin)
-        if (counts[is_row[some]] != cells).any():
-            return None
-    marked = np.flatnonzero((starts < ends) & (first == ord("#")))
-    comments = [comment_text(line(int(k))) for k in marked[marked < rows[0]]]
-    if not is_row.all():
-        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-        content = b"\n".join(content[starts[run[0]] : ends[run[-1]]] for run in runs)
-    is_run = rows[-1] - rows[0] + 1 == len(rows)
-    numbered = range(int(rows[0]) + 1, int(rows[-1]) + 2) if is_run else rows + 1
-    return _PlainRows(content, numbered, comments, dialect)
+    return _FoundRows(lines, comments, dialect, remark, skipped, above, damaged, pairs)
 
 
 def _lines(text: str) -> tuple[Lines, list[str]]:
