@@ -318,6 +318,17 @@ def test_joints_and_velocities_without_names_are_two_blocks_that_say_the_period(
     assert made.dt == pytest.approx(dt)
 
 
+def test_a_third_block_of_columns_without_names_is_what_drives_the_joints(tmp_path: Path) -> None:
+    u = np.stack([levels(k, 25) + 0.3 * levels(k + 9, 7) for k in range(3)])
+    q, v = np.stack([moved_by(x) for x in u], axis=1)
+    torques = u + 0.4 * np.sign(v)
+    rows = {f"column {k}": x for k, x in enumerate([*q, *v, *torques], start=1)}
+    np.savetxt(tmp_path / "log.csv", np.column_stack([*rows.values()]), "%.7g", ",")
+    made = draft_card(tmp_path, ["log.csv"])
+    assert [c.column for c in made.choice.coordinates] == [*rows][:3]
+    assert [i.column for i in made.choice.inputs] == [*rows][6:]
+
+
 def test_directions_of_a_circle_are_no_positions_beside_its_angle(tmp_path: Path) -> None:
     angle = 1.2 * np.sin(np.arange(N) / 40)
     x, y = 0.7 * np.sin(angle), -0.7 * np.cos(angle)
@@ -556,6 +567,61 @@ def test_a_copy_of_a_position_in_another_unit_is_no_coordinate(tmp_path: Path) -
     made = draft(tmp_path, columns)
     assert uses(made) == {"x_px": "", "x_mm": "coordinate", "sensor_V": "", "duty": "input"}
     assert made.choice.unused["x_px"] == "2.4 times 'x_mm'"
+
+
+def test_an_angle_in_two_units_is_one_coordinate_though_filters_differ(tmp_path: Path) -> None:
+    u = levels(24)
+    x, _ = moved_by(u)
+    roll = np.rad2deg(x) + np.random.default_rng(0).normal(0, 0.05, N)
+    made = draft(tmp_path, {"roll": roll, "phi": x, "u": u})
+    assert [c.column for c in made.choice.coordinates] in (["roll"], ["phi"])
+    set_point = {"phi_ref": np.rad2deg(x), "phi": x, "u": u}
+    assert uses(draft(tmp_path, set_point))["phi"] == "coordinate"
+
+
+def test_of_inputs_and_their_sum_the_sum_is_the_input(tmp_path: Path) -> None:
+    feedback, friction = levels(25), 0.3 * levels(26, 20)
+    total = feedback + friction
+    x, _ = moved_by(total)
+    columns = {"theta": x, "u_fb": feedback, "u_fric": friction, "u_total": total}
+    made = draft(tmp_path, columns)
+    assert [i.column for i in made.choice.inputs] == ["u_total"]
+    assert made.choice.unused["u_fb"] == "beside the input 'u_total'"
+
+
+def test_a_multiple_of_an_input_is_none(tmp_path: Path) -> None:
+    u = levels(27)
+    x, _ = moved_by(u)
+    columns = {"knee_angle": x, "knee_torque": 9 * u, "knee_scaled_torque": u}
+    assert len(draft(tmp_path, columns).choice.inputs) == 1
+
+
+def test_propellers_that_balance_one_another_are_inputs(tmp_path: Path) -> None:
+    u = np.round(50 * levels(28))
+    x, _ = moved_by(u / 50)
+    columns = {f"PWM{k + 1}": 400 + sign * u for k, sign in enumerate((1, 1, -1, -1))}
+    made = draft(tmp_path, {"time": DT * np.arange(N), "roll": x, **columns}, clock="")
+    assert [i.column for i in made.choice.inputs] == [*columns]
+
+
+def test_the_rate_of_a_set_point_is_no_input(tmp_path: Path) -> None:
+    goal, rate = moved_by(levels(29, 150), damping=8.0)
+    u = 30 * (goal - np.roll(goal, 3)) + 0.2 * levels(30)
+    x, _ = moved_by(u)
+    columns = {"x_position": x, "x_command_position": goal, "x_command_velocity": rate}
+    made = draft(tmp_path, {**columns, "x_voltage": u})
+    assert [i.column for i in made.choice.inputs] == ["x_voltage"]
+
+
+def test_terms_of_a_controller_are_neither_inputs_nor_positions(tmp_path: Path) -> None:
+    u = levels(31)
+    x, v = moved_by(u)
+    terms = {"P": -3 * x, "I": np.cumsum(-x) / 40, "D": -0.4 * v, "PID": u}
+    assert uses(draft(tmp_path, {"Angle": x, **terms})) == {
+        **dict.fromkeys("PID", ""),
+        "Angle": "coordinate",
+        "PID": "input",
+    }
 
 
 def test_joints_that_move_as_one_for_a_while_are_coordinates(tmp_path: Path) -> None:

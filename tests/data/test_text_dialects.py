@@ -386,6 +386,24 @@ def test_the_sampling_rate_above_a_table_is_found(line: str, tmp_path: Path) -> 
     assert find_period(tmp_path / "log.csv") == RATES[line]
 
 
+def test_rows_above_a_table_may_describe_its_columns(tmp_path: Path) -> None:
+    settings = "Name\tActPos\tActTorque\nData-Type\tREAL64\tINT16\nSampleTime[ms]\t2\t2\n"
+    rows = "Unit\tmm\t(None)\nUnit Offset\t0\t0\n\n0\t50,0\t0\n2\t50,5\t-1\n4\t51,5\t-3\n"
+    columns = read(tmp_path, settings + rows)
+    assert columns.names == ("time", "ActPos", "ActTorque")
+    assert columns.units == {"time": "ms", "ActPos": "mm", "ActTorque": "(None)"}
+    np.testing.assert_array_equal(columns["ActPos"], [50, 50.5, 51.5])
+
+
+def test_messages_between_labelled_numbers_and_a_bare_one_before_them(tmp_path: Path) -> None:
+    rows = [f"{k}\tAngle:{k / 4}\tpwm:{k % 5}\n" for k in range(60)]
+    text = "Starting.\n" + "".join(rows[:40]) + "LIMIT\n" + "".join(rows[40:]) + "DONE\n"
+    (tmp_path / "serial.txt").write_text(text)
+    columns = read_columns(tmp_path / "serial.txt", skips_damaged=True)
+    assert columns.names == ("column 1", "Angle", "pwm")
+    np.testing.assert_array_equal(columns["Angle"], np.arange(60) / 4)
+
+
 def test_labelled_numbers_of_a_serial_plotter_are_columns(tmp_path: Path) -> None:
     rows = "".join(f"pot:{k * 3}\tpwm: {k % 5}\n" for k in range(60))
     (tmp_path / "serial.txt").write_text("Ready.\n" + rows)

@@ -1,6 +1,7 @@
 """Text files of columns."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +39,7 @@ from tustinnet.data.text_dialect import (
     read_header,
 )
 from tustinnet.data.text_long import spread_signals
-from tustinnet.data.text_pairs import Pairs, find_pairs
+from tustinnet.data.text_pairs import Pairs, find_described, find_pairs
 from tustinnet.errors import InputError, describe_error
 from tustinnet.wording import counted
 
@@ -88,8 +89,8 @@ def read_text(
         )
     numbered = [f"{NUMBERED}{number}" for number in range(1, table.width + 1)]
     found = Header(numbered, {}, 0)
-    if pairs is not None:
-        found = Header([*pairs.names], pairs.units, 0)
+    if file.header is not None:
+        found = file.header
     elif (not is_sample) if header is None else header:
         rows = [_texts(table, k) for k in range(min(HEADER_ROWS, len(table)))]
         found = read_header(rows, dialect)
@@ -130,7 +131,7 @@ def read_text(
     described = (
         dialect if delimiter is None else Dialect(",", dialect.decimal, dialect.thousands)
     ).describe()
-    is_in_comment = is_sample and found.names != numbered and pairs is None
+    is_in_comment = is_sample and found.names != numbered and file.header is None
     is_bare = header is None and is_sample and names == numbered
     notes = [
         *([file.remark] if file.remark else []),
@@ -144,7 +145,7 @@ def read_text(
         *(f"a later column of the same name: '{name}'" for name in repeated),
         *(f"'{name}': dates or times of day, read as seconds since midnight" for name in dates),
     ]
-    units = {} if pairs is not None else find_units_above(file.above, names)
+    units = {} if file.header is not None else find_units_above(file.above, names)
     units |= find_units_in_comments(file.comments, names)
     units = units | found.units | dict.fromkeys(dates, "s")
     clocks = {} if pairs is None else pairs.clocks
@@ -226,7 +227,8 @@ class _FoundRows:
         skipped: number of rows above a header.
         above: the cells of these rows.
         damaged: number of rows that are no samples and are left out.
-        pairs: the names of columns in pairs, if they are.
+        header: the names and units that these rows say, None where they say none.
+        pairs: the columns in pairs, if they are.
     """
 
     lines: Lines
@@ -236,6 +238,7 @@ class _FoundRows:
     skipped: int = 0
     above: Sequence[Sequence[str]] = ()
     damaged: int = 0
+    header: Header | None = None
     pairs: Pairs | None = None
 
 
@@ -268,13 +271,16 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
-    skipped, above, pairs = 0, [], None
+    skipped, above, described, pairs = 0, [], None, None
     if header is not False:
         shape = find_table([dialect.split(line) for _, line in lines[-LAST_ROWS:]], dialect)
         first = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
         sample = shape.find_first_sample(first)
-        pairs = find_pairs(first[:sample], shape) if header is None else None
-        skipped = sample if pairs is not None else shape.count_rows_above(first)
+        if header is None and (pairs := find_pairs(first[:sample], shape)) is not None:
+            described = Header([*pairs.names], pairs.units, 0)
+        elif header is None:
+            described = find_described(first[:sample], shape)
+        skipped = shape.count_rows_above(first) if described is None else sample
         above = first[:skipped]
     lines = lines[skipped:]
     damaged = 0
@@ -289,7 +295,7 @@ def _find_rows(
         lines = [*heading, *samples]
         if not samples:
             raise InputError(path, "no row of numbers", "rows of samples")
-    return _FoundRows(lines, comments, dialect, remark, skipped, above, damaged, pairs)
+    return _FoundRows(lines, comments, dialect, remark, skipped, above, damaged, described, pairs)
 
 
 def _lines(text: str) -> tuple[Lines, list[str]]:
@@ -310,23 +316,33 @@ def _lines(text: str) -> tuple[Lines, list[str]]:
 
 
 def _without_labels(lines: Lines) -> Lines:
-    """Lines of labelled numbers, `pot:512 pwm:30` for a serial plotter, as a header and numbers."""
+    """Lines of labelled numbers, `pot:512 pwm:30` for a serial plotter, as a header and numbers.
 
-    def labels(line: str) -> tuple[str, ...] | None:
-        rest = _LABELLED.sub("", line).strip(" ,;\t")
-        return tuple(m[1] for m in _LABELLED.finditer(line)) if not rest else None
+    A number before the first label, as of a loop, is a column without a name.
+    """
 
-    usual = labels(lines[-1][1])
+    def cells(line: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The labels of a line and its numbers; none where there is something else in it."""
+        pairs = [(m[1], m[2]) for m in _LABELLED.finditer(line)]
+        rest = _LABELLED.sub("", line).strip(_EMPTY)
+        if rest and NUMBER.fullmatch(rest) and line.lstrip().startswith(rest):
+            pairs.insert(0, (f"{NUMBERED}1", rest))
+        elif rest:
+            pairs = []
+        return tuple(label for label, _ in pairs), tuple(number for _, number in pairs)
+
     step = max(1, len(lines) // SAMPLE_LINES)
-    if not usual or sum(labels(x) == usual for _, x in lines[::step]) < len(lines[::step]) / 2:
+    labels = Counter(cells(line)[0] for _, line in lines[::step])
+    usual, count = labels.most_common(1)[0]
+    if not usual or 2 * count < labels.total():
         return lines
-    first = next(k for k, (_, line) in enumerate(lines) if labels(line) == usual)
-    header = lines[first][0], "\t".join(usual)
+    rows = [(row, line, cells(line)) for row, line in lines]
+    first = next(k for k, (_, _, (names, _)) in enumerate(rows) if names == usual)
     samples = [
-        (row, "\t".join(m[2] for m in _LABELLED.finditer(line)) if labels(line) == usual else line)
-        for row, line in lines[first:]
+        (row, "\t".join(numbers) if names == usual else line)
+        for row, line, (names, numbers) in rows[first:]
     ]
-    return [*lines[:first], header, *samples]
+    return [*lines[:first], (lines[first][0], "\t".join(usual)), *samples]
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:

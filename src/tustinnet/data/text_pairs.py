@@ -1,14 +1,15 @@
-"""Tables in which each column of values has its own column of times before it.
+"""Tables whose columns are described by rows above them, as scopes of controllers export them.
 
-Scopes of controllers export them: rows above the samples say the name, the unit and more of each
-pair, as `Name;position;Name;torque`, `Unit;mm;Unit;N m`, `SampleTime[ms];2;SampleTime[ms];4`.
+Each row says a name, a unit or more of every column, behind a word for that: `Name;position;u`,
+`Unit;mm;N m`, `SampleTime[ms];2;2`. Either all columns have the times of the first one, or each
+has its own before it, and the word stands before each: `Name;position;Name;torque`.
 """
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tustinnet.data.text_dialect import Table
+from tustinnet.data.text_dialect import Header, Table
 from tustinnet.data.units import TIME
 
 _NAMES = ("name", "signal", "symbol", "symbolname", "channel", "variable")
@@ -49,20 +50,49 @@ def find_pairs(above: Sequence[Sequence[str]], table: Table) -> Pairs | None:
     """
     if table.width < 4 or table.width % 2:
         return None
-    described = {
-        row[0].lower(): row[1::2]
-        for row in above
-        if len(row) == table.width and row[0] and len({*row[::2]}) == 1
-    }
-    values = next((described[word] for word in _NAMES if word in described), [])
-    if len(described) < 2 or not all(values) or len({*values}) < len(values) or not values:
+    rows = [row for row in above if len(row) == table.width and len({*row[::2]}) == 1]
+    described = _Described({row[0].lower(): row[1::2] for row in rows if row[0]})
+    if len(described.rows) < 2 or not described.names:
         return None
-    texts = next((described[word] for word in _UNITS if word in described), [])
-    matches = (_TIME_UNIT.search(word) for word in described)
-    unit = next((match[1] for match in matches if match), None)
+    unit = described.time_unit
+    times = [f"{name}/time" for name in described.names]
     return Pairs(
-        tuple(name for value in values for name in (f"{value}/time", value)),
-        {v: _QUANTITY.sub("", text) for v, text in zip(values, texts, strict=False) if text}
-        | dict.fromkeys([f"{value}/time" for value in values] if unit else [], "s"),
+        tuple(n for pair in zip(times, described.names, strict=True) for n in pair),
+        described.units | dict.fromkeys(times if unit else [], "s"),
         None if unit is None else TIME[unit],
     )
+
+
+def find_described(above: Sequence[Sequence[str]], table: Table) -> Header | None:
+    """The names and units of columns of common times, as find_pairs finds those of pairs."""
+    rows = [row for row in above if len(row) == table.width > 2]
+    described = _Described({row[0].lower(): row[1:] for row in rows if row[0]})
+    if len(described.rows) < 3 or not described.names or described.time_unit is None:
+        return None
+    return Header(["time", *described.names], {"time": described.time_unit} | described.units, 0)
+
+
+@dataclass(frozen=True)
+class _Described:
+    """What rows say of columns, by their first words in lower case."""
+
+    rows: dict[str, Sequence[str]]
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The names, all different; empty where no row says them."""
+        names = next((self.rows[word] for word in _NAMES if word in self.rows), [])
+        return names if all(names) and len({*names}) == len(names) else []
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units by the names of columns, as far as they are known."""
+        texts = next((self.rows[word] for word in _UNITS if word in self.rows), [])
+        pairs = zip(self.names, texts, strict=False)
+        return {name: _QUANTITY.sub("", text) for name, text in pairs if text}
+
+    @property
+    def time_unit(self) -> str | None:
+        """The unit of the times, None where no row says it."""
+        matches = (_TIME_UNIT.search(word) for word in self.rows)
+        return next((match[1] for match in matches if match), None)

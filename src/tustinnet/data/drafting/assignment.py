@@ -88,7 +88,10 @@ class _Prices:
         of_free = rates * (t.is_free | t.is_free[:, None])
         self.motion = np.where(inputs[:, None], of_free, t.repeats)
         is_copy = t.repeats > 0
-        self.inputs = np.where(is_copy, t.repeats + 0.5 * w.copy, of_free)
+        family = np.array(t.family)
+        # as of several propellers, which balance one another
+        is_same = (family[:, None] == family) & inputs
+        self.inputs = np.where(is_same, 0.0, np.where(is_copy, t.repeats + 0.5 * w.copy, of_free))
         for prices in (self.positions, self.velocities, self.motion):
             prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):

@@ -19,6 +19,7 @@ from tustinnet.data.drafting.relations import (
     find_causes,
     find_copies,
     find_followers,
+    find_other_units,
     find_sums,
 )
 from tustinnet.data.drafting.vocabulary import CONTAINERS, QUALIFIERS, STRONG, WEAK
@@ -140,7 +141,7 @@ class Weights:
     follow: float = 4.0
     cause: float = 5.0
     back: float = 0.6
-    no_input: float = 4.0
+    no_input: float = 3.0
     no_position: float = 12.0
     further_input: float = 2.5
     stage: float = 8.0
@@ -289,7 +290,13 @@ class EvidenceTable:
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
-        self.is_copy = find_copies(records, [numbers[n].count or 0.0 for n in readings]) != 0
+        factors = find_copies(records, [numbers[n].count or 0.0 for n in readings])
+        commands = np.array([r.qualifier == "command" for r in self.readings])
+        are_alike = commands == commands[:, None]  # a set point is not what follows it
+        self.is_copy = (factors != 0) | (find_other_units(records) & are_alike)
+        # joints may move as one, and no torque of one is a multiple of that of another
+        is_input = np.array([self.says(i, "input") for i in range(len(self.names))])
+        is_multiple = (factors != 0) & (np.abs(np.abs(factors) - 1) > WEIGHTS.circle) & is_input
         self.slope = _slope_points(slopes, self.readings)
         self.blocks = find_blocks(self.names, self.slope)
         for one, other in itertools.permutations(self.blocks, 2):
@@ -300,12 +307,12 @@ class EvidenceTable:
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
             are_apart[np.ix_(three, three)] = True
-        self.family = find_families(self.readings, are_apart)
+        self.family = find_families(self.readings, are_apart, is_multiple)
         for block in self.blocks:
             for column in block.values():
                 self.family[column] = min(block.values())
         family = np.array(self.family)
-        self.is_copy &= family[:, None] != family  # joints may move as one for a while
+        self.is_copy &= family[:, None] != family
         self.signal = np.argmax(self.is_copy | np.eye(len(family), dtype=bool), axis=1)
         fit, late = find_followers(records)
         self.repeats = _repeat_prices(records, fit)
@@ -316,6 +323,7 @@ class EvidenceTable:
         self._add_circles(records)
         self._add_errors(records, sums)
         self._add_copies()
+        self._add_rates()
         self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
         self.stage = [stage_of(r) for r in self.readings]
@@ -372,6 +380,11 @@ class EvidenceTable:
             three = [i for i in (error, controlled, goal) if i is not None]
             if any({"sin", "cos"} & {*self.readings[i].words} for i in three):
                 continue  # a pendulum near the top has a sine that its angle adds up with
+            are_inputs = [self.says(i, "input") for i in three]
+            if goal is not None and are_inputs[2] and any(are_inputs[:2]):
+                text = f"a part of '{self.names[goal]}'"
+                self.own[error].append(Evidence("other", w.useless, text))
+                continue
             if len(three) > 2 and all(is_plain[i] for i in three):
                 if error < controlled:
                     text = "the sum or difference of two other positions"
@@ -397,6 +410,22 @@ class EvidenceTable:
             if ranks[i] < ranks[j]:
                 text = f"'{self.names[i]}' in another unit, or from another zero"
                 self.own[j].append(Evidence("other", WEIGHTS.derived, text))
+
+    def _add_rates(self) -> None:
+        """Evidence on derivatives of set points, which drive nothing, and on what is no derivative.
+
+        Numbers without a name are no acceleration where they are the slope of nothing.
+        """
+        for i, reading in enumerate(self.readings):
+            if not reading.quantities and (self.slope[:, i] <= 0).all():
+                self.own[i].append(Evidence("acceleration", -WEIGHTS.no_slope, ""))
+        commands = np.array([r.qualifier == "command" for r in self.readings])
+        columns = range(len(self.names))
+        rates = [self.says(j, "velocity") or self.says(j, "acceleration") for j in columns]
+        is_rate = np.outer(commands, commands & rates) & (self.slope >= WEIGHTS.clear_slope)
+        for i, j in np.argwhere(is_rate).tolist():
+            text = f"slope of the set point '{self.names[i]}'"
+            self.own[j].append(Evidence("other", WEIGHTS.useless, text))
 
     def _add_free_motions(self, push: Pairs, moves_at_once: Bool[np.ndarray, "c c"]) -> None:
         """Evidence on positions that nothing moves and that move others, as that of a road.
@@ -466,13 +495,18 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     return points
 
 
-def find_families(readings: Sequence[NameReading], are_apart: Bool[np.ndarray, "c c"]) -> list[int]:
+def find_families(
+    readings: Sequence[NameReading],
+    are_apart: Bool[np.ndarray, "c c"],
+    is_multiple: Bool[np.ndarray, "c c"],
+) -> list[int]:
     """The number of the family of each column: names that differ by numbers, axes or members only.
 
     Args:
         readings: the meaning of the names.
         are_apart: which columns are derivatives or sums of one another. A family of such columns
             is none, and none is one to which all columns belong.
+        is_multiple: which columns are multiples of one another; the later one is of no family.
     """
     known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
     groups: dict[tuple[str, ...], list[int]] = {}
@@ -484,13 +518,16 @@ def find_families(readings: Sequence[NameReading], are_apart: Bool[np.ndarray, "
     families = [*range(len(readings))]
     for members in groups.values():
         if len(members) < len(readings) and not are_apart[np.ix_(members, members)].any():
-            for i in members:
-                families[i] = members[0]
+            for k, i in enumerate(members):
+                if not is_multiple[i, members[:k]].any():
+                    families[i] = members[0]
     return families
 
 
 def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[dict[int, int]]:
     """Columns without names that come as a block of positions and one of their velocities.
+
+    A third one is of as many columns, where there are no others.
 
     Two velocities have to be seen as many columns behind (or before) their positions, and more than
     at any other distance: joints that move as one have the velocities of one another. What is
@@ -520,7 +557,11 @@ def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[d
     joints = range(min(positions), max(positions) + 1)
     if {b for _, b in pairs} & {*joints}:
         return []
-    return [{k: place[k + d] for k in joints if k + d in place} for d in (0, distance)]
+    blocks = [{k: place[k + d] for k in joints if k + d in place} for d in (0, distance)]
+    others = sorted(place.keys() - {k + d for k in joints for d in (0, distance)})
+    if len(others) == len(joints) == others[-1] - others[0] + 1:  # as torques behind both
+        blocks.append({k: place[n] for k, n in zip(joints, others, strict=True)})
+    return blocks
 
 
 def _joint_of(reading: NameReading) -> frozenset[str]:

@@ -29,6 +29,7 @@ _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17,
 _LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
 _VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
+_TERMS = {("p",), ("i",), ("d",)}  # of a controller, by their names
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
 
@@ -690,6 +691,9 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
         for name in logs[0].values
     }
     words = {word for r in readings.values() for word in r.words}
+    if {r.words for r in readings.values()} >= _TERMS:
+        term = read_name("error")
+        readings |= {n: replace(term, name=n) for n, r in readings.items() if r.words in _TERMS}
     return {
         name: replace(r, kind=None) if _is_output(r, words) else r for name, r in readings.items()
     }

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from tustinnet.data.drafting.names import NameReading
 from tustinnet.data.drafting.numbers import Values
+from tustinnet.data.units import ANGLE
 
 _OWN_LAGS = 12  # at most, of which an order selection takes as many as a column needs
 
@@ -210,6 +211,20 @@ def find_copies(
     limit = (rounding + slope**2 * rounding[:, None]) / 6 + exact * squares
     is_copy = (residual < limit) & (residual < RELATION.rounded * squares)
     return np.where(is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool), slope, 0.0)
+
+
+@np.errstate(all="ignore")  # constants repeat nothing
+def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
+    """Whether columns are one angle or its rate in two units, as two filters see it.
+
+    Args:
+        records: the columns of each record.
+    """
+    table = np.concatenate(records)
+    ratios = table.std(axis=0) / table.std(axis=0)[:, None]
+    units = [a / b for a, b in permutations(ANGLE.values(), 2)]
+    is_unit = np.any([np.abs(ratios / unit - 1) < RELATION.sum for unit in units], axis=0)
+    return is_unit & (np.atleast_2d(np.corrcoef(table.T)) > RELATION.one)
 
 
 def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float:

@@ -34,13 +34,13 @@ _STRONG: dict[Quantity, str] = {
     "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
     "elevation posicion hoek lage tilt heading",
-    "velocity": "vel velocity velocities speed omega tacho tachometer dot qdot "
+    "velocity": "vel velo velocity velocities speed omega tacho tachometer dot qdot "
     "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
-    "stell aktion",
+    "power stell aktion pid",
     "torque": "torque torques tau moment drehmoment effort efforts motormoment trq",
     "force": "force forces kraft thrust schub antriebskraft",
     "current": "current currents strom motorstrom iq ankerstrom corriente",
@@ -49,9 +49,9 @@ _STRONG: dict[Quantity, str] = {
     "flag": "status flag flags enable enabled ena mode modus fault alarm valid limit endschalter "
     "freigabe button taster bit done ready trigger trig estop switch homed zustand armed loop "
     "active usable saturated",
-    "other": "temp temperature temperatur bat batterie vbus vbat ubat vcc vdd cpu noise battery "
-    "batt fric friction reibung humidity rssi checksum crc supply versorgung latency reward "
-    "energy energie hours tcp ee eef squared",
+    "other": "temp temperature temperatur bat batterie bus dcbus vbus vbat ubat vcc vdd cpu noise "
+    "battery batt fric friction reibung humidity rssi checksum crc supply versorgung latency "
+    "reward energy energie hours tcp ee eef squared",
 }
 # the weight is lower for words that also mean something else
 _WEAK: dict[Quantity, str] = {
@@ -76,7 +76,8 @@ _QUALIFIERS: dict[Qualifier, str] = {
     "vorgabe goal con fuehrungsgroesse request req set demand planned commands consigna",
     "measured": "meas measured applied act actual ist istwert mess messwert fb feedback raw roh m "
     "sensor",
-    "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman",
+    "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman hat "
+    "obs observer",
     "model": "sim simulated model predicted pred",
 }
 _OTHERS = {
