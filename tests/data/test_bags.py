@@ -10,8 +10,7 @@ from lab_files import ANGLE_TIMES, CARD, angle, held_command, mcap_file, ros1_ba
 from mcap.writer import Writer
 
 import tustinnet as tn
-from tustinnet.data.drafting.draft import draft_card
-from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.drafting.draft import draft_card, draft_file
 from tustinnet.data.readers import read_columns
 
 FILES = [
@@ -76,12 +75,12 @@ def test_topics_are_brought_onto_the_times_of_the_coordinate(
 def test_the_draft_of_a_card_reads_the_file(
     tmp_path: Path, name: str, write: Callable[[Path], Path]
 ) -> None:
-    found = inspect_file(write(tmp_path / name))
+    found = draft_file(write(tmp_path / name))
     roles = {column.name: column.role for column in found.columns}
     assert roles["joint_states/time"] == roles["command/time"] == "time"
     assert roles["joint_states/position/elbow"] == "position"
     assert found.dt == pytest.approx(0.01)
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    (tmp_path / "dataset.toml").write_text(found.text)
     (record,) = tn.load(tmp_path)
     assert {"elbow"} <= {c.name for c in record.channels.coordinates}
 
@@ -94,7 +93,7 @@ def test_of_many_columns_those_named_as_motions_are_looked_at(tmp_path: Path) ->
             name = "position" if k == 65 else f"field {k}"
             step = {"wf_increment": 0.01}
             file.write_segment([ChannelObject(f"group {k}", name, angle(ANGLE_TIMES), step)])
-    found = inspect_file(tmp_path / "log.tdms")
+    found = draft_file(tmp_path / "log.tdms")
     names = [column.name for column in found.columns]
     assert {"group 65/position", "group 65/time", "group 58/field 58"} <= {*names}
     assert "group 69/field 69" not in names

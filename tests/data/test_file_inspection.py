@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 import tustinnet as tn
-from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.drafting.draft import draft_file
 
 N = 400
 T = np.arange(N) * 0.01
@@ -36,7 +36,7 @@ def log(path: Path) -> Path:
 
 
 def test_columns_are_told_apart(tmp_path: Path) -> None:
-    found = inspect_file(log(tmp_path / "run 1.csv"))
+    found = draft_file(log(tmp_path / "run 1.csv"))
     roles = {c.name: c.role for c in found.columns}
     assert roles == {
         "time [ms]": "time",
@@ -45,16 +45,16 @@ def test_columns_are_told_apart(tmp_path: Path) -> None:
         "a": "input",
         "b": "other",
         "gain": "constant",
-        "state": "no numbers",
     }
-    assert (found.rows, found.time_unit) == (N, "ms")
+    assert {*found.texts} == {"state"}
+    assert (found.rows, found.clock.unit) == (N, "ms")
     assert found.dt == pytest.approx(0.01)
-    assert found.jitter == pytest.approx(0, abs=1e-9)
+    assert found.clock.worst == pytest.approx(0, abs=1e-9)
     by_name = {c.name: c for c in found.columns}
-    assert by_name["arm"].count == pytest.approx(1)
-    assert by_name["rate"].remark.startswith("slope of 'arm'")
-    assert by_name["a"].remark.startswith("held levels")
-    assert by_name["b"].remark == "no quantity of the motion: only noise"
+    assert by_name["arm"].numbers.count == pytest.approx(1)
+    assert by_name["rate"].because.startswith("slope of 'arm'")
+    assert by_name["a"].because.startswith("held levels")
+    assert by_name["b"].because == "no quantity of the motion: only noise"
 
 
 PUSH = ANGLE + 0.2 * np.cos(9 * T)  # nearly as the angle, as an input of a slow machine is
@@ -129,7 +129,7 @@ def test_units_in_names_then_values_then_words_decide(
 ) -> None:
     log = tmp_path / "log.csv"
     pl.DataFrame({"time": T, **columns}).write_csv(log)
-    draft = inspect_file(log).draft
+    draft = draft_file(log).text
     (tmp_path / "dataset.toml").write_text(draft)
     tn.load(tmp_path)
     card = tomllib.loads(draft)
@@ -144,7 +144,7 @@ def test_units_in_names_then_values_then_words_decide(
 
 def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
     pl.DataFrame({**BELT, "gain": np.ones(N), "spin_rad_s": NOISE}).write_csv(tmp_path / "log.csv")
-    draft = inspect_file(tmp_path / "log.csv").draft
+    draft = draft_file(tmp_path / "log.csv").text
     for line in (
         '# "motor_cnt" as a coordinate: in counts by its name; steps of 1, as encoder counts; '
         "smooth",
@@ -159,15 +159,15 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
 
 def test_a_speed_without_any_position_is_the_coordinate(tmp_path: Path) -> None:
     pl.DataFrame({"time": T, "spin_rad_s": NOISE, "voltage": NOISE}).write_csv(tmp_path / "log.csv")
-    draft = inspect_file(tmp_path / "log.csv").draft
+    draft = draft_file(tmp_path / "log.csv").text
     assert "the speed is the coordinate (docs/how-to/speed-only.md)\n" in draft
     (coordinate,) = tomllib.loads(draft)["coordinates"]
     assert (coordinate["kind"], coordinate["unit"]) == ("linear", "rad/s")
 
 
 def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:
-    found = inspect_file(log(tmp_path / "run 1.csv"))
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    found = draft_file(log(tmp_path / "run 1.csv"))
+    (tmp_path / "dataset.toml").write_text(found.text)
     (e,) = tn.load(tmp_path)
     assert (e.name, e.dt, [c.name for c in e.inputs]) == ("run 1", 0.01, ["a"])
     np.testing.assert_allclose(e.q[:, 0], COUNTS * 2 * np.pi / 4096)
@@ -177,18 +177,20 @@ def test_the_draft_is_a_card_that_reads_the_file(tmp_path: Path) -> None:
 def test_files_without_header_clock_or_text_form_are_looked_at_too(tmp_path: Path) -> None:
     bare = tmp_path / "bare.dat"
     np.savetxt(bare, np.column_stack([ANGLE, LEVELS]), delimiter=",")
-    found = inspect_file(bare)
-    assert (found.dt, [c.role for c in found.columns]) == (None, ["position", "input"])
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    found = draft_file(bare)
+    assert found.clock.column is None
+    assert [c.role for c in found.columns] == ["position", "input"]
+    (tmp_path / "dataset.toml").write_text(found.text)
     assert tn.load(tmp_path)[0].dt == 0.01
     logs = np.empty(2, object)
     logs[:] = [{"t": T, "q": ANGLE}] * 2
     scipy.io.savemat(tmp_path / "logs.mat", {"logs": logs, "label": "x"})
-    found = inspect_file(tmp_path / "logs.mat")
+    found = draft_file(tmp_path / "logs.mat")
     roles = {c.name: c.role for c in found.columns}
-    assert roles == {"logs.t": "time", "logs.q": "position", "label": "no numbers"}
+    assert roles == {"logs.t": "time", "logs.q": "position"}
+    assert {*found.texts} == {"label"}
     assert "2 cells" in found.notes[0]
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    (tmp_path / "dataset.toml").write_text(found.text)
     bare.unlink()  # all logs beside the card are records
     assert [e.name for e in tn.load(tmp_path)] == ["logs[1]", "logs[2]"]
 
@@ -196,4 +198,4 @@ def test_files_without_header_clock_or_text_form_are_looked_at_too(tmp_path: Pat
 def test_a_file_of_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("a,b\nx,y\nz,w\n")
     with pytest.raises(tn.InputError, match=r"log\.csv: no column of numbers"):
-        inspect_file(tmp_path / "log.csv")
+        draft_file(tmp_path / "log.csv")

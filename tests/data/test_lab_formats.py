@@ -24,7 +24,7 @@ from lab_files import (
 
 import tustinnet as tn
 from tustinnet.data import readers
-from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.drafting.draft import draft_file
 from tustinnet.data.readers import read_columns
 
 # file, its writer, and the names of time, position and command
@@ -71,10 +71,10 @@ def test_a_card_brings_groups_onto_one_time_base(
 def test_the_draft_reads_the_file(
     tmp_path: Path, name: str, write: Write, time: str, position: str, command: str
 ) -> None:
-    found = inspect_file(write(tmp_path / name))
+    found = draft_file(write(tmp_path / name))
     roles = {column.name: column.role for column in found.columns}
     assert (roles[time], roles[position], roles[command]) == ("time", "position", "input")
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    (tmp_path / "dataset.toml").write_text(found.text)
     (record,) = tn.load(tmp_path)
     assert record.dt == pytest.approx(0.01)
     if name != "log.ulg":
@@ -210,7 +210,7 @@ def test_episodes_of_a_lerobot_data_set_are_records(tmp_path: Path, version: str
     )
     assert [len(e) for e in data] == [60, 70, 80]
     np.testing.assert_allclose(data[2].q[:, 0], np.cos(2 * np.arange(80) / 50), atol=1e-6)
-    draft = inspect_file(files[0]).draft
+    draft = draft_file(files[0]).text
     assert 'column = "action.elbow.pos"' in draft.split("[[inputs]]", 1)[1]
 
 
@@ -261,7 +261,7 @@ def test_groups_of_one_kind_are_records(tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["table.force"], [2, 2, 2])
     assert columns.others["mask"] == "no real numbers"
     assert [*columns.parts] == ["demo_0", "demo_1", "demo_2"]
-    found = inspect_file(path)
+    found = draft_file(path)
     assert "log.h5: 3 records" in found.notes
     (unit,) = [c.unit for c in found.columns if c.name == "elbow"]
     assert unit == "rad"

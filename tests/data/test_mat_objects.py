@@ -13,7 +13,7 @@ from lab_files import CARD
 
 import tustinnet as tn
 from tustinnet.data import reading_process
-from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.drafting.draft import draft_file
 from tustinnet.data.formats import mat
 from tustinnet.data.readers import read_columns
 
@@ -126,8 +126,8 @@ def test_the_signals_of_a_simulink_export_are_channels(tmp_path: Path, count: in
     names = ["out.signals.values"] if count == 1 else [f"out.signals({k}).values" for k in (1, 2)]
     assert columns.names == ("out.time", *names)
     assert columns.elements == 0
-    found = inspect_file(tmp_path / "log.mat")
-    (tmp_path / "dataset.toml").write_text(found.draft)
+    found = draft_file(tmp_path / "log.mat")
+    (tmp_path / "dataset.toml").write_text(found.text)
     assert len(tn.load(tmp_path)) == 1
 
 

@@ -8,8 +8,7 @@ import pytest
 from lab_files import workbook
 
 import tustinnet as tn
-from tustinnet.data.drafting.draft import draft_card
-from tustinnet.data.file_inspection import inspect_file
+from tustinnet.data.drafting.draft import draft_card, draft_file
 from tustinnet.data.readers import read_columns
 from tustinnet.data.text_rate import find_period
 from tustinnet.errors import InputError
@@ -197,10 +196,10 @@ def test_units_of_the_file_are_in_the_draft(tmp_path: Path) -> None:
     lines += [f"{a:.2f};{40 * np.sin(3 * a):.6f};{2 * (a % 0.5 > 0.2)}" for a in t]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(lines).replace(".", ","))
-    report = inspect_file(path)
+    report = draft_file(path)
     assert {c.name: c.unit for c in report.columns} == {"t": "s", "x": "deg", "u": "V"}
     assert report.notes == ("separated by ';', decimal comma", "names and units in 2 rows")
-    (tmp_path / "dataset.toml").write_text(report.draft)
+    (tmp_path / "dataset.toml").write_text(report.text)
     (record,) = tn.load(tmp_path)
     np.testing.assert_allclose(record.q[:, 0], np.radians(40 * np.sin(3 * t)), atol=1e-6)
 

@@ -12,7 +12,7 @@ import tustinnet as tn
 from tustinnet.check import drafting
 from tustinnet.cli import devices, options, terminal
 from tustinnet.cli.files import require_apart
-from tustinnet.cli.inspect import print_inspection
+from tustinnet.cli.inspect import draft_as_plain, print_inspection
 from tustinnet.cli.models import require_readable_robot
 from tustinnet.data import catalog, loading, readers
 from tustinnet.data.drafting import files as log_files
@@ -65,7 +65,8 @@ def init(
         disk.require_outputs(outputs, overwrite=overwrite)
         write_draft(draft, folder)
     if json:
-        terminal.print_json(_as_plain(draft, folder))
+        card = os.fspath(folder / catalog.CARD_NAME)
+        terminal.print_json({"card": card} | draft_as_plain(draft))
     else:
         _print_draft(draft, folder)
         place, card = catalog.locate(folder)
@@ -243,17 +244,3 @@ def _print_draft(draft: "tn.Draft", folder: Path) -> None:
         terminal.echo(f"  {name:<{widths[0]}}  {use:<{widths[1]}}  {because}")
     for sentence in draft.splits.sentences:
         terminal.echo(f"splits: {sentence}")
-
-
-def _as_plain(draft: "tn.Draft", folder: Path) -> dict[str, object]:
-    """A draft as plain values."""
-    return {
-        "card": os.fspath(folder / catalog.CARD_NAME),
-        "text": draft.text,
-        "columns": [
-            {"name": c.name, "role": c.role, "use": c.use, "unit": c.unit, "because": c.because}
-            for c in draft.columns
-        ],
-        "assumed": {q.text: q.assumption for q in draft.questions},
-        "notes": list(draft.notes),
-    }

@@ -15,7 +15,8 @@ from tustinnet.cli.findings import describe_findings, merge_remarks, require_sou
 from tustinnet.cli.records import records_of_split
 from tustinnet.cli.verb import refuse_options
 from tustinnet.data import card as cards
-from tustinnet.data import catalog, file_inspection, loading, readers, spoiled
+from tustinnet.data import catalog, loading, readers, spoiled
+from tustinnet.data.drafting import draft as drafting
 from tustinnet.report import drawing, tables
 from tustinnet.report import figures as result_figures
 from tustinnet.wording import counted
@@ -136,27 +137,50 @@ def _hold_advice(hold: "channels.Hold | None") -> str:
 
 def _inspect_file(path: Path, *, json: bool) -> None:
     """Prints the contents of a file that no card describes, and the draft of a card."""
-    report = file_inspection.inspect_file(path)
+    draft = drafting.draft_file(path)
     if json:
-        terminal.print_json(dataclasses.asdict(report))
+        terminal.print_json({"name": path.name} | draft_as_plain(draft))
         return
     rows = [
-        [c.name, c.role, _range_text(c.range) if c.range else "–", str(c.distinct or "–"), c.remark]
-        for c in report.columns
+        [c.name, c.role, _range_text(r) if r else "–", str(c.numbers.distinct or "–"), c.because]
+        for c in draft.columns
+        for r in [c.numbers.range]
     ]
+    rows += [[name, "no numbers", "–", "–", text] for name, text in draft.texts.items()]
     sampling = "no column of times found"
-    if report.dt is not None and report.jitter is not None:
-        sampling = f"every {1e3 * report.dt:.4g} ms, worst deviation {1e3 * report.jitter:.3g} ms"
-    title = f"{report.name}: {counted(report.rows, 'row')}; {sampling}; roles are guesses"
+    if draft.clock.column is not None:
+        worst = f"{1e3 * draft.clock.worst:.3g} ms"
+        sampling = f"every {1e3 * draft.dt:.4g} ms, worst deviation {worst}"
+    title = f"{path.name}: {counted(draft.rows, 'row')}; {sampling}; roles are guesses"
     terminal.print_tables(
         tables.Table(["column", "looks like", "range", "values", "why"], rows, title)
     )
-    for note in report.notes:
+    for note in draft.notes:
         terminal.echo(f"note: {note}")
     terminal.echo(
         "\n# draft of a card; save it as dataset.toml beside the file. For all logs of the "
-        f"folder: tustinnet init {path.parent}\n{report.draft}"
+        f"folder: tustinnet init {path.parent}\n{draft.text}"
     )
+
+
+def draft_as_plain(draft: "tn.Draft") -> dict[str, object]:
+    """A draft as plain values."""
+    return {
+        "text": draft.text,
+        "columns": [
+            {
+                "name": c.name,
+                "role": c.role,
+                "use": c.use,
+                "unit": c.unit,
+                "range": c.numbers.range,
+                "because": c.because,
+            }
+            for c in draft.columns
+        ],
+        "assumed": {q.text: q.assumption for q in draft.questions},
+        "notes": list(draft.notes),
+    }
 
 
 def time_table(reports: list["check_report.ExperimentReport"]) -> "tables.Table":

@@ -141,8 +141,9 @@ class Assignment:
             if name in table.names
         }
         self.prices = _Prices(table)
-        says_command = [table.says(i, "input") for i in range(len(table.names))]
-        self.is_command = np.array(says_command) & (np.array(table.stage) == "command")
+        says_input = [table.says(i, "input") for i in range(len(table.names))]
+        self.no_input = WEIGHTS.no_input * (1.0 if any(says_input) else 0.75)
+        self.is_command = np.array(says_input) & (np.array(table.stage) == "command")
         self.cache: dict[bytes, float] = {}
         self.related = {
             pair: bool(self.prices.are_related[np.ix_(*(self.families[f] for f in pair))].any())
@@ -185,7 +186,7 @@ class Assignment:
             signals = {*t.signal[positions].tolist()}
             total -= 2 * w.copy * sum({*t.signal[[*three]].tolist()} <= signals for three in t.sums)
         if not inputs:
-            total -= 0.5 if set_points else w.no_input
+            total -= 0.5 if set_points else self.no_input
         return total - (0.0 if motion else w.no_position)
 
     def pair_rates(self, columns: Sequence[int], rates: Sequence[int]) -> dict[int, int]:

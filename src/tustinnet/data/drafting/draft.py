@@ -177,17 +177,20 @@ def examine_logs(
 
 
 def draft_card(
-    folder: Path,
-    files: Sequence[str],
-    answers: Mapping[str, str] | None = None,
-    *,
-    name: str = "",
-    has_splits: bool = True,
-    system: SystemChannels | None = None,
+    folder: Path, files: Sequence[str], answers: Mapping[str, str] | None = None
 ) -> Draft:
     """Drafts a data card for logs, see `examine_logs` and `draft_examined`."""
-    examination = examine_logs(folder, files, answers)
-    return draft_examined(examination, name=name, has_splits=has_splits, system=system)
+    return draft_examined(examine_logs(folder, files, answers))
+
+
+def draft_file(path: Path) -> Draft:
+    """Drafts a card for a single file, which names no records.
+
+    Raises:
+        InputError: the file cannot be read, or has no column of numbers.
+    """
+    examination = examine_logs(path.parent, [path.name])
+    return draft_examined(examination, name=path.stem, has_splits=False)
 
 
 def draft_examined(

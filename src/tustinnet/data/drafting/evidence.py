@@ -100,7 +100,8 @@ class Weights:
             name says a command.
         cause: at most, for an input whose past helps to foresee a position.
         back: share that counts against it where the position foresees the input.
-        no_input: price of a machine that nothing drives.
+        no_input: price of a machine that nothing drives; a quarter less where no name says an
+            input.
         no_position: price of a machine without a motion.
         further_input: price of each further family of inputs.
         stage: price of two stages of one drive, as voltage and current, that are both inputs.
@@ -141,7 +142,7 @@ class Weights:
     follow: float = 4.0
     cause: float = 5.0
     back: float = 0.6
-    no_input: float = 3.0
+    no_input: float = 4.0
     no_position: float = 12.0
     further_input: float = 2.5
     stage: float = 8.0
@@ -291,8 +292,9 @@ class EvidenceTable:
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
         factors = find_copies(records, [numbers[n].count or 0.0 for n in readings])
-        commands = np.array([r.qualifier == "command" for r in self.readings])
-        are_alike = commands == commands[:, None]  # a set point is not what follows it
+        # a set point is not what follows it
+        kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
+        are_alike = [[a == b and a[0] in ("position", "velocity") for a in kinds] for b in kinds]
         self.is_copy = (factors != 0) | (find_other_units(records) & are_alike)
         # joints may move as one, and no torque of one is a multiple of that of another
         is_input = np.array([self.says(i, "input") for i in range(len(self.names))])
