@@ -196,3 +196,15 @@ def test_the_json_of_other_programs_beside_logs_is_left_out_with_a_line(tmp_path
     card, _, _ = draft.text.partition("[splits]")
     (tmp_path / "dataset.toml").write_text(card)
     assert [e.name for e in tn.load(tmp_path)] == ["run0", "run1"]
+
+
+def test_objects_of_a_list_whose_fields_are_long_lists_are_records(tmp_path: Path) -> None:
+    runs = [
+        {"angle": [k + 0.1 * i for i in range(50)], "u": [float(i % 7) for i in range(50)]}
+        for k in range(3)
+    ]
+    (tmp_path / "log.json").write_text(json.dumps({"rate": 50, "data": runs}))
+    columns = read_columns(tmp_path / "log.json")
+    assert len(columns.parts) == 3
+    label = [*columns.parts][1]
+    np.testing.assert_allclose(columns.part(label)["angle"], 1 + 0.1 * np.arange(50))

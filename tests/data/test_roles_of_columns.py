@@ -12,6 +12,7 @@ import tustinnet as tn
 from tustinnet.data.drafting.draft import Draft, draft_card
 from tustinnet.data.drafting.evidence import WEIGHTS, name_evidence
 from tustinnet.data.drafting.names import read_name
+from tustinnet.data.drafting.numbers import examine
 from tustinnet.data.drafting.relations import find_copy
 
 DT = 0.01
@@ -611,6 +612,58 @@ def test_the_rate_of_a_set_point_is_no_input(tmp_path: Path) -> None:
     columns = {"x_position": x, "x_command_position": goal, "x_command_velocity": rate}
     made = draft(tmp_path, {**columns, "x_voltage": u})
     assert [i.column for i in made.choice.inputs] == ["x_voltage"]
+
+
+def test_a_turn_is_found_though_a_sample_is_lost_at_one_of_its_jumps() -> None:
+    angle = np.cumsum(0.5 + 0.2 * np.sin(np.arange(N) / 30))
+    wrapped = np.angle(np.exp(1j * angle))
+    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > 3)
+    kept = np.delete(wrapped, [jumps[3], jumps[3] + 1])
+    assert examine([kept]).wrap == pytest.approx(2 * np.pi)
+
+
+def test_columns_that_are_copies_are_no_position_and_its_velocity(tmp_path: Path) -> None:
+    u = levels(32)
+    x, v = moved_by(u)
+    other, rate = moved_by(levels(33), stiffness=3.0)
+    rows = np.column_stack([x, rate, other, v, rate, rate])
+    np.savetxt(tmp_path / "log.csv", rows, "%.7g", ",")
+    made = draft_card(tmp_path, ["log.csv"])
+    velocities = {c.column: c.velocity.column for c in made.choice.coordinates if c.velocity}
+    assert ("column 2", "column 5") not in velocities.items()
+
+
+def test_a_capital_d_is_a_rate_beside_what_it_is_the_rate_of(tmp_path: Path) -> None:
+    u = levels(34)
+    x, v = moved_by(u)
+    made = draft(tmp_path, {"angle": x, "angleD": v, "u": u})
+    assert uses(made) == {"angle": "coordinate", "angleD": "angle", "u": "input"}
+    terms = draft(tmp_path, {"gyro": v, "axisP": -2 * v, "axisD": np.gradient(v), "motor": u})
+    assert [c.column for c in terms.choice.coordinates] == ["gyro"]
+
+
+def test_beside_numbered_joints_the_pose_and_the_wrench_are_of_the_tool(tmp_path: Path) -> None:
+    u = np.stack([levels(k, 25) for k in range(40, 43)])
+    q, v = np.stack([moved_by(x) for x in u], axis=1)
+    x, y = np.cos(q[0]) + np.cos(q[0] + q[1]), np.sin(q[0]) + np.sin(q[0] + q[1])
+    columns = {f"q{k + 1}": a for k, a in enumerate(q)} | {f"qd{k + 1}": a for k, a in enumerate(v)}
+    columns |= {"x": x, "y": y, "F_x": np.gradient(x), "F_y": np.gradient(y)}
+    made = draft(tmp_path, columns | {f"tau{k + 1}": a for k, a in enumerate(u)})
+    assert [c.column for c in made.choice.coordinates] == ["q1", "q2", "q3"]
+    assert [i.column for i in made.choice.inputs] == ["tau1", "tau2", "tau3"]
+
+
+def test_files_of_set_points_are_no_records(tmp_path: Path) -> None:
+    u = levels(35)
+    x, _ = moved_by(u)
+    for name in ("run_measured", "run_desired", "other"):
+        table = np.column_stack([DT * np.arange(N), x, u])
+        np.savetxt(tmp_path / f"{name}.csv", table, "%.7g", ",", header="t,x,u", comments="")
+    files = ["other.csv", "run_desired.csv", "run_measured.csv"]
+    made = draft_card(tmp_path, files)
+    assert "left out: run_desired.csv: set points by its name" in made.notes
+    assert {r.piece.log.file for r in made.splits.records} == {"other.csv", "run_measured.csv"}
+    assert len(draft_card(tmp_path, files[:2]).splits.records) > 1  # nothing says what was measured
 
 
 def test_terms_of_a_controller_are_neither_inputs_nor_positions(tmp_path: Path) -> None:

@@ -102,6 +102,9 @@ class _Prices:
         is_other = t.is_free | [bool(OUTSIDE & {*r.words}) for r in t.readings]
         sizes = Counter(t.family)
         is_of_many = [sizes[f] > 1 and t.joint[i] is not None for i, f in enumerate(t.family)]
+        joints = {joint for joint in t.joint if joint is not None}
+        members = {f: {t.joint[i] for i, g in enumerate(t.family) if g == f} for f in sizes}
+        drives_all = [len(joints) > 2 and members[f] == joints for f in t.family]
         are_stages = np.array(
             [
                 [
@@ -109,6 +112,8 @@ class _Prices:
                     (
                         t.stage[u] != t.stage[v]
                         or (is_of_many[u] and is_of_many[v] and t.family[u] != t.family[v])
+                        # beside what drives every joint nothing else does
+                        or ((drives_all[u] or drives_all[v]) and t.family[u] != t.family[v])
                     )
                     and not (is_other[u] or is_other[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))
@@ -328,7 +333,7 @@ class Assignment:
             partner = t.names[other]
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
-        says_something = t.readings[i].quantities or role in (_ACCELERATION, _OTHER)
+        says_something = t.readings[i].quantities or role == _OTHER
         return Verdict(
             ROLES[role],
             tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),

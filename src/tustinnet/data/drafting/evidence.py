@@ -69,6 +69,7 @@ _STAGE_OF: dict[Quantity, Stage] = {
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
+_FEWEST_JOINTS = 3  # of an arm with a tool
 _MOTION_UNITS = {*ANGLE, *LENGTH, *ANGULAR_SPEEDS, *LINEAR_SPEEDS}
 
 
@@ -111,6 +112,8 @@ class Weights:
         useless: for leaving out what no card uses: a supply's voltage, a direction of a circle, a
             control error.
         no_slope: price of a velocity of a position of which it is not the slope.
+        other_unit: less for a velocity whose factor the units in the names do not explain.
+        same_unit: relative deviation of a factor that they explain.
         no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
         near_of_numbers: the same of a column that is used and whose name says nothing.
@@ -151,6 +154,8 @@ class Weights:
     alone: float = 4.0
     useless: float = 8.0
     no_slope: float = 2.0
+    other_unit: float = 1.0
+    same_unit: float = 0.1
     no_follow: float = 3.0
     near: float = 2.0
     near_of_numbers: float = 5.0
@@ -296,11 +301,15 @@ class EvidenceTable:
         kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
         are_alike = [[a == b and a[0] in ("position", "velocity") for a in kinds] for b in kinds]
         self.is_copy = (factors != 0) | (find_other_units(records) & are_alike)
-        # joints may move as one, and no torque of one is a multiple of that of another
+        # joints may move as one, and no torque repeats another one, but for pairs of motors
         is_input = np.array([self.says(i, "input") for i in range(len(self.names))])
-        is_multiple = (factors != 0) & (np.abs(np.abs(factors) - 1) > WEIGHTS.circle) & is_input
+        plain = [[w for w in r.words if not w.isdigit()] for r in self.readings]
+        is_other = [[a != b for a in plain] for b in plain]
+        is_multiple = (np.abs(np.abs(factors) - 1) > WEIGHTS.circle) | is_other
+        is_multiple &= (factors != 0) & is_input
         self.slope = _slope_points(slopes, self.readings)
-        self.blocks = find_blocks(self.names, self.slope)
+        self.slope[factors != 0] = -WEIGHTS.no_slope  # what repeats a column is not its rate
+        self.blocks = find_blocks(self.names, self.slope, factors != 0)
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
@@ -326,6 +335,7 @@ class EvidenceTable:
         self._add_errors(records, sums)
         self._add_copies()
         self._add_rates()
+        self._add_tool()
         self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
         self.stage = [stage_of(r) for r in self.readings]
@@ -413,6 +423,21 @@ class EvidenceTable:
                 text = f"'{self.names[i]}' in another unit, or from another zero"
                 self.own[j].append(Evidence("other", WEIGHTS.derived, text))
 
+    def _add_tool(self) -> None:
+        """Evidence against x, y and z beside numbered joints with velocities: of their tool."""
+        w, family = WEIGHTS, np.array(self.family)
+        is_joint = np.array([self.says(i, "position") for i in range(len(self.names))])
+        is_joint &= (self.slope >= w.clear_slope).any(axis=1)
+        counts = np.bincount(family[is_joint])
+        if counts.max(initial=0) < _FEWEST_JOINTS:
+            return
+        for i in np.flatnonzero(family != counts.argmax()).tolist():
+            reading = self.readings[i]
+            is_axis = reading.word.get("position", "") in ("x", "y", "z")
+            if is_axis and not reading.stated(reading.quantities):
+                text = "of the tool, as numbered joints are there"
+                self.own[i].append(Evidence("other", w.useless, text))
+
     def _add_rates(self) -> None:
         """Evidence on derivatives of set points, which drive nothing, and on what is no derivative.
 
@@ -487,6 +512,10 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     points = np.where(fit < clear, -0.25 * w.no_slope, points)
     points = np.where(fit < least, -w.no_slope, points)
     units = [reading.unit for reading in readings]
+    sizes = np.array([(ANGLE | LENGTH).get(unit, np.nan) for unit in units])
+    rates = np.array([(ANGULAR_SPEEDS | LINEAR_SPEEDS).get(unit, np.nan) for unit in units])
+    deviation = np.abs(slopes.factor * rates / sizes[:, None] - 1)  # NaN where a unit is not known
+    points -= w.other_unit * (deviation > w.same_unit)
     is_rate = [not unit or "/" in unit or unit in ("rpm", "g") for unit in units]
     kinds = [reading.kind for reading in readings]
     is_other = [[None not in (a, b) and a != b for b in kinds] for a in kinds]
@@ -508,7 +537,7 @@ def find_families(
         readings: the meaning of the names.
         are_apart: which columns are derivatives or sums of one another. A family of such columns
             is none, and none is one to which all columns belong.
-        is_multiple: which columns are multiples of one another; the later one is of no family.
+        is_multiple: which inputs repeat one another; the later one is of no family.
     """
     known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
     groups: dict[tuple[str, ...], list[int]] = {}
@@ -526,7 +555,9 @@ def find_families(
     return families
 
 
-def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[dict[int, int]]:
+def find_blocks(
+    names: Sequence[str], slope: Float[np.ndarray, "c c"], is_copy: Bool[np.ndarray, "c c"]
+) -> list[dict[int, int]]:
     """Columns without names that come as a block of positions and one of their velocities.
 
     A third one is of as many columns, where there are no others.
@@ -538,6 +569,7 @@ def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[d
     Args:
         names: the columns.
         slope: points for each column as the derivative of each, [i, j].
+        is_copy: which columns repeat one another; of blocks none repeats its partner.
 
     Returns:
         Of each block the places of its columns, by joint; none where there are none.
@@ -557,7 +589,8 @@ def find_blocks(names: Sequence[str], slope: Float[np.ndarray, "c c"]) -> list[d
     pairs = [(a, b) for a, b in strong if b - a == distance]
     positions = {a for a, _ in pairs} - {b for _, b in pairs}  # of three blocks the first
     joints = range(min(positions), max(positions) + 1)
-    if {b for _, b in pairs} & {*joints}:
+    partners = [(place[k], place[k + distance]) for k in joints if {k, k + distance} <= {*place}]
+    if {b for _, b in pairs} & {*joints} or any(is_copy[pair] for pair in partners):
         return []
     blocks = [{k: place[k + d] for k in joints if k + d in place} for d in (0, distance)]
     others = sorted(place.keys() - {k + d for k in joints for d in (0, distance)})

@@ -15,7 +15,7 @@ from tustinnet.data.alignment import find_covered
 from tustinnet.data.columns import NUMBERED, Columns, are_numbers
 from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
-from tustinnet.data.drafting.vocabulary import LINEAR
+from tustinnet.data.drafting.vocabulary import LINEAR, QUALIFIERS, Qualifier
 from tustinnet.data.readers import is_text, read_columns
 from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
@@ -29,6 +29,7 @@ _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17,
 _LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
 _VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
+_RATE = re.compile(r"(.*[a-z])D{1,2}(?![A-Za-z])")  # `angleD`, which is one beside `angle`
 _TERMS = {("p",), ("i",), ("d",)}  # of a controller, by their names
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
@@ -226,7 +227,7 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
     """
     logs: list[Log] = []
     errors: list[InputError] = []
-    for file in files:
+    for file in _without_set_points(files, on_message):
         try:
             logs += _read_file(folder, file)
         except InputError as error:
@@ -240,6 +241,27 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
     for error in errors:
         on_message(f"left out: {error}")
     return logs
+
+
+def _without_set_points(files: Sequence[str], on_message: Callable[[str], None]) -> list[str]:
+    """The files but those whose names say set points, beside the same of what was measured."""
+    marks: dict[Qualifier, set[str]] = {k: QUALIFIERS[k] for k in ("command", "measured")}
+    words = {file: re.findall(r"[^\W_]+", file.lower()) for file in files}
+    of = {
+        (kind, *(w for w in ws if w not in marks[kind]))
+        for ws in words.values()
+        for kind in marks
+        if marks[kind] & {*ws}
+    }
+    left_out = {
+        file
+        for file, ws in words.items()
+        if marks["command"] & {*ws}
+        and ("measured", *(w for w in ws if w not in marks["command"])) in of
+    }
+    for file in left_out:
+        on_message(f"left out: {file}: set points by its name")
+    return [file for file in files if file not in left_out]
 
 
 def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Log]:
@@ -684,12 +706,12 @@ def _is_episode(columns: Sequence[Values]) -> bool:
 def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     """The readings of the names of all columns; `column 3` of a file without names says nothing."""
     units, labels = logs[0].units, logs[0].labels
-    readings = {
-        name: read_name(
-            "" if name.startswith(NUMBERED) else labels.get(name, name), units.get(name, "")
-        )
-        for name in logs[0].values
-    }
+    names = {n: "" if n.startswith(NUMBERED) else labels.get(n, n) for n in logs[0].values}
+    for name, text in names.items():
+        rate = _RATE.match(text)
+        if rate and not any(re.match(rf"{re.escape(rate[1])}(?![A-Za-z])", n) for n in names):
+            names[name] = text.replace(rate[0], rate[1], 1)  # as of `axisD`, a term of a controller
+    readings = {name: read_name(text, units.get(name, "")) for name, text in names.items()}
     words = {word for r in readings.values() for word in r.words}
     if {r.words for r in readings.values()} >= _TERMS:
         term = read_name("error")

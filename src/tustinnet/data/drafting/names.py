@@ -239,10 +239,14 @@ def _read_quantities(
 def _stated_rate(
     quantities: Mapping[Quantity, float], word: Mapping[Quantity, str]
 ) -> Quantity | None:
-    """The derivative that a word says, as `speed` does; `dx` may be a displacement."""
+    """The derivative that a word says, as `speed` does; `dx` may be a displacement.
+
+    `tacho_meters` is the way that a tachometer has counted.
+    """
     rate = max(_SURE_UNITS, key=lambda q: quantities.get(q, 0.0))
     symbol = _SYMBOL.fullmatch(word.get(rate, ""))
-    is_stated = quantities.get(rate, 0.0) >= _STATED and not (symbol and symbol["before"])
+    may_be_way = (symbol and symbol["before"]) or word.get(rate) == "tacho"
+    is_stated = quantities.get(rate, 0.0) >= _STATED and not may_be_way
     return rate if is_stated else None
 
 

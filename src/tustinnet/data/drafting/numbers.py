@@ -196,7 +196,8 @@ def _find_turn(steps: Values, levels: Values) -> float | None:
     counts = [*_TURNS, 2.0**32] if is_whole else [2 * np.pi, 1.0]
     for turn in (360.0, *counts):
         near = extent <= turn * (1 + 2e-3) and extent > 0.8 * turn
-        if near and np.abs(sizes - turn).max() <= 1.5 * others + 1e-3 * turn:
+        # but for jumps over which samples are lost
+        if near and np.quantile(np.abs(sizes - turn), 0.9) <= 1.5 * others + 1e-3 * turn:
             return float(turn)
     return None
 

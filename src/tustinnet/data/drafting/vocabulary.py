@@ -34,7 +34,7 @@ _STRONG: dict[Quantity, str] = {
     "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
     "elevation posicion hoek lage tilt heading",
-    "velocity": "vel velo velocity velocities speed omega tacho tachometer dot qdot "
+    "velocity": "vel velo velocity velocities speed omega tacho dot qdot "
     "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
@@ -60,7 +60,7 @@ _WEAK: dict[Quantity, str] = {
     "position": "q x y z s alpha beta gamma distance abstand dist delta joint gelenk pole "
     "pendulum pendel cart wagen laser sensor arm link beam ball disc scheibe th ang observation "
     "obs state",
-    "velocity": "w v n qd xd xp rpm gyro",
+    "velocity": "w v n qd xd xp rpm gyro tachometer",
     "acceleration": "a imu",
     "voltage": "u v",
     "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo",
@@ -75,7 +75,7 @@ _QUALIFIERS: dict[Qualifier, str] = {
     "command": "cmd command commanded setpoint sp target desired des ref reference soll sollwert "
     "vorgabe goal con fuehrungsgroesse request req set demand planned commands consigna",
     "measured": "meas measured applied act actual ist istwert mess messwert fb feedback raw roh m "
-    "sensor",
+    "cell sensor",
     "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman hat "
     "obs observer",
     "model": "sim simulated model predicted pred",

@@ -3,7 +3,7 @@
 A list of objects or an object a line is a table, as is what is under the keys of an object:
 `{"mass": 0.9, "entries": [{"time": 0.0, "angle": 1.2}, ...]}`. Names within one another are joined
 as `motor/angle`, a list of two numbers is the columns `q[1]` and `q[2]`. Tables of the same columns
-under several keys are records.
+under several keys, or in a list, are records.
 """
 
 import json
@@ -56,6 +56,11 @@ class _Arrays:
         some = [row for row in rows if row is not None]
         lengths = {len(row) for row in some if isinstance(row, list)}
         if some and all(isinstance(row, Mapping) for row in some):
+            lists = [len(x) for row in some for x in row.values() if isinstance(x, list)]
+            if max(lists, default=0) > len(rows):  # each is a record of its own
+                for number, row in enumerate(some, start=1):
+                    self.add(f"{name}/{number}" if name else str(number), row)
+                return
             for key in dict.fromkeys(key for row in some for key in row):
                 values = [None if row is None else row.get(key) for row in rows]
                 self._add_rows(f"{name}/{key}" if name else key, values)
