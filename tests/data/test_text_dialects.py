@@ -403,6 +403,20 @@ def test_messages_between_labelled_numbers_and_a_bare_one_before_them(tmp_path: 
     np.testing.assert_array_equal(columns["Angle"], np.arange(60) / 4)
 
 
+def test_sections_of_a_trace_of_codesys_are_columns(tmp_path: Path) -> None:
+    rows = {name: "".join(f"; {20 * k + 2}; {f(k)}\n" for k in range(40)) for name, f in SIGNALS}
+    sections = "".join(
+        f"{k}.Variable; {name}\n{k}.Class; 14\n{k}.Data; \n{text}"
+        for k, (name, text) in enumerate(rows.items())
+    )
+    columns = read(tmp_path, f"[key]; [value]\nVersion; 0x03050000\n{sections}")
+    assert columns.names == ("time", "Axis.fActPosition", "Axis.fActTorque")
+    np.testing.assert_allclose(columns["Axis.fActTorque"], np.arange(40) % 7)
+
+
+SIGNALS = [("Axis.fActPosition", lambda k: k / 8), ("Axis.fActTorque", lambda k: k % 7)]
+
+
 def test_labelled_numbers_of_a_serial_plotter_are_columns(tmp_path: Path) -> None:
     rows = "".join(f"pot:{k * 3}\tpwm: {k % 5}\n" for k in range(60))
     (tmp_path / "serial.txt").write_text("Ready.\n" + rows)

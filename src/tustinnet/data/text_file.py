@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
+_SECTION = re.compile(r"\d+\.Variable\s*;\s*(\S.*)")
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
 _NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
@@ -264,7 +265,7 @@ def _find_rows(
     if not lines:
         raise InputError(path, "the file holds no samples", "rows of numbers")
     if header is None and delimiter is None:
-        lines = _without_labels(lines)
+        lines = _without_sections(_without_labels(lines))
     tabs = _prefers_tabs(path)
     dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
     if dialect.delimiter != "\t":  # empty cells between tabs are a row
@@ -343,6 +344,18 @@ def _without_labels(lines: Lines) -> Lines:
         for row, line, (names, numbers) in rows[first:]
     ]
     return [*lines[:first], (lines[first][0], "\t".join(usual)), *samples]
+
+
+def _without_sections(lines: Lines) -> Lines:
+    """Lines of a trace of CODESYS, which has a section for each variable, as a long table."""
+    name, rows = "", list[tuple[int, str]]()
+    for row, line in lines:
+        if match := _SECTION.fullmatch(line.strip()):
+            name = match[1]
+        elif name and line.startswith(";"):
+            _, time, value, *_ = (*line.split(";"), "")
+            rows.append((row, f"{time};{name};{value}"))
+    return [(lines[0][0], "time;signal;value"), *rows] if rows else lines
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:
