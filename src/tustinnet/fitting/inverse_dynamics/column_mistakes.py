@@ -19,9 +19,10 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
-from tustinnet.fitting.inverse_dynamics.solver import Prior, solve_in_box
+from tustinnet.fitting.inverse_dynamics.solver import Prior
 from tustinnet.fitting.report import ForceError
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
+from tustinnet.fitting.shooting.least_squares import solve_in_box
 from tustinnet.fitting.shooting.problem import Problem
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.coordinates import rigid_system

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
+from tustinnet.fitting.shooting.least_squares import solve_in_box
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 
 
@@ -259,44 +260,6 @@ def _minimise(
             return vector, cost, number
         vector, (cost, gradient, curvature) = trial, reached
     return vector, cost, SOLVER.steps
-
-
-def solve_in_box(
-    matrix: Float[np.ndarray, "m m"],
-    gradient: Float[np.ndarray, " m"],
-    lower: Float[np.ndarray, " m"],
-    upper: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, " m"]:
-    """The least of a quadratic form within bounds, by exchanging those that are at a bound.
-
-    Args:
-        matrix: second derivatives, positive definite.
-        gradient: first derivatives at 0.
-        lower: lower bounds.
-        upper: upper bounds.
-    """
-    x, at_bound = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
-    for _ in range(30):  # each changes which parameters are at a bound
-        free = ~at_bound
-        target = -gradient[free] - matrix[np.ix_(free, at_bound)] @ x[at_bound]
-        x[free] = np.linalg.solve(matrix[np.ix_(free, free)], target)
-        beyond = (x < lower) | (x > upper)
-        x = np.clip(x, lower, upper)
-        slope = matrix @ x + gradient
-        inwards = at_bound & (((x <= lower) & (slope < 0)) | ((x >= upper) & (slope > 0)))
-        if not beyond.any() and not inwards.any():
-            return x
-        at_bound = (at_bound & ~inwards) | beyond
-    # exchanging several at a time may go round in a circle; one at a time never does
-    import scipy.optimize  # takes half a second, and is rarely needed
-
-    scale = np.sqrt(np.diag(matrix))
-    curvatures, directions = np.linalg.eigh(matrix / np.outer(scale, scale))
-    # rounding may turn the sign of what hardly curves
-    roots = np.sqrt(np.maximum(curvatures, np.finfo(float).eps * curvatures[-1]))
-    right = -(directions.T @ (gradient / scale)) / roots
-    rows, ends = roots[:, None] * directions.T, (lower * scale, upper * scale)
-    return np.asarray(scipy.optimize.lsq_linear(rows, right, ends, method="bvls").x) / scale
 
 
 def _pseudo_inertia(p: Float[np.ndarray, " 10"]) -> Float[np.ndarray, "4 4"]:

@@ -229,8 +229,6 @@ class _Step(NamedTuple):
 def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _Step:
     """The minimum of the damped quadratic model, within the bounds and a factor of e."""
     space, vector, products = cost.space, point.vector, point.products
-    import scipy.optimize  # takes half a second, and what is not identified needs none of it
-
     reduced = eliminate_initial_states(products, damping)
     curvature = cost.prior.curvature(space, vector)
     matrix = reduced.matrices.sum(axis=0) + np.diag(curvature)
@@ -240,17 +238,7 @@ def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _St
 
     low = np.maximum(space.lower - vector, -_LONGEST_STEP)
     high = np.minimum(space.upper - vector, _LONGEST_STEP)
-    unit = 1 / np.sqrt(np.maximum(np.diag(matrix), _TINY))
-    values, vectors = np.linalg.eigh(matrix * np.outer(unit, unit))
-    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    # g's + s'Hs / 2 as the square of a residual, which bounded linear least squares takes
-    solution = scipy.optimize.lsq_linear(
-        (vectors * root).T,
-        -(vectors.T @ (unit * gradient)) / root,
-        bounds=(np.minimum(low, -1e-12) / unit, np.maximum(high, 1e-12) / unit),
-        method="bvls",
-    )
-    step = np.clip(unit * solution.x, low, high)
+    step = solve_in_box(matrix, gradient, low, high)
     decrease = -(2 * gradient @ step + step @ matrix @ step)
     decrease_by_states = -float(np.einsum("sx,sx->", products.gx, reduced.state_step))
     return _Step(
@@ -258,3 +246,32 @@ def _damped_step(cost: CostFunction, point: _SearchPoint, damping: float) -> _St
         reduced.state_step + reduced.state_step_by_parameters @ step,
         float(decrease + decrease_by_states),
     )
+
+
+def solve_in_box(
+    matrix: Float[np.ndarray, "m m"],
+    gradient: Float[np.ndarray, " m"],
+    lower: Float[np.ndarray, " m"],
+    upper: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """The least of a quadratic form within bounds.
+
+    Args:
+        matrix: second derivatives, positive definite but for rounding.
+        gradient: first derivatives at 0.
+        lower: lower bounds.
+        upper: upper bounds.
+    """
+    import scipy.optimize  # takes half a second, and what is not identified needs none of it
+
+    unit = 1 / np.sqrt(np.maximum(np.diag(matrix), _TINY))
+    values, vectors = np.linalg.eigh(matrix * np.outer(unit, unit))
+    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    # the form as the square of a residual, which bounded linear least squares takes
+    solution = scipy.optimize.lsq_linear(
+        (vectors * root).T,
+        -(vectors.T @ (unit * gradient)) / root,
+        bounds=(lower / unit, upper / unit),
+        method="bvls",
+    )
+    return np.clip(unit * solution.x, lower, upper)
