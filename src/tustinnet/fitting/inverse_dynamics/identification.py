@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import scipy.special
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
@@ -36,7 +36,7 @@ from tustinnet.fitting.inverse_dynamics.solver import (
     solve,
 )
 from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, sum_up
-from tustinnet.fitting.report import BaseParameterEstimate, Estimate, ForceError, Identification
+from tustinnet.fitting.report import BaseParameterEstimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
 from tustinnet.fitting.shooting.base_parameters import (
     LinearCoordinates,
@@ -49,6 +49,7 @@ from tustinnet.fitting.shooting.problem import (
     make_model,
     report_step,
 )
+from tustinnet.fitting.shooting.results import make_estimates
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.stages import choose_substeps, update_horizons
 from tustinnet.fitting.shooting.uncertainty import (
@@ -336,7 +337,9 @@ def _make_identification(
     levels = {p.name for p in fit.forces.brought}
     estimates = tuple(
         replace(e, is_informed=e.is_informed and not (e.bound == "lower" and e.name in levels))
-        for e in _estimates(vector, space, deviations, informed)
+        for e in make_estimates(
+            space, vector, deviations, deviations, np.full(len(vector), _QUANTILE), informed
+        )
     )
     base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
     all_findings = [
@@ -621,35 +624,3 @@ def _describe_carried(
                 )
             )
     return carried
-
-
-def _estimates(
-    vector: ParameterVector,
-    space: SearchSpace,
-    deviations: Float[np.ndarray, " n_p"],
-    informed: Bool[np.ndarray, " n_p"],
-) -> tuple[Estimate, ...]:
-    """Estimates of the free parameters, with errors and intervals of those not at a bound."""
-    bounds, values = space.active_bounds(vector), space.to_values_in_range(vector)
-    derivatives, lower, upper = space.derivatives(vector), space.lower, space.upper
-    estimates = []
-    for i, p in enumerate(space.free_parameters):
-        has_error = p.name not in bounds and bool(np.isfinite(deviations[i]))
-        error, half = deviations[i] * abs(derivatives[i]), _QUANTILE * deviations[i]
-        edges = np.clip([vector[i] - half, vector[i] + half], lower[i], upper[i])
-        interval = np.exp(edges) if p.positive else edges * derivatives[i]
-        estimates.append(
-            Estimate(
-                name=p.name,
-                unit=p.unit,
-                value=values[p.name],
-                error=float(error) if has_error else None,
-                naive_error=float(error) if has_error else None,
-                interval=(float(interval[0]), float(interval[1])) if has_error else None,
-                lower=p.lower,
-                upper=p.upper,
-                bound=bounds.get(p.name, ""),
-                is_informed=bool(informed[i]) or p.name in bounds,
-            )
-        )
-    return tuple(estimates)

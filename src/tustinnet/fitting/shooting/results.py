@@ -7,7 +7,7 @@ returns the `Identification`. What is said of it comes from `findings`.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.report import Estimate, Identification, SignAlternatives, Stretch
@@ -23,6 +23,7 @@ from tustinnet.fitting.shooting.problem import (
     score_validation,
 )
 from tustinnet.fitting.shooting.refit import RefitResult
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.fitting.shooting.uncertainty import (
     INFORMED,
     Uncertainty,
@@ -60,10 +61,17 @@ def make_identification(
     )
     # a search that was stopped has no minimum about which the records could be compared
     disagreements = () if state.is_stopped else find_disagreements(problem, state)
-    estimates = _make_estimates(problem, state, uncertainty)
+    # a variance that rounding has made negative is unknown
     with np.errstate(invalid="ignore", divide="ignore"):
-        errors = np.sqrt(np.diag(uncertainty.trusted))
+        errors, naive_errors = (
+            np.sqrt(np.diag(x)) for x in (uncertainty.trusted, uncertainty.naive)
+        )
         correlation = uncertainty.trusted / np.outer(errors, errors)
+    priors = np.array([p.prior or np.inf for p in space.free_parameters])
+    slopes = np.abs(space.derivatives(result.vector))
+    informed = np.isinf(priors) | (errors * slopes < INFORMED * priors)
+    quantiles = _quantiles(problem, space, uncertainty)
+    estimates = make_estimates(space, result.vector, errors, naive_errors, quantiles, informed)
 
     lag = lag_correlation(result.products.error)
     noise_ratio = _residuals_over_noise(result, records)
@@ -133,49 +141,63 @@ def make_identification(
     )
 
 
-def _make_estimates(
-    problem: Problem, state: SearchState, uncertainty: Uncertainty
+def make_estimates(
+    space: SearchSpace,
+    vector: ParameterVector,
+    errors: Float[np.ndarray, " n_p"],
+    naive_errors: Float[np.ndarray, " n_p"],
+    quantiles: Float[np.ndarray, " n_p"],
+    informed: Bool[np.ndarray, " n_p"],
 ) -> tuple[Estimate, ...]:
-    """Estimates of the free parameters, with errors and intervals of those not at a bound."""
-    space, vector = state.space, state.last_result.vector
-    bounds = space.active_bounds(vector)
-    values, derivatives = space.to_values_in_range(vector), space.derivatives(vector)
-    lower, upper = space.lower, space.upper
-    with np.errstate(invalid="ignore"):  # a variance that rounding has made negative is unknown
-        naive_errors = np.sqrt(np.diag(uncertainty.naive)) * np.abs(derivatives)
-        errors = np.sqrt(np.diag(uncertainty.trusted))
+    """Estimates of the free parameters, with errors and intervals of those not at a bound.
+
+    Args:
+        space: the search space.
+        vector: the parameters.
+        errors: standard errors of the vector to trust, NaN where they are not known.
+        naive_errors: standard errors that take residuals for independent noise.
+        quantiles: standard errors that make half an interval.
+        informed: parameters of which the records tell more than the prior.
+    """
+    bounds, values = space.active_bounds(vector), space.to_values_in_range(vector)
+    slopes, lower, upper = space.derivatives(vector), space.lower, space.upper
     estimates = []
     for i, p in enumerate(space.free_parameters):
         has_error = p.name not in bounds and bool(np.isfinite(errors[i]))
-        # only the records of its group inform of a parameter of one group
-        informing = [
-            e for e in problem.records if not p.per or p.name.endswith(f"[{e.group(p.per)}]")
-        ]
-        half = uncertainty.quantile_for_records(len(informing)) * errors[i]
+        half = quantiles[i] * errors[i]
         # beyond its range a value is excluded beforehand
         edges = np.clip([vector[i] - half, vector[i] + half], lower[i], upper[i])
-        interval = np.exp(edges) if p.positive else edges * derivatives[i]
+        low, high = (np.exp(edges) if p.positive else edges * slopes[i]).tolist()
+        error, naive_error = (float(x[i] * abs(slopes[i])) for x in (errors, naive_errors))
         estimates.append(
             Estimate(
                 name=p.name,
                 unit=p.unit,
                 value=values[p.name],
-                error=float(errors[i] * abs(derivatives[i])) if has_error else None,
-                naive_error=(
-                    float(naive_errors[i]) if has_error and np.isfinite(naive_errors[i]) else None
-                ),
-                interval=(float(interval[0]), float(interval[1])) if has_error else None,
+                error=error if has_error else None,
+                naive_error=naive_error if has_error and np.isfinite(naive_error) else None,
+                interval=(low, high) if has_error else None,
                 lower=p.lower,
                 upper=p.upper,
                 bound=bounds.get(p.name, ""),
-                is_informed=(
-                    not p.prior
-                    or p.name in bounds
-                    or bool(errors[i] * abs(derivatives[i]) < INFORMED * p.prior)
-                ),
+                is_informed=p.name in bounds or bool(informed[i]),
             )
         )
     return tuple(estimates)
+
+
+def _quantiles(
+    problem: Problem, space: SearchSpace, uncertainty: Uncertainty
+) -> Float[np.ndarray, " n_p"]:
+    """Standard errors that make half an interval of each free parameter.
+
+    Only the records of its group inform of a parameter of one group.
+    """
+    counts = [
+        sum(not p.per or p.name.endswith(f"[{e.group(p.per)}]") for e in problem.records)
+        for p in space.free_parameters
+    ]
+    return np.array([uncertainty.quantile_for_records(n) for n in counts])
 
 
 def _initial_states_by_record(
