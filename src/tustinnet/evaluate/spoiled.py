@@ -16,7 +16,7 @@ another fit.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -73,8 +73,7 @@ class MisfitLevels(NamedTuple):
 MISFIT = MisfitLevels()
 
 
-@dataclass(frozen=True)
-class _PieceErrors:
+class _PieceErrors(NamedTuple):
     """Squared errors of a record's pieces as functions of changes of parameters.
 
     A piece's mean squared error is `constant - 2 gradient' s + s' curvature s`, each coordinate in
@@ -100,16 +99,10 @@ class _PieceErrors:
 
     def part(self, pieces: slice) -> "_PieceErrors":
         """Some of the pieces."""
-        return _PieceErrors(
-            self.curvature[pieces],
-            self.gradient[pieces],
-            self.constant[pieces],
-            self.motion[pieces],
-        )
+        return _PieceErrors(*(x[pieces] for x in self))
 
 
-@dataclass(frozen=True)
-class _Pieces:
+class _Pieces(NamedTuple):
     """Pieces of a record: residuals and what changes them, (n, samples, n_q, ...).
 
     Attributes:
@@ -213,30 +206,17 @@ def _simulate_pieces(model: Model, records: Sequence[Experiment], samples: int) 
         changed = [(positions(m, start) - base) / _STEP for m in _changed_models(shared)]
         if not changed:  # of a network the gains of its inputs
             for j in range(batch[0].channels.n_u):
-                louder = [replace(e, u=_with_column(e.u, j, (1 + _STEP) * e.u[:, j])) for e in flat]
+                gains = 1 + _STEP * (np.arange(batch[0].channels.n_u) == j)
+                louder = [replace(e, u=gains * e.u) for e in flat]
                 moved = positions(shared, start, input_signals(shared, louder))
                 changed.append((moved - base) / _STEP)
         measured = np.stack([e.q for e in flat])
         by_parameter = np.stack(changed, axis=-1) if changed else np.zeros((*measured.shape, 0))
-        edges = np.cumsum(counts)[:-1]
-        return [
-            _Pieces(*arrays)
-            for arrays in zip(
-                np.split(measured - base, edges),
-                np.split(np.stack(by_state, axis=-1), edges),
-                np.split(by_parameter, edges),
-                np.split(measured, edges),
-                strict=True,
-            )
-        ]
+        whole = (measured - base, np.stack(by_state, axis=-1), by_parameter, measured)
+        by_record = (np.split(x, np.cumsum(counts)[:-1]) for x in whole)
+        return [_Pieces(*arrays) for arrays in zip(*by_record, strict=True)]
 
     return map_in_batches(with_dtype(model, np.float64).simplify(), records, simulate_batch)
-
-
-def _with_column(u: np.ndarray, j: int, column: np.ndarray) -> np.ndarray:
-    changed = u.copy()
-    changed[:, j] = column
-    return changed
 
 
 def _changed_models(model: Model) -> list[Model]:
@@ -286,11 +266,10 @@ def _with_friction(
     size_of_change = np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=(0, 1, 2))) + 1e-300
     usual = np.sqrt(np.mean(np.concatenate([p.residual for p in pieces]) ** 2))
     return [
-        replace(
-            p,
+        p._replace(
             by_parameter=np.concatenate(
                 [p.by_parameter, change * (usual / size_of_change)], axis=-1
-            ),
+            )
         )
         for p, change in zip(pieces, changes, strict=True)
     ]
@@ -337,22 +316,15 @@ def _best_change(errors: Sequence[_PieceErrors]) -> Float[np.ndarray, " n_p"]:
 
     Pieces weigh the less, the larger their error (Cauchy).
     """
-    curvature = np.concatenate([e.curvature for e in errors])
-    gradient = np.concatenate([e.gradient for e in errors])
-    constant, motion = (
-        np.concatenate([getattr(e, name) for e in errors]) for name in ("constant", "motion")
-    )
-    together = _PieceErrors(curvature, gradient, constant, motion)
-    change = np.zeros(gradient.shape[1])
+    together = _PieceErrors(*map(np.concatenate, zip(*errors, strict=True)))
+    change = np.zeros(together.gradient.shape[1])
     for _ in range(8):
         squared = together.errors(change) ** 2
         weight = 1 / (1 + squared / (4 * np.median(squared)))
-        total = np.einsum("k,kst->st", weight, curvature)
+        total = np.einsum("k,kst->st", weight, together.curvature)
         # of a usual squared error, for a change of a parameter by itself
         ridge = 1e-3 * len(weight) + 1e-12 * np.trace(total)
-        change = np.linalg.solve(
-            total + ridge * np.eye(len(change)), np.einsum("k,ks->s", weight, gradient)
-        )
+        change = np.linalg.solve(total + ridge * np.eye(len(change)), weight @ together.gradient)
     return change
 
 
@@ -487,5 +459,5 @@ def _is_friction(
 
 def _running_median(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Median of each value and those beside it, (n,)."""
-    padded = np.concatenate([values[:1], values, values[-1:]])
-    return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+    padded = np.pad(values, 1, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
