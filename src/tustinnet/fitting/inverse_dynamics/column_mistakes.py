@@ -8,12 +8,11 @@ which the priors hold near the file. What explains the records clearly better is
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.finding import Finding, make_finding
@@ -52,8 +51,7 @@ _MISTAKES = 3  # that are looked for one after the other
 _RECORDS, _SECONDS = 4, 20.0  # that are enough to tell, and their length
 
 
-@dataclass(frozen=True)
-class _Change:
+class _Change(NamedTuple):
     """A change of the columns that would mend a mistake.
 
     Attributes:
@@ -61,21 +59,16 @@ class _Change:
         joints: indices of the joints whose columns are changed.
         factors: factors of the position columns, (n,).
         order: of each joint the index of its position column, (n,).
-        columns: of each joint the factor of each column of forces, (n, n).
+        columns: of each joint, in a row, the factor of each column of forces, (n, n).
         free: joints whose force has an unknown factor in common.
     """
 
     kind: str
     joints: tuple[int, ...]
-    factors: tuple[float, ...]
-    order: tuple[int, ...]
-    columns: tuple[tuple[float, ...], ...]
+    factors: Float[np.ndarray, " n"]
+    order: Int[np.ndarray, " n"]
+    columns: Float[np.ndarray, "n n"]
     free: tuple[int, ...] = ()
-
-    @property
-    def geometry(self) -> tuple[tuple[float, ...], tuple[int, ...]]:
-        """Changes of the positions: factors, and the order of the columns."""
-        return self.factors, self.order
 
 
 class _Outcome(NamedTuple):
@@ -235,8 +228,7 @@ class _Comparison:
 
     def find_mistakes(self) -> list[Finding]:
         """Mistakes, one after the other as long as each explains clearly more."""
-        identity = tuple(tuple(row) for row in np.eye(self.n).tolist())
-        current = _Change("", (), (1.0,) * self.n, tuple(range(self.n)), identity)
+        current = _Change("", (), np.ones(self.n), np.arange(self.n), np.eye(self.n))
         mistakes: list[Finding] = []
         before = self._explain(current)
         while len(mistakes) < _MISTAKES:
@@ -254,11 +246,9 @@ class _Comparison:
                 if outcome.total < _EQUAL**2 * after.total and {*change.joints} == {*best.joints}
             ]
             mistakes.append(self._describe(best, alike, before, after))
-            gains = np.array(best.columns)
-            gains[[*best.free]] *= after.gain
-            current = replace(
-                best, columns=tuple(tuple(row) for row in gains.tolist()), free=(), kind=""
-            )
+            columns = best.columns.copy()
+            columns[[*best.free]] *= after.gain
+            current = best._replace(kind="", columns=columns, free=())
             before = after
         return mistakes
 
@@ -281,35 +271,32 @@ class _Comparison:
         recorded = np.einsum("ki,ij,kj->k", current.columns, self.products, current.columns)
         driven = [k for k in range(self.n) if recorded[k] > 0]
         for k in driven:
-            yield replace(current, kind="gain", joints=(k,), free=(k,))
+            yield current._replace(kind="gain", joints=(k,), free=(k,))
         if len(driven) > 1:
-            yield replace(current, kind="gains", joints=tuple(driven), free=tuple(driven))
-        columns = np.array(current.columns)
+            yield current._replace(kind="gains", joints=tuple(driven), free=tuple(driven))
+        signs = 1 - 2 * np.eye(self.n)  # in a row those with that of one joint reversed
         for k in range(self.n):
-            factors = tuple(-x if j == k else x for j, x in enumerate(current.factors))
-            yield replace(current, kind="positions", joints=(k,), factors=factors)
-            turned = _turned(current.columns, (k,))
-            yield replace(current, kind="both", joints=(k,), factors=factors, columns=turned)
-        for pair in itertools.combinations(driven, 2):
-            yield replace(
-                current, kind="signs", joints=pair, columns=_turned(current.columns, pair)
-            )
+            factors, turned = current.factors * signs[k], current.columns * signs[k][:, None]
+            yield current._replace(kind="positions", joints=(k,), factors=factors)
+            yield current._replace(kind="both", joints=(k,), factors=factors, columns=turned)
+        for i, j in itertools.combinations(driven, 2):
+            turned = current.columns * (signs[i] * signs[j])[:, None]
+            yield current._replace(kind="signs", joints=(i, j), columns=turned)
         is_wide = [k for k in range(self.n) if self.kinds[k] == "angular" and self.spans[k] > _TURN]
         for joints in {(k,) for k in is_wide} | ({(*is_wide,)} if is_wide else set()):
-            factors = tuple(
-                np.radians(x) if j in joints else x for j, x in enumerate(current.factors)
-            )
-            yield replace(current, kind="degrees", joints=joints, factors=factors)
+            factors = current.factors.copy()
+            factors[[*joints]] *= np.radians(1.0)
+            yield current._replace(kind="degrees", joints=joints, factors=factors)
         for i, j in itertools.combinations(range(self.n), 2):
             if self.kinds[i] != self.kinds[j]:
                 continue
-            order, swapped = [*current.order], columns.copy()
-            order[i], order[j] = order[j], order[i]
-            swapped[[i, j]] = swapped[[j, i]]
-            rows = tuple(tuple(row) for row in swapped.tolist())
-            yield replace(current, kind="forces", joints=(i, j), columns=rows)
-            yield replace(current, kind="positions", joints=(i, j), order=tuple(order))
-            yield replace(current, kind="both", joints=(i, j), order=tuple(order), columns=rows)
+            places = np.arange(self.n)
+            places[[i, j]] = j, i
+            swapped = current._replace(joints=(i, j))
+            order, columns = current.order[places], current.columns[places]
+            yield swapped._replace(kind="forces", columns=columns)
+            yield swapped._replace(kind="positions", order=order)
+            yield swapped._replace(kind="both", order=order, columns=columns)
 
     def _products(self, change: _Change) -> Float[np.ndarray, "n m m"]:
         """Products of the columns of each joint with its positions changed, once for each.
@@ -317,12 +304,16 @@ class _Comparison:
         The columns are the derivatives of its missing force, the recorded forces, and what the
         motion needs with the nominal values.
         """
-        if (computed := self.products_by_geometry.get(change.geometry)) is not None:
+        geometry = *change.factors, *change.order
+        if (computed := self.products_by_geometry.get(geometry)) is not None:
             return computed
-        centre, order = self.prior.centre, [*change.order]
+        centre = self.prior.centre
         changed = tuple(
             part._replace(
-                **{name: getattr(part, name)[:, order] * change.factors for name in ("q", "v", "a")}
+                **{
+                    name: getattr(part, name)[:, change.order] * change.factors
+                    for name in ("q", "v", "a")
+                }
             )
             for part in self.parts
         )
@@ -334,13 +325,13 @@ class _Comparison:
             every = np.broadcast_to(forces[:, None], (len(forces), self.n, self.n))
             rows = np.concatenate([own.slopes @ by_vector, every, own.needed[..., None]], axis=2)
             products = products + own.weight * np.einsum("tki,tkj->kij", rows, rows, optimize=True)
-        self.products_by_geometry[change.geometry] = products = np.asarray(products)
+        self.products_by_geometry[geometry] = products = np.asarray(products)
         return products
 
     def _explain(self, change: _Change) -> _Outcome:
         """The missing forces under a change, with the parameters and the factor that suit it."""
         products, n, n_p = self._products(change), self.n, len(self.prior.centre)
-        columns, is_free = np.array(change.columns), np.zeros(n, bool)
+        columns, is_free = change.columns, np.zeros(n, bool)
         is_free[[*change.free]] = True
         n_x = n_p + bool(change.free)
         # from parameters, the factor and 1 to what multiplies the columns of each joint
@@ -403,13 +394,6 @@ def take_busiest_part(record: Experiment, samples: int) -> Experiment:
     until, samples = np.concatenate([[0.0], np.cumsum(moved)]), min(samples, len(record))
     begin = int(np.argmax(until[samples - 1 :] - until[: len(until) - samples + 1]))
     return record[begin : begin + samples]
-
-
-def _turned(
-    columns: tuple[tuple[float, ...], ...], joints: Sequence[int]
-) -> tuple[tuple[float, ...], ...]:
-    """Factors of columns of forces, those of some joints with the other sign."""
-    return tuple(tuple(-x if k in joints else x for x in row) for k, row in enumerate(columns))
 
 
 def _unit_of(gain: float) -> str:
