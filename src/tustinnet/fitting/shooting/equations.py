@@ -2,8 +2,8 @@
 
 The engine takes parameters as rows of numbers. `SystemEquations` says which parameter is in which
 column of such a row, and has the formulas: the derivative of the state, the momentum balance, the
-derivative of the state linearised about a state, and the internal states that are expected at the
-beginning of a record.
+derivative of measured states linearised about them, and the internal states that are expected at
+the beginning of a record.
 """
 
 from collections.abc import Mapping
@@ -106,22 +106,6 @@ class SystemEquations:
         return self.system.states.initial_needs_inputs
 
     @cached_property
-    def balanced_internal_states(self) -> Formula:
-        """Internal states that follow inputs, by the state, the inputs and the parameters.
-
-        See `LagrangianModel.balanced_internal`.
-        """
-        channels, n_x, n_u = self.system.channels, self.motion.n_x, len(self.system.inputs)
-
-        def balanced(point: Array) -> Array:
-            model = self.system.model(self.values_in_row(point[n_x + n_u :]))
-            q, v = point[channels.position], point[channels.velocity]
-            return model.balanced_internal(q, v, point[n_x : n_x + n_u])
-
-        where = f"system '{self.system.name}'"
-        return Formula(balanced, n_x + n_u + self.n_columns, range(0), where)
-
-    @cached_property
     def momentum_and_force(self) -> Formula:
         """Momentum and generalised force, (2 n_q,), by [q, v], the inputs and the parameters.
 
@@ -152,28 +136,28 @@ class SystemEquations:
         )
 
     @cached_property
-    def state_derivative(self) -> Formula:
-        """Derivative of the state by time, by the state, the inputs and the parameters.
+    def measured_derivative(self) -> Formula:
+        """Derivative of [q, v] by time, by a change of [q, v], themselves, inputs and parameters.
 
-        Differentiated by the state.
+        Differentiated by the change, which internal states do not follow: those that inputs drive
+        are balanced without it, see `LagrangianModel.balanced_internal`.
         """
-        n_x, n_u = self.motion.n_x, len(self.system.inputs)
+        channels, n_m = self.system.channels, self.system.channels.measured.stop
+        ends = np.cumsum([n_m, n_m, channels.n_u])
 
         def derivative(point: Array) -> Array:
-            model = self.system.model(self.values_in_row(point[n_x + n_u :]))
-            return model.derivative(point[:n_x], point[n_x : n_x + n_u])
+            change, measured, u, row = jnp.split(point, ends)
+            model = self.system.model(self.values_in_row(row))
+            q, v = measured[channels.position], measured[channels.velocity]
+            x = jnp.concatenate([measured + change, model.balanced_internal(q, v, u)])
+            return model.derivative(x, u)[channels.measured]
 
         where = f"system '{self.system.name}'"
-        return Formula(derivative, n_x + n_u + self.n_columns, range(n_x), where)
-
-    def _values_by_name(self, p: Any, c: Any) -> dict[str, Any]:
-        """Values by name of the free parameters `p` and of the others, which `c` begins with."""
-        free = {name: p[i] for i, name in enumerate(self.free_names)}
-        return free | {name: c[i] for i, name in enumerate(self.other_names)}
+        return Formula(derivative, int(ends[-1]) + self.n_columns, range(n_m), where)
 
     def values_in_row(self, parameters: Any) -> dict[str, Any]:
         """Values by name of a row of `parameter_rows`."""
-        return self._values_by_name(parameters[: self.n_p], parameters[self.n_p :])
+        return {name: parameters[i] for i, name in enumerate((*self.free_names, *self.other_names))}
 
     def parameter_rows(
         self, values: Mapping[str, float], group_indices: GroupIndices

@@ -65,30 +65,22 @@ def find_horizons(
     # remembers is no part of the measured states
     system = rigid_system(without_controller_states(system))
     equations, values = system_equations(system), space.to_values(vector)
-    channels = system.channels
     horizons = {}
     for e, indices in zip(experiments, group_indices, strict=True):
         if not e.forced:  # nothing holds it: what grows in the model grows in the record too
             continue
         states = e.measured_states()
-        n_m, n_x = states.shape[1], states.shape[1] + len(system.internal)
+        n_m = states.shape[1]
         parameters = equations.parameter_rows(values, indices[None])
         spread = states.std(axis=0)
         unit = np.where(spread > 0, spread, 1.0)
         a = np.empty((len(e) - 1, n_m, n_m))
         for k in range(0, len(a), _AT_ONCE):
             part = slice(k, min(k + _AT_ONCE, len(a)))
-            points = np.zeros((part.stop - k, n_x + e.u.shape[1] + parameters.shape[1]))
-            points[:, :n_m] = states[part]
-            points[:, n_x:] = np.concatenate(
-                [e.u[part], np.broadcast_to(parameters, (len(points), parameters.shape[1]))], axis=1
-            )
-            # internal states stay at zero, except where they follow inputs
-            if system.states.memory.has_inputs:
-                points[:, n_m:n_x] = evaluate(equations.balanced_internal_states, points)
-            jacobian = evaluate(equations.state_derivative, points, derivatives=True)
-            measured = jacobian.reshape(-1, n_x, n_x)[:, channels.measured, channels.measured]
-            a[part] = measured / unit[:, None] * unit
+            given = states[part], e.u[part], np.repeat(parameters, part.stop - k, axis=0)
+            points = np.concatenate([np.zeros_like(given[0]), *given], axis=1)
+            jacobian = evaluate(equations.measured_derivative, points, derivatives=True)
+            a[part] = jacobian.reshape(-1, n_m, n_m) / unit[:, None] * unit
         growth = _bearable_growth(e, spread)
         if np.isfinite(a).all() and (steps := steps_before_growth(a, e.dt, block, growth)):
             horizons[e.name] = steps
