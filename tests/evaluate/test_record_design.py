@@ -104,12 +104,12 @@ def test_the_derivatives_of_the_search_are_those_of_its_cost():
         system.channels,
     )
     dynamics = record_design._Dynamics(system, prior_knowledge(system, {}), {})
-    shapes, box = record_design._Shapes(limits, OPTIONS), record_design._Box(limits, 0.1)
+    motions = record_design._Motions(dynamics, limits, OPTIONS)
     problem = record_design._Problem(
-        dynamics, shapes, box, np.eye(len(dynamics.units)), np.full(4, 1e3), np.arange(48) / 12
+        motions, np.eye(len(dynamics.units)), np.full(4, 1e3), np.arange(48) / 12
     )
     rng = np.random.default_rng(0)
-    x, along, h = rng.normal(size=(shapes.count, 4)), rng.normal(size=(shapes.count, 4)), 1e-4
+    x, along, h = rng.normal(size=(motions.count, 4)), rng.normal(size=(motions.count, 4)), 1e-4
     for penalty in (0.0, 0.5):
         _, gradient = problem.cost(x, penalty)
         after, before = (problem.cost(x + side * h * along, penalty)[0] for side in (1, -1))

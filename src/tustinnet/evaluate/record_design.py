@@ -16,7 +16,7 @@ References:
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -265,17 +265,7 @@ class RecordDesign:
             "noise": dict(zip(names, self.noise.tolist(), strict=True)),
             "random_errors_by_these": self.by_random,
             "stopped": self.stopped,
-            "base_parameters": [
-                {
-                    "name": b.name,
-                    "unit": b.unit,
-                    "terms": dict(b.terms),
-                    "file": b.file,
-                    "known": b.known,
-                    "expected": b.expected,
-                }
-                for b in self.base_parameters
-            ],
+            "base_parameters": [asdict(b) for b in self.base_parameters],
         }
 
 
@@ -489,40 +479,32 @@ def design_record(
         require_inputs(system)
         knowledge = fitted_knowledge(mechanics, (header or {}).get("identification"), groups)
     box = gather_limits(system, within or {}, limits or {}, channels)
-    return find_motion(
-        system, knowledge, box, options or usual, groups=groups, on_progress=on_progress
-    )
+    return _find_motion(system, knowledge, box, options or usual, groups, on_progress)
 
 
-def find_motion(
+def _find_motion(
     system: LagrangianSystem,
     knowledge: Knowledge,
     limits: DesignLimits,
     options: DesignOptions,
-    *,
-    groups: Mapping[str, str] | None = None,
-    on_progress: Callable[[DesignProgress], None] | None = None,
+    groups: Mapping[str, str],
+    on_progress: Callable[[DesignProgress], None] | None,
 ) -> RecordDesign:
-    """Finds the motion of `design_record`, by what is known of the parameters and all limits."""
+    """The motion of `design_record`, by what is known of the parameters and all limits."""
     require_float64(_PLACE)
-    require_inputs(system)
     start_time = time.monotonic()
-    dynamics = _Dynamics(system, knowledge, groups or {})
-    shapes = _Shapes(limits, options)
+    dynamics = _Dynamics(system, knowledge, groups)
+    motions = _Motions(dynamics, limits, options)
     rng = np.random.default_rng(options.seed)
-    _require_actuated(system, dynamics, limits, shapes, rng)
-    box = _Box(limits, options.margin)
+    _require_actuated(system, motions, limits, rng)
     t = np.arange(round(options.seconds / options.dt) + 1) * options.dt
     judged = np.arange(_POINTS_A_PERIOD * options.harmonics) / (_POINTS_A_PERIOD * options.highest)
     every = np.union1d(judged, t[t < 1 / options.base_frequency])
-    starts = [
-        _random_motion(system, dynamics, shapes, box, every, rng) for _ in range(options.starts)
-    ]
-    noise = _choose_noise(knowledge, options, dynamics, shapes, starts, judged)
+    starts = [_random_motion(system, motions, every, rng) for _ in range(options.starts)]
+    noise = _choose_noise(knowledge, options, motions, starts, judged)
     count = compared_samples(options.seconds, cutoff_for(options.highest, options.dt))
     prior_information = _information(knowledge, dynamics)
-    weights = count / len(judged) / noise**2
-    problem = _Problem(dynamics, shapes, box, prior_information, weights, judged)
+    problem = _Problem(motions, prior_information, count / len(judged) / noise**2, judged)
     by_start = [problem.information(x) for x in starts]
     first = by_start[0][0]
     results, stopped = [], False
@@ -537,12 +519,12 @@ def find_motion(
                 on_progress(DesignProgress(k + 1, options.starts, iteration, -cost - first))
 
         solution, is_late = _search(problem, x, options.iterations, deadline, on_step)
-        reached = _shrink(solution, dynamics, shapes, box, every)
+        reached = motions.shrink(solution, every)
         results.append(x if reached is None else reached)
         stopped = stopped or is_late
     by_result = [problem.information(x) for x in results]
     best = int(np.argmax([logarithm for logarithm, _ in by_result]))
-    combinations = _find_combinations(dynamics, shapes, noise, rng)
+    combinations = _find_combinations(motions, noise, rng)
     factors = combinations.factors
     file = _errors(factors, dynamics.prior_information)
     before = None if knowledge.covariance is None else _errors(factors, prior_information)
@@ -550,15 +532,12 @@ def find_motion(
     ratios = [
         np.exp(np.mean(np.log(_errors(factors, matrix) / expected))) for _, matrix in by_start
     ]
-    motion = shapes.motion(results[best])
-    q, v, a = motion.sample(t)
-    u, force = np.split(dynamics.actuation(np.concatenate([q, v, a], axis=1)), 2, axis=1)
-    channels = replace(system.channels, dt=options.dt)
+    q, v, a, u, force = np.split(motions.along(results[best], t), 5, axis=1)
     return RecordDesign(
-        channels,
+        replace(system.channels, dt=options.dt),
         options,
         limits,
-        motion,
+        motions.motion(results[best]),
         t,
         q,
         v,
@@ -570,90 +549,6 @@ def find_motion(
         float(np.median(ratios)),
         stopped,
     )
-
-
-class _Shapes:
-    """Motions as vectors: the offset and the size of each shape, by coordinate.
-
-    Args:
-        limits: the limits, by which vectors are about 1.
-        options: harmonics and base frequency.
-
-    Attributes:
-        count: number of rows of a vector.
-        middle: middle of the positions, (n_q,).
-        sizes: half of the ranges of position, velocity and acceleration, (3, n_q); acceleration
-            by the limit, or what the highest harmonic has at the largest velocity.
-    """
-
-    def __init__(self, limits: DesignLimits, options: DesignOptions) -> None:
-        ends = np.array([own.position for own in limits.motion])
-        velocity = np.array([own.velocity for own in limits.motion])
-        # None becomes NaN
-        acceleration = np.array([own.acceleration for own in limits.motion], float)
-        usual = 2 * np.pi * options.highest * velocity
-        acceleration = np.where(np.isnan(acceleration), usual, acceleration)
-        self.middle = ends.mean(axis=1)
-        self.sizes = np.stack([(ends[:, 1] - ends[:, 0]) / 2, velocity, acceleration])
-        self._options = options
-        self._shapes = motions_from_rest(options.harmonics, options.base_frequency)
-        self.count = 1 + len(self._shapes)
-
-    def motion(self, x: Float[np.ndarray, "count n_q"]) -> FourierMotion:
-        """The motion of a vector."""
-        offset = self.middle + self.sizes[0] * x[0]
-        sine, cosine = np.split(self._shapes.T @ (x[1:] * self.sizes[1]), 2)
-        return FourierMotion(self._options.base_frequency, offset, sine, cosine)
-
-    def points(
-        self, x: Float[np.ndarray, "count n_q"], t: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "n n_m"]:
-        """Positions, velocities and accelerations of a vector at times, (n, 3 n_q)."""
-        return np.concatenate(self.motion(x).sample(t), axis=1)
-
-    def gradient(
-        self, by_points: Float[np.ndarray, "n n_m"], t: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "count n_q"]:
-        """Derivatives by the vector, from those by the points at times."""
-        sine, cosine = harmonics(self._options.harmonics, self._options.base_frequency, t)
-        values = np.concatenate([sine, cosine], axis=2) @ self._shapes.T  # (3, n, shapes)
-        parts = np.stack(np.split(by_points, 3, axis=1))
-        shapes = np.einsum("dns,dnq->sq", values, parts) * self.sizes[1]
-        return np.concatenate([(parts[0].sum(axis=0) * self.sizes[0])[None], shapes])
-
-
-class _Box:
-    """Limits of points and actuation as one box, less a margin.
-
-    Args:
-        limits: the limits.
-        margin: share of each that is kept free.
-    """
-
-    def __init__(self, limits: DesignLimits, margin: float) -> None:
-        middles, halves = [], []
-        ranges: list[list[tuple[float, float] | None]] = [
-            [own.position for own in limits.motion],
-            *(
-                [None if x is None else (-x, x) for x in column]
-                for column in (
-                    [own.velocity for own in limits.motion],
-                    [own.acceleration for own in limits.motion],
-                )
-            ),
-            list(limits.inputs),
-            [None if own.force is None else (-own.force, own.force) for own in limits.motion],
-        ]
-        for column in ranges:
-            for ends in column:
-                low, high = ends or (-np.inf, np.inf)
-                middles.append((low + high) / 2 if ends else 0.0)
-                halves.append((1 - margin) * (high - low) / 2)
-        self.middle, self.half = np.array(middles), np.array(halves)
-
-    def shares(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """Points and actuation by the limits: within -1 and 1 where they are kept."""
-        return (values - self.middle) / self.half
 
 
 class _Dynamics:
@@ -750,13 +645,111 @@ class _Dynamics:
         return rows.reshape(len(points), self._n, -1)
 
 
+class _Motions:
+    """Motions as vectors: the offset and the size of each shape, by coordinate.
+
+    Limits of points and of actuation are one box, less a margin.
+
+    Args:
+        dynamics: the dynamics.
+        limits: the limits, by which vectors are about 1.
+        options: harmonics, base frequency, and the share of each limit that is kept free.
+
+    Attributes:
+        dynamics: the dynamics.
+        count: number of rows of a vector.
+        middle: middle of the positions, (n_q,).
+        sizes: half of the ranges of position, velocity and acceleration, (3, n_q); acceleration
+            by the limit, or what the highest harmonic has at the largest velocity.
+        half: half of the box, (5 n_q,).
+    """
+
+    def __init__(self, dynamics: _Dynamics, limits: DesignLimits, options: DesignOptions) -> None:
+        position, velocity, acceleration, force = (
+            [getattr(own, name) for own in limits.motion]
+            for name in ("position", "velocity", "acceleration", "force")
+        )
+        both_ways = [
+            [None if x is None else (-x, x) for x in ends]
+            for ends in (velocity, acceleration, force)
+        ]
+        ranges = [*position, *both_ways[0], *both_ways[1], *limits.inputs, *both_ways[2]]
+        self._box_middle = np.array([np.mean(ends) if ends else 0.0 for ends in ranges])
+        sizes = np.array([np.ptp(ends) if ends else np.inf for ends in ranges])
+        self.half = (1 - options.margin) * sizes / 2
+        n, usual = len(position), 2 * np.pi * options.highest * np.array(velocity)
+        self.middle, (size, speed, most) = self._box_middle[:n], np.split(sizes[: 3 * n] / 2, 3)
+        self.sizes = np.stack([size, speed, np.where(np.isfinite(most), most, usual)])
+        self.dynamics, self._options = dynamics, options
+        self._shapes = motions_from_rest(options.harmonics, options.base_frequency)
+        self.count = 1 + len(self._shapes)
+
+    def motion(self, x: Float[np.ndarray, "count n_q"]) -> FourierMotion:
+        """The motion of a vector."""
+        offset = self.middle + self.sizes[0] * x[0]
+        sine, cosine = np.split(self._shapes.T @ (x[1:] * self.sizes[1]), 2)
+        return FourierMotion(self._options.base_frequency, offset, sine, cosine)
+
+    def points(
+        self, x: Float[np.ndarray, "count n_q"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n n_m"]:
+        """Positions, velocities and accelerations of a vector at times, (n, 3 n_q)."""
+        return np.concatenate(self.motion(x).sample(t), axis=1)
+
+    def along(
+        self, x: Float[np.ndarray, "count n_q"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n m"]:
+        """Points of a vector at times, and the actuation that they need, (n, 5 n_q)."""
+        points = self.points(x, t)
+        return np.concatenate([points, self.dynamics.actuation(points)], axis=1)
+
+    def shares(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        """Points and actuation by the limits: within -1 and 1 where they are kept."""
+        return (values - self._box_middle) / self.half
+
+    def shrink(
+        self, x: Float[np.ndarray, "count n_q"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "count n_q"] | None:
+        """A motion made smaller until it keeps the limits at all times; None if its pose cannot."""
+
+        def scaled(size: float) -> Float[np.ndarray, "count n_q"]:
+            return np.concatenate([x[:1], size * x[1:]])
+
+        def is_within(size: float) -> bool:
+            return bool((np.abs(self.shares(self.along(scaled(size), t))) <= 1).all())
+
+        if is_within(1.0):
+            return x
+        if not is_within(0.0):
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(30):
+            middle = (low + high) / 2
+            low, high = (middle, high) if is_within(middle) else (low, middle)
+        return scaled(low)
+
+    def gradient(
+        self, by_points: Float[np.ndarray, "n n_m"], t: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "count n_q"]:
+        """Derivatives by the vector, from those by the points at times."""
+        sine, cosine = harmonics(self._options.harmonics, self._options.base_frequency, t)
+        values = np.concatenate([sine, cosine], axis=2) @ self._shapes.T  # (3, n, shapes)
+        parts = np.stack(np.split(by_points, 3, axis=1))
+        shapes = np.einsum("dns,dnq->sq", values, parts) * self.sizes[1]
+        return np.concatenate([(parts[0].sum(axis=0) * self.sizes[0])[None], shapes])
+
+    def random_points(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n n_m"]:
+        """Random positions, velocities and accelerations within limits, (n, 3 n_q)."""
+        points = rng.uniform(-1, 1, (count, *self.sizes.shape)) * self.sizes
+        points[:, 0] += self.middle
+        return points.reshape(count, -1)
+
+
 class _Problem:
     """The search for a motion: information, and how far limits are exceeded.
 
     Args:
-        dynamics: the dynamics.
-        shapes: the motions.
-        box: the limits.
+        motions: the motions, with their dynamics and limits.
         prior_information: information before the record, in standard deviations of the priors,
             (n_p, n_p).
         weights: weight of a squared force of each coordinate at a point, (n_q,).
@@ -765,24 +758,22 @@ class _Problem:
 
     def __init__(
         self,
-        dynamics: _Dynamics,
-        shapes: _Shapes,
-        box: _Box,
+        motions: _Motions,
         prior_information: Float[np.ndarray, "n_p n_p"],
         weights: Float[np.ndarray, " n_q"],
         t: Float[np.ndarray, " n"],
     ) -> None:
-        self._dynamics, self._shapes, self._box = dynamics, shapes, box
+        self._motions, self._dynamics = motions, motions.dynamics
         self._prior_information = prior_information
         self._weights, self._t, self._n = weights, t, len(weights)
         # derivatives are differences over a share of the limits of a motion
-        self._steps = 1e-5 * shapes.sizes.ravel()
+        self._steps = 1e-5 * motions.sizes.ravel()
 
     def information(
         self, x: Float[np.ndarray, "count n_q"]
     ) -> tuple[float, Float[np.ndarray, "n_p n_p"]]:
         """Half the logarithm of the determinant of the information of a motion, and the matrix."""
-        points = self._shapes.points(x, self._t)
+        points = self._motions.points(x, self._t)
         u = self._dynamics.actuation(points)[:, : self._n]
         matrix = self._matrix(self._dynamics.slopes(points, u) @ self._dynamics.selection)
         return float(np.linalg.slogdet(matrix)[1]) / 2, matrix
@@ -798,7 +789,7 @@ class _Problem:
 
         Derivatives by the points are central differences, for a point costs a microsecond.
         """
-        points = self._shapes.points(x, self._t)
+        points = self._motions.points(x, self._t)
         n, n_m = points.shape
         moved = points[:, None] + np.concatenate([np.diag(self._steps), -np.diag(self._steps)])
         everywhere = np.concatenate([points, moved.reshape(-1, n_m)])
@@ -808,12 +799,12 @@ class _Problem:
         own = slopes[:n] @ selection
         matrix = self._matrix(own)
         _, logarithm = np.linalg.slogdet(matrix)
-        shares = self._box.shares(np.concatenate([points, actuation[:n]], axis=1))
+        shares = self._motions.shares(np.concatenate([points, actuation[:n]], axis=1))
         beyond = np.maximum(np.abs(shares) - 1, 0.0)
         cost = penalty * float(np.sum(beyond**2)) - float(logarithm) / 2
         # derivatives of the information by the derivatives of forces, of the cost by limits
         weighted = (own * self._weights[:, None]) @ np.linalg.inv(matrix) @ selection.T
-        by_share = 2 * penalty * beyond * np.sign(shares) / self._box.half
+        by_share = 2 * penalty * beyond * np.sign(shares) / self._motions.half
         along = np.einsum(
             "nqe,nkqe->nk",
             weighted,
@@ -824,7 +815,7 @@ class _Problem:
         limited = np.einsum("nf,nkf->nk", by_share[:, n_m:], changed)
         both = limited - along
         by_points = (both[:, :n_m] - both[:, n_m:]) / (2 * self._steps) + by_share[:, :n_m]
-        return cost, self._shapes.gradient(by_points, self._t).ravel()
+        return cost, self._motions.gradient(by_points, self._t).ravel()
 
 
 def _blank_record(system: LagrangianSystem, groups: Mapping[str, str]) -> Any:
@@ -841,15 +832,11 @@ def _blank_record(system: LagrangianSystem, groups: Mapping[str, str]) -> Any:
 
 
 def _require_actuated(
-    system: LagrangianSystem,
-    dynamics: _Dynamics,
-    limits: DesignLimits,
-    shapes: _Shapes,
-    rng: np.random.Generator,
+    system: LagrangianSystem, motions: _Motions, limits: DesignLimits, rng: np.random.Generator
 ) -> None:
     """Raises unless inputs drive all coordinates, each by itself, and all of them have limits."""
-    n = len(system.coordinates)
-    gains = dynamics.gains(_random_points(shapes, 8, rng))
+    n, dynamics = len(system.coordinates), motions.dynamics
+    gains = dynamics.gains(motions.random_points(8, rng))
     sizes = np.abs(gains).max(axis=0)
     is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
     if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():
@@ -859,7 +846,7 @@ def _require_actuated(
             "an input for each coordinate",
             _RANK,
         )
-    points = _random_points(shapes, 8, rng)
+    points = motions.random_points(8, rng)
     forces = dynamics.actuation(points)[:, n:]
     if np.abs(dynamics.remainder(points)).max() > _NULL * np.abs(forces).max():
         raise InputError(
@@ -879,20 +866,9 @@ def _require_actuated(
             )
 
 
-def _random_points(
-    shapes: _Shapes, count: int, rng: np.random.Generator
-) -> Float[np.ndarray, "n n_m"]:
-    """Random positions, velocities and accelerations within limits, (n, 3 n_q)."""
-    points = rng.uniform(-1, 1, (count, *shapes.sizes.shape)) * shapes.sizes
-    points[:, 0] += shapes.middle
-    return points.reshape(count, -1)
-
-
 def _random_motion(
     system: LagrangianSystem,
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    box: _Box,
+    motions: _Motions,
     t: Float[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "count n_q"]:
@@ -901,20 +877,20 @@ def _random_motion(
     Raises:
         InputError: no pose is within the limits of the actuators.
     """
-    nearest = np.full(len(box.half), np.inf)  # of poses: by how much limits are exceeded
+    n = len(system.coordinates)
+    nearest = np.full(len(motions.half), np.inf)  # of poses: by how much limits are exceeded
     for _ in range(200):  # random motions
-        x = rng.normal(size=(shapes.count, len(shapes.middle)))
-        x[0] = rng.uniform(-0.5, 0.5, len(shapes.middle))
+        x = rng.normal(size=(motions.count, n))
+        x[0] = rng.uniform(-0.5, 0.5, n)
         x[1:] *= 4.0  # larger than any limit allows
-        motion = _shrink(x, dynamics, shapes, box, t)
+        motion = motions.shrink(x, t)
         if motion is not None:
             return motion
         x[1:] = 0.0
-        shares = np.abs(_limit_shares(x, dynamics, shapes, box, t[:1])[0])
+        shares = np.abs(motions.shares(motions.along(x, t[:1]))[0])
         if shares.max() < nearest.max():
             nearest = shares
     k = int(np.argmax(nearest))
-    n = len(system.coordinates)
     what, name = _DIRECTIONS[k // n], system.coordinates[k % n].name
     name = system.inputs[k % n].name if what == "input" else name
     raise InputError(
@@ -924,45 +900,6 @@ def _random_motion(
         "poses that actuators can hold",
         "check the limits, or give others by `within=` and `limits=`",
     )
-
-
-def _limit_shares(
-    x: Float[np.ndarray, "count n_q"],
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    box: _Box,
-    t: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "n m"]:
-    """Points and actuation of a motion at times by the limits, see `_Box.shares`."""
-    points = shapes.points(x, t)
-    return box.shares(np.concatenate([points, dynamics.actuation(points)], axis=1))
-
-
-def _shrink(
-    x: Float[np.ndarray, "count n_q"],
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    box: _Box,
-    t: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "count n_q"] | None:
-    """A motion made smaller until it is within the limits at all times; None if its pose is not."""
-
-    def scaled(size: float) -> Float[np.ndarray, "count n_q"]:
-        return np.concatenate([x[:1], size * x[1:]])
-
-    def is_within(size: float) -> bool:
-        shares = _limit_shares(scaled(size), dynamics, shapes, box, t)
-        return bool((np.abs(shares) <= 1).all())
-
-    if is_within(1.0):
-        return x
-    if not is_within(0.0):
-        return None
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        middle = (low + high) / 2
-        low, high = (middle, high) if is_within(middle) else (low, middle)
-    return scaled(low)
 
 
 def _search(
@@ -1010,15 +947,14 @@ def _search(
 def _choose_noise(
     knowledge: Knowledge,
     options: DesignOptions,
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    motions: Sequence[Float[np.ndarray, "count n_q"]],
+    motions: _Motions,
+    starts: Sequence[Float[np.ndarray, "count n_q"]],
     t: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n_q"]:
     """The missing force of each coordinate: what a fit has left, or a share of that of motions."""
     if options.noise is None and knowledge.noise is not None:
         return knowledge.noise
-    force = [dynamics.actuation(shapes.points(x, t))[:, -len(shapes.middle) :] for x in motions]
+    force = [motions.along(x, t)[:, -len(motions.middle) :] for x in starts]
     size = np.sqrt(np.mean(np.concatenate(force) ** 2, axis=0))
     # without a fit 2 % of the force of a motion
     return (options.noise or 0.02) * np.maximum(size, 1e-6 * size.max() + 1e-12)
@@ -1034,13 +970,10 @@ def _information(knowledge: Knowledge, dynamics: _Dynamics) -> Float[np.ndarray,
 
 
 def _find_combinations(
-    dynamics: _Dynamics,
-    shapes: _Shapes,
-    noise: Float[np.ndarray, " n_q"],
-    rng: np.random.Generator,
+    motions: _Motions, noise: Float[np.ndarray, " n_q"], rng: np.random.Generator
 ) -> Combinations:
     """The base parameters by the parameters, in standard deviations of their priors."""
-    points = _random_points(shapes, 300, rng)
+    points, dynamics = motions.random_points(300, rng), motions.dynamics
     u = dynamics.actuation(points)[:, : len(noise)]
     slopes = dynamics.slopes(points, u) @ dynamics.selection
     rows = (slopes / noise[:, None]).reshape(-1, len(dynamics.units))
