@@ -6,6 +6,7 @@ states and returns what least squares needs of them, segment by segment: `Normal
 equations of the parameters alone.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -61,6 +62,7 @@ def compute_products(
     x0: Float[np.ndarray, "n_s n_x"],
     segments: Segments,
     substeps: int,
+    fit_states: "Callable[..., tuple[np.ndarray, np.ndarray]] | None" = None,
 ) -> NormalProducts:
     """Simulates segments and returns the products of their residuals and derivatives.
 
@@ -72,6 +74,9 @@ def compute_products(
         x0: initial states, as `Segments` has them, (n_s, n_x).
         segments: the segments.
         substeps: integration steps in a sampling period.
+        fit_states: function from the equations of motion, the parameters of the segments, their
+            initial states and the derivatives of these by the free parameters to better states and
+            their derivatives; None for the states as they are.
     """
     segments = segments.with_delays(space.to_values_in_range(vector))
     has_delays = segments.inputs_by_delay is not None
@@ -84,8 +89,11 @@ def compute_products(
     initial = equations.initial_states(
         x0, parameter_rows, segments.adds_expected, polynomials[segments.first_row]
     )
+    states, by_parameter = initial.states, initial.by_parameter
+    if fit_states is not None:
+        states, by_parameter = fit_states(equations.motion, parameter_rows, states, by_parameter)
     runs = Runs(
-        start=initial.states,
+        start=states,
         parameters=parameter_rows,
         steps=segments.steps,
         first=segments.first_row,
@@ -93,7 +101,7 @@ def compute_products(
         drive=polynomials,
     )
     by_state = segments.is_free[:, :, None] * initial.by_state
-    directions = np.concatenate([initial.by_parameter, by_state], axis=1)
+    directions = np.concatenate([by_parameter, by_state], axis=1)
     result = compare(
         equations.motion,
         residual.formula,

@@ -13,25 +13,23 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.engines import compare
-from tustinnet.engine.runs import Directions, Runs, Samples
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.report import Refit
-from tustinnet.fitting.shooting.equations import system_equations
+from tustinnet.fitting.residual import Residual
 from tustinnet.fitting.shooting.levenberg_marquardt import DampingRule, iterate
+from tustinnet.fitting.shooting.normal import compute_products
 from tustinnet.fitting.shooting.problem import (
     Problem,
     SearchState,
     make_model,
     report_step,
 )
-from tustinnet.fitting.shooting.segments import first_of_records, join_steps
+from tustinnet.fitting.shooting.segments import CutOptions, cut_records, first_of_records
 from tustinnet.fitting.shooting.space import SearchSpace
 from tustinnet.models.parameters import Parameter
 from tustinnet.simulate.horizon import horizon_samples, pieces
-from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.start_rules import FirstSamples, Start
-from tustinnet.simulate.state_fits import fit_states_with_derivatives, position_residual
+from tustinnet.simulate.state_fits import fit_states_with_derivatives
 
 _COST_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
 _PRIOR = 2.0  # cost of a parameter that doubles: the mean RMSE of so many records
@@ -227,69 +225,41 @@ def _make_simulation(
         space: the search space of the refit.
         unit: unit of each free parameter, by which its derivatives are multiplied, (n_p,).
     """
-    model, equations = make_model(problem, state), system_equations(problem.system, space.names)
+    model, records = make_model(problem, state), problem.records
     horizon = None if state.shortest_horizon is None else state.shortest_horizon * problem.motion.dt
-    steps = horizon_samples(horizon, problem.records, start)
-    parts, record = [], []
-    for i, e in enumerate(problem.records):
-        parts += (record_parts := pieces(e, steps, start))
-        record += [i] * len(record_parts)
-    start_data = start.start_data(model, parts)
-    first_samples = start_data if isinstance(start_data, FirstSamples) else None
-    measured = np.asarray(start_data if first_samples is None else first_samples.parabola)
-    measured = measured[:, model.channels.measured]
-    group_indices = problem.group_indices(problem.records)[record]
-    inputs = join_steps(np.asarray(input_signal(model, part).u) for part in parts)
-    polynomials = inputs[:, None] if inputs.ndim == 2 else inputs
-    lengths = np.array([len(part) for part in parts])
-    first = np.cumsum(lengths) - lengths
+    steps = horizon_samples(horizon, records, start)
+    by_record = [pieces(e, steps, start) for e in records]
+    parts = [part for own in by_record for part in own]
+    record = np.repeat(np.arange(len(records)), list(map(len, by_record)))
+    start_data, fit_states = start.start_data(model, parts), None
+    if isinstance(start_data, FirstSamples):
+        fit_states = partial(
+            fit_states_with_derivatives, model, signal=start_data.signal, q=start_data.q
+        )
+        start_data = start_data.parabola
+    residual = Residual((False,) * model.channels.n_q, (1.0,) * model.channels.n_q)
+    options = CutOptions(residual, None, problem.measured_start.name, timestamps=False)
+    segments = cut_records(parts, model, options, problem.group_indices(parts))
+    # measured states, with the internal ones that are expected there
+    x0 = np.zeros_like(segments.x0)
+    x0[:, model.channels.measured] = np.asarray(start_data)[:, model.channels.measured]
+    segments = replace(segments.with_fixed_states(x0), adds_expected=np.ones(len(parts)))
     # every record counts the same, however long
-    weight = np.repeat(1 / np.sqrt(np.bincount(record, lengths)[record]), lengths)
-    q = np.concatenate([part.q for part in parts])
-    samples = Samples(q, np.tile(weight[:, None], q.shape[1]))
-    first_runs = first_of_records(np.array(record))
-    free = equations.free_columns(space)
-    chain = unit * equations.applicable(space, group_indices)
+    lengths = segments.steps + 1
+    share = lengths / np.bincount(record, lengths)[record]
+    first_parts = first_of_records(record)
 
     def simulate(values: Float[np.ndarray, " n_p"]) -> _FreeRunProducts:
-        by_name = dict(zip(space.names, values.tolist(), strict=True))
-        parameter_rows = equations.parameter_rows(dict(space.fixed_values) | by_name, group_indices)
-        # measured states, with the internal ones that are expected there
-        x0 = np.concatenate([measured, np.zeros((len(record), len(model.internal)))], axis=1)
-        x0, by_parameter, _ = equations.initial_states(
-            x0, parameter_rows, np.ones(len(x0)), polynomials[first]
+        vector = space.to_vector(dict(zip(space.names, values.tolist(), strict=True)))
+        products = compute_products(
+            problem.system, residual, space, vector, x0, segments, model.substeps, fit_states
         )
-        if first_samples is not None:
-            x0, by_parameter = fit_states_with_derivatives(
-                model,
-                equations.motion,
-                parameter_rows,
-                x0,
-                by_parameter,
-                signal=first_samples.signal,
-                q=first_samples.q,
-            )
-        runs = Runs(
-            start=x0,
-            parameters=parameter_rows,
-            steps=lengths - 1,
-            first=first,
-            drive=polynomials,
-            periods=np.full(len(inputs), model.dt),
-        )
-        result = compare(
-            equations.motion,
-            position_residual(model.channels.n_q),
-            runs,
-            model.substeps,
-            Directions(by_parameter, parameters=True),
-            samples,
-        )
+        chain = unit / space.derivatives(vector)
         with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
-            matrix = result.products[:, free][:, :, free] * chain[:, :, None] * chain[:, None]
-            gradient = result.gradient[:, free] * chain
+            matrix = products.pp * share[:, None, None] * np.outer(chain, chain)
+            gradient, cost = products.gp * share[:, None] * chain, products.cost * share
             cost, matrix, gradient = (
-                np.add.reduceat(x, first_runs) for x in (result.cost, matrix, gradient)
+                np.add.reduceat(x, first_parts) for x in (cost, matrix, gradient)
             )
         return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
 
