@@ -87,7 +87,7 @@ def test_delays_and_lags_are_found_within_their_errors(truth):
         assert found.delay.error < 0.2 * DT
     if truth.lag:
         assert found.lag.value == pytest.approx(truth.lag * DT, rel=0.15)
-    assert not found.is_closed_loop
+    assert not found.is_hidden
 
 
 def test_declared_timing_is_no_question():

@@ -607,13 +607,10 @@ class _Dynamics:
         where = f"system '{system.name}'"
         return Formula(actuators, 2 * n + equations.n_columns, range(0), where)
 
-    def gains(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_q n_u"]:
-        """Forces by inputs, (n, n_q, n_u)."""
-        return self._actuators_at(points)[1]
-
-    def _actuators_at(
+    def actuators_at(
         self, points: Float[np.ndarray, "n n_m"]
     ) -> tuple[Float[np.ndarray, "n n_q"], Float[np.ndarray, "n n_q n_u"]]:
+        """Forces of the inputs at 0, (n, n_q), and by the inputs, (n, n_q, n_u)."""
         rows = np.broadcast_to(self._row, (len(points), len(self._row)))
         values = evaluate(self._actuators, np.concatenate([points[:, : 2 * self._n], rows], axis=1))
         return values[:, : self._n], values[:, self._n :].reshape(-1, self._n, self._n_u)
@@ -621,7 +618,7 @@ class _Dynamics:
     def actuation(self, points: Float[np.ndarray, "n n_m"]) -> Float[np.ndarray, "n n_f"]:
         """Inputs that a motion needs, and the actuators' forces with them, (n, n_u + n_q)."""
         without = evaluate(self._missing, self._with_inputs(points, np.zeros((1, self._n_u))))
-        offset, gains = self._actuators_at(points)
+        offset, gains = self.actuators_at(points)
         u = np.linalg.solve(gains, without[:, :, None])[:, :, 0]
         return np.concatenate([u, without + offset], axis=1)
 
@@ -836,7 +833,7 @@ def _require_actuated(
 ) -> None:
     """Raises unless inputs drive all coordinates, each by itself, and all of them have limits."""
     n, dynamics = len(system.coordinates), motions.dynamics
-    gains = dynamics.gains(motions.random_points(8, rng))
+    _, gains = dynamics.actuators_at(motions.random_points(8, rng))
     sizes = np.abs(gains).max(axis=0)
     is_regular = np.isfinite(gains).all() and (sizes.max(axis=0) > 0).all()
     if not is_regular or (np.linalg.cond(gains / sizes.max(axis=0)) > 1 / _NULL).any():

@@ -96,30 +96,14 @@ class Task:
 
     @property
     def training_recipe(self) -> TrainingRecipe:
-        """The recipe, of a training.
-
-        Raises:
-            InputError: the recipe of an identification.
-        """
-        if not isinstance(self.recipe, TrainingRecipe):
-            raise InputError(
-                f"recipe '{self.recipe.name}'", "nothing to train", "a recipe with stages"
-            )
+        """The recipe, of a training."""
+        assert isinstance(self.recipe, TrainingRecipe)  # `fit_task` trains no other
         return self.recipe
 
     @property
     def identification_recipe(self) -> IdentificationRecipe:
-        """The recipe, of an identification.
-
-        Raises:
-            InputError: the recipe of a training.
-        """
-        if not isinstance(self.recipe, IdentificationRecipe):
-            raise InputError(
-                f"recipe '{self.recipe.name}'",
-                "nothing to identify",
-                "a recipe of a kind that is identified",
-            )
+        """The recipe, of an identification."""
+        assert isinstance(self.recipe, IdentificationRecipe)  # `fit_task` identifies no other
         return self.recipe
 
     def with_members(self, members: Sequence[Member]) -> "Task":

@@ -113,8 +113,8 @@ class InputTiming:
         delay: the delay beside a lag where there are both, else the delay without a lag [s].
         lag: the time constant beside a delay where there are both, else without one [s].
         rivals: other holds that explain the records as well, each with a delay of its own.
-        is_closed_loop: whether a controller makes the inputs: later ones tell the motion.
-        is_hidden: of an unclear verdict, whether it is because of the closed loop.
+        is_hidden: of an unclear verdict, whether it is because a controller makes the inputs: later
+            ones tell the motion.
     """
 
     verdict: Verdict
@@ -122,7 +122,6 @@ class InputTiming:
     delay: Measured
     lag: Measured
     rivals: tuple[DeclaredHold, ...]
-    is_closed_loop: bool
     is_hidden: bool
 
 
@@ -694,7 +693,7 @@ def _decide(
     )
     if declared.delay is not None:
         delay, lag = Measured(declared.delay, 0.0), Measured(0.0, np.inf)
-        return InputTiming("none", hold, delay, lag, rivals, is_closed, False)
+        return InputTiming("none", hold, delay, lag, rivals, False)
     kinds = _simplest_kinds(tried, hold, top, rows, power)
     lagging = tried.get((hold, "lag")) or tried["zero-order", "lag"]
     delay, lag = tried[hold, "delay"].measured[0], lagging.measured[1]
@@ -707,7 +706,7 @@ def _decide(
     if verdict == "delay and lag":
         delay, lag = tried[hold, verdict].measured
     delay, lag = (Measured(dt * x.value, dt * x.error) for x in (delay, lag))
-    return InputTiming(verdict, hold, delay, lag, rivals, is_closed, is_hidden)
+    return InputTiming(verdict, hold, delay, lag, rivals, is_hidden)
 
 
 def _simplest_kinds(

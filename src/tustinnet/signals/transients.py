@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+_SHARE = 0.05  # of the largest speed and excursion
+
 
 @dataclass(frozen=True)
 class RestThresholds:
@@ -26,12 +28,11 @@ def rest_thresholds(
     v: Float[np.ndarray, "n n_q"],
     resolution: Float[np.ndarray, " n_q"],
     dt: float,
-    fraction: float = 0.05,
 ) -> RestThresholds:
     """Thresholds that adapt to a record.
 
     The resting value is the median of the record's last tenth (at least 10 samples). Speeds
-    count as rest below `fraction` of their largest value, excursions below `fraction` of the
+    count as rest below 5 % of their largest value, excursions below 5 % of the
     largest distance from the resting value; never below three encoder counts (per sample
     distance of the stencil's baseline for speeds), which the encoder cannot tell from rest.
 
@@ -40,13 +41,12 @@ def rest_thresholds(
         v: velocities, (n, n_q) [rad/s or m/s].
         resolution: encoder count or 0 where unknown, (n_q,) [rad or m].
         dt: sampling period [s].
-        fraction: share of the largest speed and excursion.
     """
     resting = resting_positions(q)
     floor = 3.0 * resolution
     return RestThresholds(
-        speed=np.maximum(fraction * np.abs(v).max(axis=0), floor / (4 * dt)),
-        excursion=np.maximum(fraction * np.abs(q - resting).max(axis=0), floor),
+        speed=np.maximum(_SHARE * np.abs(v).max(axis=0), floor / (4 * dt)),
+        excursion=np.maximum(_SHARE * np.abs(q - resting).max(axis=0), floor),
         resting=resting,
     )
 

@@ -373,7 +373,7 @@ def _make_identification(
         condition=float(np.sqrt(eigenvalues[-1] / eigenvalues[0])),
         converged=fit.is_converged,
         outcome=(
-            findings.describe_stop(replace(state, is_stopped=True))
+            findings.describe_stop(state)
             if result.is_stopped
             else make_finding(
                 "converged forces" if fit.is_converged else "not converged forces",

@@ -57,11 +57,10 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
     offered, remarks, recipe_horizons = problem.system.optional, state.remarks, state.horizons
 
     # all terms, fitted to short segments, of which there are several
-    stages = [
+    stage, longer_stage = (
         SearchStage(problem.early_initial_treatment, _STOPPING, quarters)
         for quarters in (1, 4)  # lengths of segments
-    ]
-    stage, *longer_stages = stages
+    )
     state = _fit_from_best_start(problem, state, stage)
     if state.result is not None and state.has_diverged:
         raise InputError(
@@ -70,17 +69,16 @@ def drop_unneeded_terms(problem: Problem, state: SearchState) -> tuple[Problem, 
             "values that stay finite",
             "give others in the recipe: model.begin",
         )
-    for longer_stage in longer_stages:
+    longer = run_stage(problem, state, longer_stage)
+    if not longer.is_stopped and longer.has_diverged:
+        # terms that short segments do not determine can drive longer ones apart
+        problem, state = _drop_all_unneeded(problem, state, stage)
+        state = choose_substeps(problem, state)
         longer = run_stage(problem, state, longer_stage)
-        if not longer.is_stopped and longer.has_diverged:
-            # terms that short segments do not determine can drive longer ones apart
-            problem, state = _drop_all_unneeded(problem, state, stage)
-            state = choose_substeps(problem, state)
-            longer = run_stage(problem, state, longer_stage)
-        if longer.is_stopped or (
-            len(longer.last_result.segments.steps) >= 4 and not longer.has_diverged
-        ):
-            state, stage = longer, longer_stage
+    if longer.is_stopped or (
+        len(longer.last_result.segments.steps) >= 4 and not longer.has_diverged
+    ):
+        state, stage = longer, longer_stage
     problem, state = _drop_all_unneeded(problem, state, stage)
     if state.is_stopped:
         remaining = len(problem.system.optional)
