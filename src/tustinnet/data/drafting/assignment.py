@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from tustinnet.data.drafting.evidence import ROLES, WEIGHTS, EvidenceTable, Role
+from tustinnet.data.drafting.evidence import FEWEST_JOINTS, ROLES, WEIGHTS, EvidenceTable, Role
 from tustinnet.data.drafting.relations import Pairs
 from tustinnet.data.drafting.vocabulary import OUTSIDE
 
@@ -104,16 +104,20 @@ class _Prices:
         is_of_many = [sizes[f] > 1 and t.joint[i] is not None for i, f in enumerate(t.family)]
         joints = {joint for joint in t.joint if joint is not None}
         members = {f: {t.joint[i] for i, g in enumerate(t.family) if g == f} for f in sizes}
-        drives_all = [len(joints) > 2 and members[f] == joints for f in t.family]
+        drives_all = [len(joints) >= FEWEST_JOINTS and members[f] == joints for f in t.family]
         are_stages = np.array(
             [
                 [
-                    # of several joints two families of inputs are stages, whatever their names say
+                    # of several joints two families of inputs are stages, whatever their names say,
+                    # and beside what drives every joint nothing else does
                     (
                         t.stage[u] != t.stage[v]
-                        or (is_of_many[u] and is_of_many[v] and t.family[u] != t.family[v])
-                        # beside what drives every joint nothing else does
-                        or ((drives_all[u] or drives_all[v]) and t.family[u] != t.family[v])
+                        or (
+                            t.family[u] != t.family[v]
+                            and (
+                                (is_of_many[u] and is_of_many[v]) or drives_all[u] or drives_all[v]
+                            )
+                        )
                     )
                     and not (is_other[u] or is_other[v])
                     and (t.joint[u] == t.joint[v] or None in (t.joint[u], t.joint[v]))

@@ -69,7 +69,7 @@ _STAGE_OF: dict[Quantity, Stage] = {
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
-_FEWEST_JOINTS = 3  # of an arm with a tool
+FEWEST_JOINTS = 3  # of an arm with a tool
 _MOTION_UNITS = {*ANGLE, *LENGTH, *ANGULAR_SPEEDS, *LINEAR_SPEEDS}
 
 
@@ -429,7 +429,7 @@ class EvidenceTable:
         is_joint = np.array([self.says(i, "position") for i in range(len(self.names))])
         is_joint &= (self.slope >= w.clear_slope).any(axis=1)
         counts = np.bincount(family[is_joint])
-        if counts.max(initial=0) < _FEWEST_JOINTS:
+        if counts.max(initial=0) < FEWEST_JOINTS:
             return
         for i in np.flatnonzero(family != counts.argmax()).tolist():
             reading = self.readings[i]

@@ -245,20 +245,17 @@ def read_logs(folder: Path, files: Sequence[str], on_message: Callable[[str], No
 
 def _without_set_points(files: Sequence[str], on_message: Callable[[str], None]) -> list[str]:
     """The files but those whose names say set points, beside the same of what was measured."""
-    marks: dict[Qualifier, set[str]] = {k: QUALIFIERS[k] for k in ("command", "measured")}
     words = {file: re.findall(r"[^\W_]+", file.lower()) for file in files}
-    of = {
-        (kind, *(w for w in ws if w not in marks[kind]))
-        for ws in words.values()
-        for kind in marks
-        if marks[kind] & {*ws}
-    }
-    left_out = {
+
+    def without(file: str, kind: Qualifier) -> tuple[str, ...]:
+        return tuple(word for word in words[file] if word not in QUALIFIERS[kind])
+
+    measured = {without(f, "measured") for f in files if QUALIFIERS["measured"] & {*words[f]}}
+    left_out = [
         file
-        for file, ws in words.items()
-        if marks["command"] & {*ws}
-        and ("measured", *(w for w in ws if w not in marks["command"])) in of
-    }
+        for file in files
+        if QUALIFIERS["command"] & {*words[file]} and without(file, "command") in measured
+    ]
     for file in left_out:
         on_message(f"left out: {file}: set points by its name")
     return [file for file in files if file not in left_out]
