@@ -1,10 +1,13 @@
 """Text files as programs of all countries write them, and Excel workbooks."""
 
+import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 from lab_files import workbook
 
 import tustinnet as tn
@@ -383,6 +386,23 @@ RATES = {
 def test_the_sampling_rate_above_a_table_is_found(line: str, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(f"Rig 7\n{line}\nangle_deg,u_V\n1,2\n3,4\n")
     assert find_period(tmp_path / "log.csv") == RATES[line]
+
+
+@pytest.mark.parametrize(("name", "value"), [("Ts", 0.02), ("fs", 50), ("config/rate_hz", 50)])
+def test_a_number_beside_the_columns_may_say_the_period(
+    name: str, value: float, tmp_path: Path
+) -> None:
+    t = 0.02 * np.arange(400)
+    columns = {"theta": np.sin(3 * t), "u": np.repeat(np.random.default_rng(0).normal(size=20), 20)}
+    scipy.io.savemat(tmp_path / "a.mat", columns | {name.rpartition("/")[2]: value})
+    assert draft_card(tmp_path, ["a.mat"]).dt == pytest.approx(0.02)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for key, column in (columns | {name: value}).items():
+            file[key] = column
+    assert draft_card(tmp_path, ["a.h5"]).dt == pytest.approx(0.02)
+    document = {key: column.tolist() for key, column in columns.items()} | {name: value}
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    assert draft_card(tmp_path, ["a.json"]).dt == pytest.approx(0.02)
 
 
 def test_rows_above_a_table_may_describe_its_columns(tmp_path: Path) -> None:

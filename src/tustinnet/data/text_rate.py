@@ -1,6 +1,7 @@
-"""The sampling rate in the lines above a table, or in a file's name, for files without times."""
+"""The sampling rate above a table, beside columns or in a file's name, of files without times."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from tustinnet.data.text_dialect import SAMPLE_LINES, decode
@@ -18,6 +19,13 @@ _INTERVAL = re.compile(
     rf"(?i)(?:(?:{_WORDS})[ _]?(?:time|interval|period|zeit|intervall)|abtastzeit|\bts|\bdt"
     rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)\b"
 )
+_ALONE = re.compile(r"(?:the number )?(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)")
+_NAME_OF_PERIOD = re.compile(
+    r"(?i)(?:^|[/_.])(?:t_?s|dt|sampl\w*_?(?:time|period|interval)|abtastzeit)$"
+)
+_NAME_OF_RATE = re.compile(
+    r"(?i)(?:^|[/_.])(?:fs|f_s|hz|fps|sampl\w*_?(?:rate|freq\w*)|abtastrate)$"
+)
 # a period of 100 ms or more is rather how long something lasts
 _IN_NAME = re.compile(r"(?<![\d.,])(\d{1,2}(?=ms)|\d{1,5}(?=us))(ms|us)(?![a-z])")
 
@@ -26,6 +34,22 @@ def period_in_name(name: str) -> float | None:
     """The period [s] that a file's name may say, as `run_4000us`; None where it says none."""
     match = _IN_NAME.search(name)
     return int(match[1]) * TIME[match[2]] if match else None
+
+
+def period_in_numbers(texts: Mapping[str, str]) -> float | None:
+    """The period [s] that a number beside columns says, as `Ts` or `fs`; None where none does.
+
+    Args:
+        texts: what is beside the columns, by name; of numbers `the number 0.02`, or `50`.
+    """
+    for name, text in texts.items():
+        number = _ALONE.fullmatch(text)
+        value = float(number[1]) if number else 0.0
+        if value > 0 and _NAME_OF_PERIOD.search(name):
+            return value
+        if value > 0 and _NAME_OF_RATE.search(name):
+            return 1 / value
+    return None
 
 
 def find_period(path: Path) -> float | None:

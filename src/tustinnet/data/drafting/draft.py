@@ -37,7 +37,7 @@ from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
 from tustinnet.data.drafting.splits import Splits, choose_splits, find_conditions
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
-from tustinnet.data.text_rate import find_period, period_in_name
+from tustinnet.data.text_rate import find_period, period_in_name, period_in_numbers
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
@@ -342,9 +342,14 @@ def _find_period(
 
 
 def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
-    """The sampling period that lines above the tables say, where all files say the same."""
-    files = [folder / log.file for log in logs]
-    return _only_period({find_period(file) if is_text(file) else None for file in files})
+    """The sampling period that lines or numbers beside the columns say, the same in all files."""
+    files = {log.file: folder / log.file for log in logs if is_text(folder / log.file)}
+    return _only_period(
+        {
+            find_period(files[log.file]) if log.file in files else period_in_numbers(log.texts)
+            for log in logs
+        }
+    )
 
 
 def _only_period(periods: set[float | None]) -> float | None:

@@ -116,7 +116,9 @@ def _walk(path: Path, prefix: str, group: Any, depth: int) -> Iterator[_Item]:
                 if dtype.base.kind not in REAL:
                     yield _Item(full, inner, field, None, "no real numbers")
                 elif len(shape) not in (1, 2) or 0 in shape:
-                    other = f"of shape {inner.shape}" if inner.shape else "a single number"
+                    other = f"of shape {inner.shape}"
+                    if not inner.shape and field is None and not _is_elsewhere(inner):
+                        other = f"the number {inner[()]:.6g}"
                     yield _Item(full, inner, field, None, other)
                 else:
                     if _is_elsewhere(inner):

@@ -171,7 +171,8 @@ def _numbers(name: str, shape: Shape, load: Callable[[], Array]) -> MatVariable:
     """An array of numbers: columns, where it has at least two numbers in one or two dimensions."""
     size, squeezed = math.prod(shape), tuple(n for n in shape if n != 1)
     if size < 2:
-        return MatVariable(name, None, other="empty" if size == 0 else "a single number")
+        other = f"the number {load().item():.6g}" if size else "empty"
+        return MatVariable(name, None, other=other)
     if len(squeezed) > 2:
         return MatVariable(name, None, other=f"an array of {len(squeezed)} dimensions")
     return MatVariable(name, squeezed, lambda: load().reshape(squeezed))
