@@ -666,6 +666,29 @@ def test_files_of_set_points_are_no_records(tmp_path: Path) -> None:
     assert len(draft_card(tmp_path, files[:2]).splits.records) > 1  # nothing says what was measured
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Recorded in May.\nformat: time u angle",
+        "| Column | Name | Unit |\n|---:|---|---|\n| 1 | `t` | s |\n| 2 | `u` | V |\n"
+        "| 3 | `angle` | deg |",
+    ],
+)
+def test_a_readme_names_columns_that_have_no_header(text: str, tmp_path: Path) -> None:
+    u = levels(36)
+    x, _ = moved_by(u)
+    rows = np.column_stack([DT * np.arange(N), u, x])
+    np.savetxt(tmp_path / "log.csv", rows, "%.7g", ",")
+    (tmp_path / "README.md").write_text(text)
+    made = draft_card(tmp_path, ["log.csv"])
+    (angle,) = made.choice.coordinates
+    assert (angle.column, angle.name, angle.kind) == ("column 3", "angle", "angular")
+    assert [i.name for i in made.choice.inputs] == ["u"]
+    assert any(note.startswith("names of columns by README.md") for note in made.notes)
+    (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
+    assert tn.load(tmp_path)[0].coordinates[0].name == "angle"
+
+
 def test_terms_of_a_controller_are_neither_inputs_nor_positions(tmp_path: Path) -> None:
     u = levels(31)
     x, v = moved_by(u)

@@ -419,16 +419,17 @@ def find_units_in_comments(comments: Sequence[str], names: Sequence[str]) -> dic
     """Units by name, from comments of a name and its unit, as `# angle: rad`."""
     pairs = [comment.strip().partition(":") for comment in comments]
     units = {name.strip(): text.strip() for name, colon, text in pairs if colon and text.strip()}
-    return {name: text for name, text in units.items() if name in names and _is_unit(text)}
+    return {name: text for name, text in units.items() if name in names and is_unit(text)}
 
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Whether most cells of a row are units of measurement."""
     texts = [cell for cell in cells if cell]
-    return sum(map(_is_unit, texts)) * 2 > len(texts)
+    return sum(map(is_unit, texts)) * 2 > len(texts)
 
 
-def _is_unit(text: str) -> bool:
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of measurement, or in brackets."""
     if re.fullmatch(r"\[.*\]|\(.*\)", text):
         return True
     parts = re.split(r"[/*\u00b7\s^]+|(?<=\w)-?[1-9]$", text.strip().lower())

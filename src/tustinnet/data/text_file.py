@@ -36,6 +36,7 @@ from tustinnet.data.text_dialect import (
     find_units_above,
     find_units_in_comments,
     is_comment,
+    is_unit,
     read_header,
 )
 from tustinnet.data.text_long import spread_signals
@@ -399,6 +400,27 @@ def _names_in(comments: Sequence[str], dialect: Dialect, width: int) -> list[str
         if is_header and not any(dialect.is_number(name) for name in names):
             return names
     return _numbered_names(comments, width)
+
+
+def find_names(lines: Sequence[str], width: int) -> list[str] | None:
+    """The names of some columns in lines of a text that describes them, None without any.
+
+    In one line, as `format: t angle u`, or one each, as `2: angle [rad]` or `| 2 | angle | rad |`.
+    """
+    for line in lines:
+        announced = _COLUMNS_ARE.match(line)
+        names = re.split(r"[\s,;]+", line[announced.end() :].strip()) if announced else []
+        if len(names) == width > 1 and len({*names}) == width:
+            return names
+    return _numbered_names([_row_in_text(line) for line in lines], width)
+
+
+def _row_in_text(line: str) -> str:
+    """A row of a table in Markdown as a number, a name and its unit; other lines without marks."""
+    number, name, unit, *_ = [*(c.strip(" `*") for c in line.strip(" |").split("|")), "", ""]
+    if not (number.isdigit() and name):
+        return line.strip(" *-#")
+    return f"{number}: {name}" + (f" [{unit}]" if unit and is_unit(unit) else "")
 
 
 def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:

@@ -27,6 +27,7 @@ from tustinnet.data.drafting.logs import (
     find_clock,
     find_pieces,
     keep_usual,
+    name_as_described,
     read_logs,
     read_names,
 )
@@ -171,7 +172,7 @@ def examine_logs(
     """
     notes: list[str] = []
     logs = join_logs(read_logs(folder, files, notes.append), notes.append)
-    logs = keep_usual(logs, notes.append)
+    logs = name_as_described(folder, keep_usual(logs, notes.append), notes.append)
     notes += dict.fromkeys(note for log in logs for note in log.notes)
     return _examine(folder, logs, notes, answers or {})
 
