@@ -1,21 +1,22 @@
 """The backward pass of iterative LQR: feedback at every step under limits of the inputs."""
 
-from collections.abc import Callable
 from functools import lru_cache
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from tustinnet.control.cost import Expansion
+from tustinnet.engine import by_jax
 from tustinnet.engine.engines import simulate
 from tustinnet.engine.equations import Equations
 from tustinnet.engine.runs import Runs
 
-_MOST_COMPILED = 12  # states and inputs up to which a step is written out as machine code, in 5 s
+# states and inputs up to which a step is written out as machine code: a pass takes less than a
+# third of JAX's time then; with more of them JAX is quicker, and compiles in less time
+_MOST_WRITTEN_OUT = 10
 SWEEPS = 12  # over the inputs, which find the minimum under limits of several
 
 
@@ -59,36 +60,28 @@ def backward_pass(
     """
     count, n_z, n_zu = derivatives.shape
     n_u = n_zu - n_z
-    start = np.concatenate([cost.end_hessian.ravel(), cost.end_gradient])
+    equations = _equations(n_z, n_u)
+    value = np.concatenate([cost.end_hessian.ravel(), cost.end_gradient])
     rows = np.concatenate(
         [a.reshape(count, -1) for a in (derivatives, cost.hessians, cost.gradients, *room)], axis=1
-    )[::-1]
-    if n_zu <= _MOST_COMPILED:
-        results = _by_machine_code(n_z, n_u, start, rows, damping)
-    else:
-        results = _by_numpy(n_z, n_u, start, rows, damping)
-    gain, feedforward, decrease = np.split(results[::-1], [n_u * n_z, n_u * n_z + n_u], axis=1)
-    slope, curvature = decrease.sum(axis=0)
-    return Policy(feedforward, gain.reshape(count, n_u, n_z), float(slope), float(curvature))
-
-
-def _by_machine_code(
-    n_z: int, n_u: int, start: np.ndarray, rows: np.ndarray, damping: np.ndarray
-) -> Float[np.ndarray, "N results"]:
-    """Results of all steps, from the last to the first, as a simulation backwards in time."""
-    equations = _equations(n_z, n_u)
-    count, size = len(rows), equations.n_x - len(start)
+    )
     drive = np.zeros((count + 1, 1, equations.n_u))
-    drive[:count, 0] = rows
+    drive[:count, 0] = rows[::-1]
     runs = Runs(
-        start=np.concatenate([start, np.zeros(size)])[None],
+        start=np.pad(value, (0, equations.n_x - len(value)))[None],
         parameters=damping[None],
         steps=np.array([count]),
         first=np.array([0]),
         drive=drive,
         periods=np.ones(count + 1),
     )
-    return simulate(equations, runs)[1:, len(start) :]
+    # a simulation backwards in time
+    is_small = n_zu <= _MOST_WRITTEN_OUT
+    states = simulate(equations, runs) if is_small else by_jax.simulate(equations, runs, 1)
+    results = states[:0:-1, len(value) :]
+    gain, feedforward, decrease = np.split(results, [n_u * n_z, n_u * n_z + n_u], axis=1)
+    slope, curvature = decrease.sum(axis=0)
+    return Policy(feedforward, gain.reshape(count, n_u, n_z), float(slope), float(curvature))
 
 
 @lru_cache
@@ -97,7 +90,7 @@ def _equations(n_z: int, n_u: int) -> Equations:
     n_zu, size = n_z + n_u, n_z * n_z + n_z
     return Equations(
         lambda state, row, none, damping: jnp.concatenate(
-            _backward_step(jnp, _solve_with_jax, n_z, n_u, state[:size], row, damping)
+            _backward_step(n_z, n_u, state[:size], row, damping)
         ),
         n_x=size + n_u * (n_z + 1) + 2,
         n_u=(n_z + n_zu + 1) * n_zu + 2 * n_u,
@@ -107,37 +100,10 @@ def _equations(n_z: int, n_u: int) -> Equations:
     )
 
 
-def _solve_with_jax(matrix: Any, right: Any) -> Any:
-    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(matrix), True), right)
-
-
-def _by_numpy(
-    n_z: int, n_u: int, start: np.ndarray, rows: np.ndarray, damping: np.ndarray
-) -> Float[np.ndarray, "N results"]:
-    results, value = [], start
-    for row in rows:
-        *value, gain, feedforward, decrease = _backward_step(
-            np, np.linalg.solve, n_z, n_u, value, row, damping
-        )
-        value = np.concatenate(value)
-        results.append(np.concatenate([gain, feedforward, decrease]))
-    return np.stack(results)
-
-
-def _backward_step(
-    xp: ModuleType,
-    solve: Callable[[Any, Any], Any],
-    n_z: int,
-    n_u: int,
-    value: Any,
-    row: Any,
-    damping: Any,
-) -> list[Any]:
+def _backward_step(n_z: int, n_u: int, value: Array, row: Array, damping: Array) -> list[Array]:
     """The cost to go one step earlier and the policy there.
 
     Args:
-        xp: NumPy, or JAX's.
-        solve: of a system of linear equations, symmetric and positive definite.
         n_z: number of states.
         n_u: number of inputs.
         value: Hessian and gradient of the cost to go, flattened.
@@ -160,18 +126,15 @@ def _backward_step(
     q_1 = own_gradient + derivative.T @ gradient
     q_xx, q_ux, q_uu = q[:n_z, :n_z], q[n_z:, :n_z], q[n_z:, n_z:]
     q_u = q_1[n_z:]
-    damped = q_uu + xp.diag(damping)
-    near = _bounded_minimum(xp, damped, q_u, least, most)
+    damped = q_uu + jnp.diag(damping)
+    near = _bounded_minimum(damped, q_u, least, most)
     free = (near > least) & (near < most)
-    rest = q_u + damped @ xp.where(free, xp.zeros(n_u), near)
-    right = xp.concatenate([q_ux, rest[:, None]], axis=1)
-    solution = -solve(
-        xp.where(free[:, None] & free[None, :], damped, xp.eye(n_u)),
-        xp.where(free[:, None], right, xp.zeros((n_u, n_z + 1))),
-    )
+    rest = q_u + damped @ jnp.where(free, 0.0, near)
+    right = jnp.concatenate([q_ux, rest[:, None]], axis=1)
+    root = jnp.linalg.cholesky(jnp.where(free[:, None] & free[None, :], damped, jnp.eye(n_u)))
+    solution = -jax.scipy.linalg.cho_solve((root, True), jnp.where(free[:, None], right, 0.0))
     gain = solution[:, :n_z]
-    exact = xp.minimum(xp.maximum(solution[:, n_z], least), most)
-    feedforward = xp.where(free, exact, near)
+    feedforward = jnp.where(free, jnp.clip(solution[:, n_z], least, most), near)
     new_hessian = q_xx + gain.T @ (q_uu @ gain) + gain.T @ q_ux + q_ux.T @ gain
     new_gradient = q_1[:n_z] + gain.T @ (q_uu @ feedforward + q_u) + q_ux.T @ feedforward
     slope, curvature = feedforward @ q_u, feedforward @ (q_uu @ feedforward) / 2
@@ -181,23 +144,16 @@ def _backward_step(
         new_gradient,
         gain.reshape(-1),
         feedforward,
-        xp.stack([slope, curvature]),
+        jnp.stack([slope, curvature]),
     ]
 
 
-def _bounded_minimum(xp: ModuleType, matrix: Any, vector: Any, least: Any, most: Any) -> Any:
+def _bounded_minimum(matrix: Array, vector: Array, least: Array, most: Array) -> Array:
     """The minimum of `x' matrix x / 2 + vector' x` within limits, one number after the other."""
-    n, smaller, larger = len(vector), xp.minimum, xp.maximum
-    if xp is np:
-        free = np.linalg.solve(matrix, -vector)
-        if ((least < free) & (free < most)).all():
-            return free
-        # one by one numbers of Python take a fifth of the time that those of NumPy take
-        matrix, vector, least, most = (a.tolist() for a in (matrix, vector, least, most))
-        smaller, larger = min, max
-    x = [smaller(larger(least[i] * 0.0, least[i]), most[i]) for i in range(n)]
+    n = len(vector)
+    x = [*jnp.clip(jnp.zeros(n), least, most)]
     for _ in range(SWEEPS if n > 1 else 1):
         for i in range(n):
             rest = vector[i] + sum(matrix[i][j] * x[j] for j in range(n) if j != i)
-            x[i] = smaller(larger(-rest / matrix[i][i], least[i]), most[i])
-    return xp.stack(x)
+            x[i] = jnp.clip(-rest / matrix[i][i], least[i], most[i])
+    return jnp.stack(x)
