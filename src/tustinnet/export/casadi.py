@@ -2,7 +2,7 @@
 
 import math
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 FILE = "step.casadi"
 _WRITTEN_OUT = 30_000  # operations up to which a loop is written out
-_COPIED = ("number", "table", "pick", "part")  # cheaper to make again than to pass on
 # operations that have another name in CasADi
 _NAMES = {
     "add": "plus",
@@ -34,8 +33,6 @@ _NAMES = {
     "not": "logic_not",
     "select": "if_else",
 }
-
-Values = dict[int, Any]  # expressions by the numbers of nodes
 
 
 def casadi_step(model: Model) -> "Function":
@@ -63,8 +60,8 @@ def make_function(
 ) -> "Function":
     """A program as a CasADi function.
 
-    Products and long loops are nodes of an MX graph, operations between them SX. A program that
-    has neither is SX alone, whose derivatives are quicker.
+    A program with products or long loops is an MX graph; the bodies of its loops, and all other
+    programs, are SX, in which single operations are quicker.
 
     Args:
         program: the program.
@@ -74,20 +71,19 @@ def make_function(
     """
     import casadi
 
-    is_graph = any(map(_is_mx, program.nodes))
-    kind: Any = casadi.MX if is_graph else casadi.SX
+    kind: Any = casadi.MX if any(map(_is_mx, program.nodes)) else casadi.SX
     symbols = {n: kind.sym(n, program.inputs[n]) for n in inputs}
-    values = {i: symbols[n.data] for i, n in enumerate(program.nodes) if n.op == "input"}
-    if is_graph:
-        _write_graph(program, values)
-    else:
-        _write_scalars(program, values, range(len(program.nodes)))
+    values: list[Any] = []
+    for node in program.nodes:
+        args = [values[a] for a in node.args]
+        is_input = node.op == "input"
+        values.append(symbols[node.data] if is_input else _value(kind, program, node, args))
     results = [values[i] for i in program.outputs.values()]
     return casadi.Function(name, list(symbols.values()), results, list(inputs), list(outputs))
 
 
 def _is_mx(node: Node) -> bool:
-    """Whether a node stands in the MX graph."""
+    """Whether a node makes its program an MX graph."""
     long = node.op == "loop" and node.data.length * _size(node.data.body) > _WRITTEN_OUT
     return node.op == "product" or long
 
@@ -102,22 +98,17 @@ def _size(program: Program) -> float:
     return count
 
 
-def _write_scalars(program: Program, values: Values, which: Iterable[int]) -> None:
-    """Adds the values of some nodes, in SX."""
-    for i in which:
-        if i not in values:
-            node = program.nodes[i]
-            values[i] = _scalar(program, node, [values[a] for a in node.args])
-
-
-def _scalar(program: Program, node: Node, args: list[Any]) -> Any:
+def _value(kind: Any, program: Program, node: Node, args: list[Any]) -> Any:
+    """The expression of a node, SX or MX, by those of its arguments."""
     import casadi
 
     match node.op:
         case "number":
-            return casadi.SX(float(node.data))
+            return kind(float(node.data))
         case "table":
-            return casadi.SX(casadi.DM(program.tables[node.data].astype(float)))
+            return kind(casadi.DM(program.tables[node.data].astype(float)))
+        case "product":
+            return casadi.mtimes(casadi.DM(program.tables[node.data]), *args)
         case "pick":
             return args[0][node.data]
         case "part":
@@ -127,12 +118,12 @@ def _scalar(program: Program, node: Node, args: list[Any]) -> Any:
         case "neg":
             return -args[0]
         case "loop":
-            return _unrolled(node.data, args)
+            return _repeated(node.data, args) if _is_mx(node) else _unrolled(node.data, args)
     return getattr(casadi, _NAMES.get(node.op, node.op))(*args)
 
 
 def _unrolled(loop: Loop, args: list[Any]) -> Any:
-    """A loop in SX, turn after turn."""
+    """A loop that is written out, turn after turn."""
     import casadi
 
     turn, constants, carried, tables = _split(loop, args)
@@ -143,7 +134,7 @@ def _unrolled(loop: Loop, args: list[Any]) -> Any:
 
 
 def _repeated(loop: Loop, args: list[Any]) -> Any:
-    """A loop in MX, as a function that is called again and again."""
+    """A long loop, as a function that is called again and again."""
     import casadi
 
     turn, constants, carried, tables = _split(loop, args)
@@ -162,57 +153,6 @@ def _split(loop: Loop, args: list[Any]) -> tuple[Any, Sequence[Any], Sequence[An
     outputs = [f"next{i}" for i in range(loop.carried)]
     turn = make_function(loop.body, "turn", [*carried, *constants, *tables], outputs)
     return turn, *loop.split(args)
-
-
-def _write_graph(program: Program, values: Values) -> None:
-    """Adds the values of the outputs and of products and long loops, in MX."""
-    import casadi
-
-    stage: list[int] = []  # how many nodes of the MX graph lie before each node, in a chain
-    for node in program.nodes:
-        stage.append(max((stage[a] for a in node.args), default=0) + _is_mx(node))
-    for now, (inputs, inner, outputs) in enumerate(_scalar_parts(program, stage)):
-        for i, node in enumerate(program.nodes):
-            if stage[i] == now and _is_mx(node):
-                args = [values[a] for a in node.args]
-                values[i] = (
-                    _repeated(node.data, args)
-                    if node.op == "loop"
-                    else casadi.mtimes(casadi.DM(program.tables[node.data]), *args)
-                )
-        symbols = {i: casadi.SX.sym(f"n{i}", program.nodes[i].size) for i in inputs}
-        scalars = dict(symbols)
-        _write_scalars(program, scalars, inner)
-        part = casadi.Function(f"part{now}", list(symbols.values()), [scalars[i] for i in outputs])
-        values.update(zip(outputs, part.call([values[i] for i in inputs]), strict=True))
-
-
-def _scalar_parts(
-    program: Program, stage: list[int]
-) -> list[tuple[list[int], list[int], list[int]]]:
-    """The nodes that are SX in each stage: inputs, all nodes, and those that are used later."""
-    nodes = program.nodes
-    outer = {i for i, node in enumerate(nodes) if node.op == "input" or _is_mx(node)}
-    used_later = [set() for _ in range(max(stage) + 1)]
-    for i in (*program.outputs.values(), *(a for o in outer for a in nodes[o].args)):
-        if i not in outer:
-            used_later[stage[i]].add(i)
-    parts = []
-    for now in reversed(range(len(used_later))):
-        inputs, inner, pending = set(), set(), list(used_later[now])
-        while pending:
-            i = pending.pop()
-            inner.add(i)
-            for a in nodes[i].args:
-                if a in outer:
-                    inputs.add(a)
-                elif stage[a] < now and nodes[a].op not in _COPIED:
-                    inputs.add(a)
-                    used_later[stage[a]].add(a)
-                elif a not in inner:
-                    pending.append(a)
-        parts.append((sorted(inputs), sorted(inner), sorted(used_later[now])))
-    return parts[::-1]
 
 
 def step_file(step: Program) -> bytes:
