@@ -17,11 +17,12 @@ from tustinnet.cli.records import load_records
 from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
 from tustinnet.control import design as controller_design
-from tustinnet.control import replaying, variants
+from tustinnet.control import replaying
 from tustinnet.control import trial as trials
 from tustinnet.control.export import compiled
 from tustinnet.control.export import gains as gain_files
 from tustinnet.errors import InputError
+from tustinnet.families import euler_lagrange
 from tustinnet.models import groups as model_groups
 from tustinnet.models import physical_values
 from tustinnet.report import control as control_report
@@ -322,7 +323,7 @@ def control(
         _keep_model(model, out)
         drawing.write_figure(control_report.closed_loop_figure(design, trial.main_runs), out, LOOP)
         drawing.write_figure(control_report.robustness_figure(trial.robustness), out, ROBUSTNESS)
-        allowed = variants.allowed_values(simulator, header, _DRAWS)
+        allowed = euler_lagrange.draw_values(simulator, header, _DRAWS)
         responses = tn.control.loop_responses(simulator, design.own_feedback, allowed)
         drawing.write_figure(
             control_report.frequency_figure(responses, simulator.channels), out, BODE

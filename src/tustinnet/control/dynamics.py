@@ -16,7 +16,7 @@ from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.export.source import step_by_samples
 from tustinnet.models.contract import Model
-from tustinnet.models.physical_values import physical_parameters, with_values
+from tustinnet.models.physical_values import with_values
 from tustinnet.simulate.recent import keep_latest
 
 Limits = Mapping[str, tuple[float, float]]
@@ -87,14 +87,9 @@ class ControlledModel:
         return jnp.concatenate([step(z[: self.n_x], commands), kept])
 
     @cached_property
-    def _values(self) -> dict[str, float]:
-        """The physical parameters by name."""
-        return {name: value for name, _, value in physical_parameters(self.model)}
-
-    @cached_property
     def _formula_of_values(self) -> Formula:
         """The step at many points [z, u, values of the parameters]."""
-        size, end, names = self.size, self.size + self.n_u, tuple(self._values)
+        size, end, names = self.size, self.size + self.n_u, self._source.physical_values
 
         def step(point: Array) -> Array:
             values = dict(zip(names, point[end:], strict=True))
@@ -199,7 +194,7 @@ class ControlledModel:
         formula, more = self.step_formula, np.zeros((len(signs), 0))
         if values is not None:
             formula = self._formula_of_values
-            own = [values.get(name, value) for name, value in self._values.items()]
+            own = [values.get(name, value) for name, value in self._source.physical_values.items()]
             more = np.tile(own, (len(signs), 1))
         points = [np.hstack([rows, inputs, more]) for rows in z]
         slow, fast = (

@@ -3,16 +3,17 @@
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tustinnet.control.input_history import InputHistory, find_causal_layout
+from tustinnet.control.input_history import InputHistory, causal_source
 from tustinnet.engine.engines import evaluate, make_step
 from tustinnet.engine.equations import Equations, Formula
 from tustinnet.errors import InputError
-from tustinnet.export.source import require_stepping
-from tustinnet.models.contract import Model, with_dtype
-from tustinnet.models.physical_values import equations_in, with_values
+from tustinnet.export.source import step_by_samples
+from tustinnet.models.contract import Model
+from tustinnet.models.physical_values import with_values
 
 Vector = Float[np.ndarray, " _"]
 
@@ -36,27 +37,25 @@ class SteppedModel:
     """
 
     def __init__(self, model: Model) -> None:
-        require_stepping(model)
-        self.model = model
-        folded = with_dtype(model, np.float64).simplify()
-        equations = equations_in(folded)
-        values = {} if equations is None else equations.values
-        self.nominal = {name: float(values[name]) for name in sorted(values)}
-        names, layout, n_x = tuple(self.nominal), find_causal_layout(model), model.state_size
+        self.model, source = model, causal_source(model, 0)
+        self.nominal = source.physical_values
         n_m, n_u = model.channels.measured.stop, model.channels.n_u
-        self._n_w = n_w = len(layout.offsets) * n_u
+        self._n_w = n_w = source.n_w
+
+        def variant(values: Array) -> Model:
+            return with_values(source.model, dict(zip(self.nominal, values, strict=True)))
 
         def step(x: Array, w: Array, p: Any, c: Any) -> Array:
-            variant = with_values(folded, dict(zip(names, w[n_w:], strict=True)))
-            return variant.step(x, layout.step_input(w[:n_w]))
+            return step_by_samples(variant(w[n_w:]), source.input_layout)(x, w[:n_w])
 
         def start(point: Array) -> Array:
-            variant = with_values(folded, dict(zip(names, point[n_m + n_u :], strict=True)))
-            return variant.initial_state(point[:n_m], point[n_m : n_m + n_u])
+            measured, u, values = jnp.split(point, [n_m, n_m + n_u])
+            return variant(values).initial_state(measured, u)
 
         where = f"the model ({type(model).__name__})"
-        n_p = len(names)
-        self._step = make_step(Equations(step, n_x, n_w + n_p, continuous=False, where=where))
+        n_p = len(self.nominal)
+        equations = Equations(step, source.n_x, n_w + n_p, continuous=False, where=where)
+        self._step = make_step(equations)
         self._start = Formula(start, n_m + n_u + n_p, where=where)
 
     def history(self) -> InputHistory:

@@ -88,8 +88,8 @@ def make_variants(
         resolution = model.channels.resolution
         options = replace(options, counts=np.where(resolution > 0, resolution, rounding))
     counts = np.asarray(options.counts, np.float64)
-    alternatives = family_of(model).alternatives(model, dict(header or {}))
-    members = () if EULER_LAGRANGE.owns(model) else alternatives
+    family = family_of(model)
+    members = () if family is EULER_LAGRANGE else family.alternatives(model, dict(header or {}))
     stepped = SteppedModel(model)
 
     def plants(one: Callable[[int], SampledPlant]) -> tuple[SampledPlant, ...]:
@@ -146,7 +146,7 @@ def _physical_kinds(
         return VariantKind(name, help, tuple(ModelPlant(stepped, v, options) for v in values))
 
     kinds = []
-    if drawn := allowed_values(model, header, count, int(generator.integers(2**31))):
+    if drawn := draw_values(model, header, count, int(generator.integers(2**31))):
         about = "parameters drawn from their errors"
         kinds.append(replace(kind("parameters", about, drawn), allowed=True))
     # shares by which parameters are moved at most
@@ -171,15 +171,6 @@ def _physical_kinds(
             kind("heavier", f"masses and inertias up to {100 * _HEAVIER:.0f} % larger", heavier)
         )
     return kinds
-
-
-def allowed_values(
-    model: Model, header: Mapping[str, Any], count: int, seed: int = 0
-) -> list[dict[str, float]]:
-    """Parameters drawn from the errors of their identification; none where these are unknown."""
-    if not EULER_LAGRANGE.owns(model):
-        return []
-    return draw_values(model, dict(header), count, seed)  # pyright: ignore[reportArgumentType]
 
 
 def moved_values(

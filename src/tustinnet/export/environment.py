@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike
 from tustinnet.engine.engines import evaluate
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
-from tustinnet.families.euler_lagrange import FAMILY as EULER_LAGRANGE
 from tustinnet.families.euler_lagrange import draw_values
 from tustinnet.simulate.range import Range
 
@@ -91,14 +90,15 @@ class Rules:
             return
         if self.randomise is not True and not 0 < self.randomise < 1:
             raise InputError("randomise", f"{self.randomise}", "True, False or a share below 1")
-        if not self.source.physical_values:
+        source = self.source
+        if not source.physical_values:
             raise InputError(
                 "randomise",
                 "a model without physical parameters",
                 "a grey box, or a hybrid",
                 "leave it out",
             )
-        if self.randomise is True and not self._draw_by_errors(1, 0):
+        if self.randomise is True and not draw_values(source.model, source.about, 1):
             raise InputError(
                 "randomise",
                 "the file of the model has no errors of its parameters",
@@ -106,19 +106,14 @@ class Rules:
                 "give a share, as randomise=0.2",
             )
 
-    def _draw_by_errors(self, count: int, seed: int) -> list[dict[str, float]]:
-        """Values drawn from the errors of the identification; none where there are no errors."""
-        if not EULER_LAGRANGE.owns(self.source.model):
-            return []
-        return draw_values(self.source.model, self.source.about, count, seed)  # pyright: ignore[reportArgumentType]
-
     def draw_values(
         self, count: int, generator: np.random.Generator
     ) -> Float[np.ndarray, "count n_p"]:
         """Random values of the physical parameters, in the order of their names."""
-        nominal = self.source.physical_values
+        source, nominal = self.source, self.source.physical_values
         if self.randomise is True:
-            drawn = self._draw_by_errors(count, int(generator.integers(2**31)))
+            seed = int(generator.integers(2**31))
+            drawn = draw_values(source.model, source.about, count, seed)
             return np.array([[v.get(name, x) for name, x in nominal.items()] for v in drawn])
         spread = float(self.randomise) * generator.uniform(-1.0, 1.0, (count, len(nominal)))
         return np.array([*nominal.values()]) * (1 + spread)

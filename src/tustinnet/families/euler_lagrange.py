@@ -5,7 +5,7 @@ values, never its code; what its code computes at fixed states is compared when 
 """
 
 import inspect
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -231,23 +231,23 @@ FAMILY = EulerLagrangeFamily()
 
 
 def draw_values(
-    model: Discretised, header: Header, count: int, seed: int = 0
+    model: Model, header: Mapping[str, Any], count: int, seed: int = 0
 ) -> list[dict[str, float]]:
     """Parameters drawn from the errors of their identification, within their ranges.
 
     They are drawn around the values of the model, which may be those of a second fit.
 
     Args:
-        model: the identified model.
+        model: the model.
         header: the header of its file.
         count: how many sets to draw.
         seed: of the draw.
 
     Returns:
-        The sets, by name; none of a model whose file has no errors.
+        The sets, by name; none of another family's model, or of one whose file has no errors.
     """
     identification = header.get("identification")
-    if identification is None or not identification["estimates"]:
+    if not FAMILY.owns(model) or identification is None or not identification["estimates"]:
         return []
     estimates, correlation = identification["estimates"], identification["correlation"]
     errors, lower, upper = (
@@ -256,7 +256,7 @@ def draw_values(
     )
     errors = np.nan_to_num(errors)
     covariance = np.nan_to_num(np.array(correlation, float)) * np.outer(errors, errors)
-    current = FAMILY.equations(model).values
+    current = FAMILY.equations(cast(Discretised, model)).values
     values = [
         float(current[estimate["name"]]) if estimate["name"] in current else estimate["value"]
         for estimate in estimates
