@@ -192,12 +192,14 @@ def require_outputs(
 
 
 def to_json(content: Any) -> str:
-    """JSON for people and programs: indented; numbers that are not finite become null."""
+    """JSON for people and programs: indented; arrays as lists, null for what is not finite."""
     return json.dumps(nonfinite_to_none(content), indent=1, ensure_ascii=False) + "\n"
 
 
 def nonfinite_to_none(content: Any) -> Any:
-    """Content with None where a number is not finite, which JSON cannot say."""
+    """Content with lists for arrays, and None where a number is not finite: what JSON can say."""
+    if hasattr(content, "tolist"):  # of NumPy, which is not loaded for this
+        content = content.tolist()
     if isinstance(content, dict):
         return {key: nonfinite_to_none(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

@@ -1,7 +1,7 @@
 """Controllers as files of numbers: JSON, and MAT files for MATLAB and scipy."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def controller_json(controller: Feedback | Tracking, channels: Channels) -> str:
             "period": controller.final.dt,
             "coordinates": [c.name for c in channels.coordinates],
             "inputs": [i.name for i in channels.inputs],
-            **_to_lists(_content(controller)),
+            **_content(controller),
         }
     )
 
@@ -75,8 +75,9 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     feedback, plan = content.get("feedback"), content.get("plan")
     if not isinstance(feedback, dict) or not isinstance(plan, dict | None):
         raise InputError(file, "a controller without its feedback", expected)
-    period = _array_reader(file, content, "")("period", ())
-    final = _read_feedback(_array_reader(file, feedback, "feedback."), float(period))
+    read_whole = _array_reader(file, content, "")
+    period = float(read_whole("period", ()))
+    final = _read_feedback(_array_reader(file, feedback, "feedback."), period)
     if plan is None:
         return final
     read = _array_reader(file, plan, "plan.")
@@ -90,7 +91,7 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
         converged=bool(read("converged", ())),
         reached=bool(read("reached", ())),
         iterations=int(read("iterations", ())),
-        dt=float(period),
+        dt=period,
         goal=read("goal", (n_x,)),
         before=read("before", (n_u,)),
         delay=final.delay,
@@ -99,7 +100,7 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
     if "acceleration" in plan:
         own = AccelerationGains(*read("acceleration", (3,)).tolist())
     n_z = n_x + (len(final.integral) if own else final.previous * n_u)
-    gains = _array_reader(file, content, "")("gains", (len(u), n_u, n_z))
+    gains = read_whole("gains", (len(u), n_u, n_z))
     recovery = None
     if "recovery" in content:
         part = content["recovery"]
@@ -108,9 +109,7 @@ def read_controller(path: str | Path) -> Feedback | Tracking:
             raise InputError(file, "a recovery without its feedback", expected)
         read = _array_reader(file, part, "recovery.")
         recovery = Recovery(
-            feedback=_read_feedback(
-                _array_reader(file, settle, "recovery.feedback."), float(period)
-            ),
+            feedback=_read_feedback(_array_reader(file, settle, "recovery.feedback."), period),
             fallen_beyond=read("fallen_beyond", (n_x,)),
             settled_within=read("settled_within", (n_x,)),
         )
@@ -128,54 +127,28 @@ def _content(controller: Feedback | Tracking) -> dict[str, Any]:
     feedback = _feedback_content(controller.final)
     if isinstance(controller, Feedback):
         return {"feedback": feedback}
-    p, recovery = controller.plan, controller.recovery
-    plan = {
-        "x": p.x,
-        "u": p.u,
-        "cost": p.cost,
-        "converged": p.converged,
-        "reached": p.reached,
-        "iterations": p.iterations,
-        "goal": p.goal,
-        "before": p.before,
-    }
+    plan, recovery = _numbers(controller.plan, ("dt", "delay")), controller.recovery
     if controller.by_acceleration:
         plan["acceleration"] = np.array(controller.by_acceleration)
     content = {"feedback": feedback, "plan": plan, "gains": controller.gains}
     if recovery is not None:
-        content["recovery"] = {
-            "feedback": _feedback_content(recovery.feedback),
-            "fallen_beyond": recovery.fallen_beyond,
-            "settled_within": recovery.settled_within,
-        }
+        own = _feedback_content(recovery.feedback)
+        content["recovery"] = {"feedback": own, **_numbers(recovery, ("feedback",))}
     return content
 
 
-def _feedback_content(f: Feedback) -> dict[str, Any]:
+def _feedback_content(feedback: Feedback) -> dict[str, Any]:
     """The numbers of a feedback by name, as arrays."""
-    return {
-        "gain": f.gain,
-        "x0": f.x0,
-        "u0": f.u0,
-        "lower": f.lower,
-        "upper": f.upper,
-        "integral": np.array(f.integral, int),
-        "periodic": np.array(f.periodic, int),
-        "speeds": f.speeds,
-        "delay": f.delay,
-        "safe": np.broadcast_to(f.safe, f.u0.shape),
-    }
+    safe = np.broadcast_to(feedback.safe, feedback.u0.shape)
+    return {**_numbers(feedback, ("dt",)), "safe": safe}
 
 
-def _to_lists(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Content with lists in the place of arrays."""
+def _numbers(part: Feedback | Plan | Recovery, elsewhere: Sequence[str]) -> dict[str, Any]:
+    """The numbers of a part by name, as arrays, but for those that stand elsewhere."""
     return {
-        name: _to_lists(value)
-        if isinstance(value, dict)
-        else value.tolist()
-        if isinstance(value, np.ndarray | np.generic)
-        else value
-        for name, value in content.items()
+        name: np.array(value, int) if isinstance(value, tuple) else np.asarray(value)
+        for name, value in vars(part).items()
+        if name not in elsewhere
     }
 
 
