@@ -5,9 +5,9 @@ import platform
 import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 from uuid import UUID
 from xml.etree import ElementTree as Xml
 
@@ -26,6 +26,21 @@ _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same content,
 # the units of coordinates in base units of FMI
 _BASES = {"rad": {"rad": "1"}, "m": {"m": "1"}, "s": {"s": "1"}}
 _BASES |= {"rad/s": {"rad": "1", "s": "-1"}, "m/s": {"m": "1", "s": "-1"}}
+# attributes of variables
+_STATE = {"causality": "output", "variability": "continuous", "initial": "exact"}
+_INPUT = {"causality": "input", "variability": "continuous"}
+_TIME = {"causality": "independent", "variability": "continuous"}
+_CONSTANT = {"causality": "local", "variability": "constant", "initial": "exact"}
+# what an FMU can do, by version
+_ABILITIES = {
+    2: (
+        "canGetAndSetFMUstate",
+        "canSerializeFMUstate",
+        "canInterpolateInputs",
+        "canNotUseMemoryManagementFunctions",
+    ),
+    3: ("canGetAndSetFMUState", "canSerializeFMUState"),
+}
 
 
 class Fmu(Target):
@@ -35,17 +50,19 @@ class Fmu(Target):
 
     def files(self, source: Source) -> Files:
         """`model-fmi2.fmu` and `model-fmi3.fmu`, with binaries where they can be compiled."""
-        description = _Description.from_source(source)
         sources = {v: _sources(source, v) for v in FILES}
-        content = "".join(sorted({text for files in sources.values() for text in files.values()}))
+        descriptions = {v: _describe(source, v, sources[v]) for v in FILES}
+        texts = {text for files in sources.values() for text in files.values()}
+        content = "".join(sorted({*texts, *map(_document, descriptions.values())}))
         # the token identifies the model, and so depends on everything in it
-        token = f"{{{UUID(sha256(f'{content}{description}'.encode()).hexdigest()[:32])}}}"
-        for files in sources.values():
+        token = f"{{{UUID(sha256(content.encode()).hexdigest()[:32])}}}"
+        for v, files in sources.items():
             files["fmu.h"] = files["fmu.h"].replace("@token@", token)
+            descriptions[v].set("instantiationToken" if v == 3 else "guid", token)
         libraries = _libraries(sources)
         archives: Files = {}
         for v, name in FILES.items():
-            contents = {"modelDescription.xml": description.xml(v, token, sources[v]).encode()}
+            contents = {"modelDescription.xml": _document(descriptions[v]).encode()}
             contents |= {f"sources/{file}": text.encode() for file, text in sources[v].items()}
             if v == 3:
                 contents["sources/buildDescription.xml"] = _build_description(sources[v]).encode()
@@ -142,165 +159,117 @@ def _document(root: Xml.Element) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{Xml.tostring(root, encoding="unicode")}\n'
 
 
-@dataclass(frozen=True)
-class _Description:
-    """The content of the model description in both versions.
+class _Variable(NamedTuple):
+    """A variable of an FMU.
 
     Attributes:
-        title: the name of the model.
-        states: names and units of the states, in the order of their references.
-        inputs: names and units of the inputs, whose references follow.
-        parameters: names, units and values of constants, whose references follow that of time.
-        period: the period of a step [s].
-        text: notes for users of the FMU.
+        name: its name in the FMU.
+        own: its name in the model.
+        unit: its unit, or empty.
+        start: its value at the start, empty for the time.
+        kind: the attributes of its kind.
     """
 
-    title: str
-    states: tuple[tuple[str, str], ...]
-    inputs: tuple[tuple[str, str], ...]
-    parameters: tuple[tuple[str, str, float], ...]
-    period: float
-    text: str
+    name: str
+    own: str
+    unit: str
+    start: str
+    kind: Mapping[str, str]
 
-    @classmethod
-    def from_source(cls, source: Source) -> "_Description":
-        inputs = [i.name for i in source.channels.inputs]
-        parameters = [name for name, _, _ in source.parameters]
-        _, *names = _unique(["time", *source.states, *inputs, *parameters])  # `time` is FMI's own
-        units = [*source.units, *(i.unit for i in source.channels.inputs)]
-        channels = tuple(zip(names, units, strict=False))
-        title = f"model of {', '.join(c.name for c in source.channels.coordinates)}"
-        period = float(source.channels.dt)
-        constants = tuple(
-            (name, unit, value)
-            for name, (_, unit, value) in zip(
-                names[len(channels) :], source.parameters, strict=True
-            )
-        )
-        notes = [
-            f"Communication steps are of any length, with inputs as they are at the beginning. "
-            f"The period of the model is {period!r} s: "
-            + (
-                "its equations are integrated in steps of at most that."
-                if source.integrates
-                else "it steps by that, with the means of the inputs over it; states in between "
-                "are interpolated."
-            )
-        ]
-        if max(source.input_layout.offsets) > 0:
-            notes.append(
-                "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
-                "derivatives of the inputs, otherwise inputs are taken as held."
-            )
-        if min(source.input_layout.offsets) < 0:
-            notes.append("Inputs before the first step are taken as the first ones.")
-        own_names = [*source.states, *inputs, *parameters]
-        notes += [
-            f"'{own}' is called '{name}' here."
-            for own, name in zip(own_names, names, strict=True)
-            if own != name
-        ]
-        notes += [f"Note: {note}." for note in source.notes]
-        n = source.n_x
-        return cls(title, channels[:n], channels[n:], constants, period, " ".join(notes))
 
-    def xml(self, version: int, token: str, sources: Iterable[str]) -> str:
-        """`modelDescription.xml`."""
-        newer = version == 3
-        root = Xml.Element(
-            "fmiModelDescription",
-            fmiVersion=f"{version}.0",
-            modelName=self.title,
-            description=self.text,
-            generationTool="tustinnet",
-            variableNamingConvention="flat",
+def _variables(source: Source) -> list[_Variable]:
+    """States, inputs, time and parameters, in the order of their references."""
+    channels = source.channels
+    rows = [
+        ("time", "s", "", _TIME),  # first: the name is FMI's own
+        *(
+            (name, unit, "0", _STATE)
+            for name, unit in zip(source.states, source.units, strict=True)
+        ),
+        *((i.name, i.unit, "0", _INPUT) for i in channels.inputs),
+        *((name, unit, repr(value), _CONSTANT) for name, unit, value in source.parameters),
+    ]
+    names = _unique(own for own, *_ in rows)
+    time, *variables = [_Variable(n, *row) for n, row in zip(names, rows, strict=True)]
+    variables.insert(source.n_x + channels.n_u, time)
+    return variables
+
+
+def _notes(source: Source, variables: Iterable[_Variable]) -> str:
+    """Notes for users of the FMU."""
+    notes = [
+        "Communication steps are of any length, with inputs as they are at the beginning. "
+        f"The period of the model is {float(source.channels.dt)!r} s: "
+        + (
+            "its equations are integrated in steps of at most that."
+            if source.integrates
+            else "it steps by that, with the means of the inputs over it; states in between "
+            "are interpolated."
         )
-        root.set("instantiationToken" if newer else "guid", token)
-        simulated = Xml.SubElement(
-            root,
-            "CoSimulation",
-            modelIdentifier=IDENTIFIER,
-            canHandleVariableCommunicationStepSize="true",
+    ]
+    if max(source.input_layout.offsets) > 0:
+        notes.append(
+            "A step depends on later inputs too: an importer of FMI 2.0 may tell them by the "
+            "derivatives of the inputs, otherwise inputs are taken as held."
         )
+    if min(source.input_layout.offsets) < 0:
+        notes.append("Inputs before the first step are taken as the first ones.")
+    notes += [f"'{v.own}' is called '{v.name}' here." for v in variables if v.own != v.name]
+    return " ".join([*notes, *(f"Note: {note}." for note in source.notes)])
+
+
+def _describe(source: Source, version: int, sources: Iterable[str]) -> Xml.Element:
+    """The content of `modelDescription.xml`, without its token."""
+    variables, period = _variables(source), repr(float(source.channels.dt))
+    root = Xml.Element(
+        "fmiModelDescription",
+        fmiVersion=f"{version}.0",
+        modelName=f"model of {', '.join(c.name for c in source.channels.coordinates)}",
+        description=_notes(source, variables),
+        generationTool="tustinnet",
+        variableNamingConvention="flat",
+    )
+    simulated = Xml.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=IDENTIFIER,
+        canHandleVariableCommunicationStepSize="true",
+    )
+    simulated.attrib.update(dict.fromkeys(_ABILITIES[version], "true"))
+    if version == 3:
+        simulated.set("fixedInternalStepSize", period)
+    else:
+        files = Xml.SubElement(simulated, "SourceFiles")
+        for name in _compiled(sources):
+            Xml.SubElement(files, "File", name=name)
+    units = Xml.SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(v.unit for v in variables if v.unit):
+        unit = Xml.SubElement(units, "Unit", name=name)
+        if name in _BASES:
+            Xml.SubElement(unit, "BaseUnit", _BASES[name])
+    kinds = Xml.SubElement(root, "LogCategories")
+    Xml.SubElement(kinds, "Category", name="logStatusError")
+    Xml.SubElement(root, "DefaultExperiment", stepSize=period)
+    _add_variables(root, variables, newer=version == 3)
+    return root
+
+
+def _add_variables(root: Xml.Element, variables: Iterable[_Variable], *, newer: bool) -> None:
+    """Adds variables, and which of them are outputs."""
+    elements = Xml.SubElement(root, "ModelVariables")
+    structure = Xml.SubElement(root, "ModelStructure")
+    outputs = structure if newer else Xml.SubElement(structure, "Outputs")
+    for reference, v in enumerate(variables):
+        about = {"name": v.name, "valueReference": str(reference), **v.kind}
+        number = {key: text for key, text in (("start", v.start), ("unit", v.unit)) if text}
         if newer:
-            more = {
-                "canGetAndSetFMUState": "true",
-                "canSerializeFMUState": "true",
-                "fixedInternalStepSize": repr(self.period),
-            }
-        else:
-            more = {
-                "canGetAndSetFMUstate": "true",
-                "canSerializeFMUstate": "true",
-                "canInterpolateInputs": "true",
-                "canNotUseMemoryManagementFunctions": "true",
-            }
-            files = Xml.SubElement(simulated, "SourceFiles")
-            for name in _compiled(sources):
-                Xml.SubElement(files, "File", name=name)
-        simulated.attrib.update(more)
-        self._units(root)
-        kinds = Xml.SubElement(root, "LogCategories")
-        Xml.SubElement(kinds, "Category", name="logStatusError")
-        Xml.SubElement(root, "DefaultExperiment", stepSize=repr(self.period))
-        self._variables(root, newer=newer)
-        return _document(root)
-
-    def _units(self, root: Xml.Element) -> None:
-        all_units = [variable[1] for variable in (*self.states, *self.inputs, *self.parameters)]
-        used = dict.fromkeys([unit for unit in all_units if unit] + ["s"])
-        units = Xml.SubElement(root, "UnitDefinitions")
-        for name in used:
-            unit = Xml.SubElement(units, "Unit", name=name)
-            if name in _BASES:
-                Xml.SubElement(unit, "BaseUnit", _BASES[name])
-
-    def _variables(self, root: Xml.Element, *, newer: bool) -> None:
-        variables = Xml.SubElement(root, "ModelVariables")
-        structure = Xml.SubElement(root, "ModelStructure")
-        outputs = structure if newer else Xml.SubElement(structure, "Outputs")
-
-        def add(about: dict[str, str], start: str, unit: str) -> None:
-            number = {"start": start, **({"unit": unit} if unit else {})}
-            if newer:
-                Xml.SubElement(variables, "Float64", {**about, **number})
-            else:
-                Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", about), "Real", number)
-
-        for reference, (name, unit) in enumerate((*self.states, *self.inputs)):
-            is_state = reference < len(self.states)
-            about = {
-                "name": name,
-                "valueReference": str(reference),
-                "causality": "output" if is_state else "input",
-                "variability": "continuous",
-                **({"initial": "exact"} if is_state else {}),
-            }
-            add(about, "0", unit)
-            if is_state and newer:
-                Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
-            elif is_state:
-                Xml.SubElement(outputs, "Unknown", index=str(reference + 1), dependencies="")
-        time = len(self.states) + len(self.inputs)
-        if newer:
-            Xml.SubElement(
-                variables,
-                "Float64",
-                name="time",
-                causality="independent",
-                unit="s",
-                valueReference=str(time),
-                variability="continuous",
-            )
-        for reference, (name, unit, value) in enumerate(self.parameters, time + 1):
-            about = {
-                "name": name,
-                "valueReference": str(reference),
-                "causality": "local",
-                "variability": "constant",
-                "initial": "exact",
-            }
-            add(about, repr(value), unit)
+            Xml.SubElement(elements, "Float64", {**about, **number})
+        elif v.kind is not _TIME:
+            Xml.SubElement(Xml.SubElement(elements, "ScalarVariable", about), "Real", number)
+        if v.kind is _STATE and newer:
+            Xml.SubElement(outputs, "Output", valueReference=str(reference), dependencies="")
+        elif v.kind is _STATE:
+            Xml.SubElement(outputs, "Unknown", index=str(reference + 1), dependencies="")
 
 
 def _unique(names: Iterable[str]) -> list[str]:
