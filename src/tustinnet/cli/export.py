@@ -13,6 +13,7 @@ from tustinnet.errors import InputError
 from tustinnet.registry import TARGETS
 from tustinnet.report import tables
 from tustinnet.store import exported
+from tustinnet.wording import join_words
 
 
 def export(
@@ -22,7 +23,7 @@ def export(
         typer.Option(
             metavar="TARGET,..",
             autocompletion=completion.target,
-            help=f"{options.join_or(TARGETS.places)}; several, separated by commas, or all "
+            help=f"{join_words(TARGETS.places, 'or')}; several, separated by commas, or all "
             "that fit any model. Several targets get a folder each.",
         ),
     ],

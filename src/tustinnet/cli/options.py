@@ -1,7 +1,6 @@
 """Arguments and options that several verbs share."""
 
 import re
-from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ import typer
 from tustinnet.cli import completion
 from tustinnet.registry import SYSTEMS
 from tustinnet.simulate.start_names import starts_help
+from tustinnet.wording import join_words
 
 _ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
 _SHORTER = {"changes": "set", "origin": "from"}
@@ -27,12 +27,6 @@ def with_options(text: str) -> str:
         return f"--{name.replace('_', '-')}"
 
     return _ARGUMENT.sub(to_option, text)
-
-
-def join_or(names: Iterable[str]) -> str:
-    """Joins names as `a, b or c`."""
-    *first, last = names
-    return f"{', '.join(first)} or {last}" if first else last
 
 
 class Hardware(StrEnum):
@@ -81,19 +75,19 @@ SystemOfCard = Annotated[
         "FILE.xml of MuJoCo.",
     ),
 ]
-_RECIPE = "How the model is built and fitted: a packaged recipe, or a TOML file."
 _CLUSTER = (
     "a Ray cluster, given as HOST:PORT of its head node. auto: the cluster in RAY_ADDRESS, else "
     "this machine."
 )
 
 
-def recipe(default: str, what: str = _RECIPE) -> Any:
-    """Option that names a recipe, with its purpose and the recipe that is used by default."""
+def recipe(default: str) -> Any:
+    """Option that names a recipe, with the recipe that is used by default."""
     return typer.Option(
         metavar="NAME|FILE",
         autocompletion=completion.recipe,
-        help=f"{what} Default: {default}.",
+        help="How the model is built and fitted: a packaged recipe, or a TOML file. "
+        f"Default: {default}.",
     )
 
 
@@ -120,7 +114,7 @@ def _split(default: str) -> Any:
     return typer.Option(
         metavar="NAME",
         autocompletion=completion.split,
-        help=f"Records to use: {join_or(completion.SPLITS)}. Default: {default}.",
+        help=f"Records to use: {join_words(completion.SPLITS, 'or')}. Default: {default}.",
     )
 
 

@@ -17,6 +17,7 @@ from tustinnet.reproduce import page as publication_page
 from tustinnet.reproduce.entries import ALL_MODELS, EXTRA_MODELS
 from tustinnet.store import files as disk
 from tustinnet.store import run_folder
+from tustinnet.wording import join_words
 
 _TABLES = ("table1.json", "table1.md", "table1.tex")
 
@@ -54,7 +55,7 @@ _Models = Annotated[
     typer.Option(
         metavar="NAMES",
         help=f"{', '.join(ALL_MODELS)}; separated by commas or repeated. Default: all but "
-        f"{', '.join(EXTRA_MODELS[:-1])} and {EXTRA_MODELS[-1]}.",
+        f"{join_words(EXTRA_MODELS)}.",
     ),
 ]
 _Keep = Annotated[

@@ -363,7 +363,6 @@ def require_stabilisable(
     x: Float[np.ndarray, " n_x"],
     u: Float[np.ndarray, " n_u"],
     speeds: Float[np.ndarray, " n_q"] | None,
-    where: str,
 ) -> None:
     """Raises where a mode that does not decay cannot be moved by the inputs.
 
@@ -373,7 +372,7 @@ def require_stabilisable(
     for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
             raise InputError(
-                where,
+                "lqr",
                 f"{mode} is not controllable from the inputs and does not decay",
                 "inputs that move it",
                 "choose another point, or another model",

@@ -53,9 +53,6 @@ class FmuPlant(SampledPlant):
             raise InputError(file, f"FMI {description.fmiVersion}, no co-simulation", expected)
         references = {v.name: v.valueReference for v in description.modelVariables}
         names = [c.name for c in channels.coordinates]
-        self._starts = {
-            v.name for v in description.modelVariables if v.initial in ("exact", "approx")
-        }
         self._values = dict(values or {})
         for name in (*names, *(i.name for i in channels.inputs), *self._values):
             if name not in references:

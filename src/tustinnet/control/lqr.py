@@ -265,7 +265,7 @@ def lqr(
         "weights",
         "integrals",
     )
-    require_stabilisable(system, x0, u0, weights.usual_speeds(model.channels), "lqr")
+    require_stabilisable(system, x0, u0, weights.usual_speeds(model.channels))
     held = hold(system, x0, u0, weights, indices, sums)
     return Feedback(
         gain=held.gain,

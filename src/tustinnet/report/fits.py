@@ -113,12 +113,11 @@ def base_parameter_table(estimates: Sequence[BaseParameterEstimate], title: str 
     return Table(["base parameter", "value", "unit", "95 %"], rows, title)
 
 
-def force_errors_table(errors: Mapping[str, Sequence[ForceError]], title: str = "") -> Table:
+def force_errors_table(errors: Mapping[str, Sequence[ForceError]]) -> Table:
     """Table of the forces that are missing at each coordinate, beside trivial references.
 
     Args:
         errors: the errors by what they are of, as a split.
-        title: of the table; by default what is in it.
     """
     rows = [
         [
@@ -136,8 +135,8 @@ def force_errors_table(errors: Mapping[str, Sequence[ForceError]], title: str = 
     bands = sorted({f"{e.cutoff:.3g} Hz" for own in errors.values() for e in own})
     columns = ["of", "coordinate", "actuators", "missing [%]", "moving [%]"]
     columns += ["least squares [%]", "first values [%]"]
-    usual = "Forces that a motion needs and its actuators do not give, root mean squares"
-    return Table(columns, rows, f"{title or usual}, up to {', '.join(bands)}")
+    title = "Forces that a motion needs and its actuators do not give, root mean squares"
+    return Table(columns, rows, f"{title}, up to {', '.join(bands)}")
 
 
 ESTIMATE_COLUMNS = ("parameter", "value", "unit", "std. error", "95 %", "error of J'J", "range")

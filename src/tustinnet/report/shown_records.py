@@ -2,18 +2,17 @@
 
 from collections.abc import Mapping
 
-MAX_SHOWN = 6  # records that are drawn
+_MOST_SHOWN = 6  # records that are drawn
 
 
-def choose_shown_records(rmse: Mapping[str, float], count: int = MAX_SHOWN) -> set[str]:
+def choose_shown_records(rmse: Mapping[str, float]) -> set[str]:
     """Chooses the worst record, the best, and others evenly between; all where there are few.
 
     Args:
         rmse: RMSE of each record by name.
-        count: number of records to choose.
     """
     worst_first = sorted(rmse, key=lambda name: -rmse[name])
-    if len(worst_first) <= count:
+    if len(worst_first) <= _MOST_SHOWN:
         return set(worst_first)
-    step = (len(worst_first) - 1) / (count - 1)
-    return {worst_first[round(i * step)] for i in range(count)}
+    step = (len(worst_first) - 1) / (_MOST_SHOWN - 1)
+    return {worst_first[round(i * step)] for i in range(_MOST_SHOWN)}

@@ -1,7 +1,6 @@
 """The HTML page of a controller: the mechanism under control, margins, robustness, a playground."""
 
 import json
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from tustinnet.errors import InputError
 from tustinnet.export.javascript import MODULE, TARGET
 from tustinnet.export.source import make_source
 from tustinnet.families.family import family_of
-from tustinnet.models.kinematics import Link
 from tustinnet.report.control import (
     margins_table,
     point_table,
@@ -30,6 +28,7 @@ from tustinnet.report.page.signals import bounded, pack, thin
 from tustinnet.simulate.range import Range
 from tustinnet.store.files import write_into
 from tustinnet.store.model_file import package_versions
+from tustinnet.wording import join_words
 
 _ESTIMATE, _PLAN = "estimate", "plan"
 
@@ -40,7 +39,6 @@ def write_control_page(
     path: Path,
     *,
     training_range: Range | None = None,
-    links: Sequence[Link] = (),
     command: str = "",
 ) -> Path:
     """Writes the page of a controller: one HTML file that needs no server and no network.
@@ -50,17 +48,17 @@ def write_control_page(
         trial: its closed loops.
         path: the file.
         training_range: the range of the model's training records.
-        links: links that draw the mechanism, where the model has none.
         command: the command that made the controller.
     """
     model = design.model
     equations = family_of(model).equations(model)
-    own = () if equations is None else equations.system.links
+    links = () if equations is None else equations.system.links
     labels = [_ESTIMATE, *([] if design.plan is None else [_PLAN])]
     content = {
-        **mechanism_content(model.channels, own or links),
+        **mechanism_content(model.channels, links),
         "truth": "plant",
-        "models": [_line_content(label, model.warm_up) for label in labels],
+        # the lines that are drawn beside the plant, as the models of a report
+        "models": [{"label": label, "warmUp": model.warm_up} for label in labels],
         "records": [_run_content(label, run, design) for label, run in trial.runs.items()],
         "controller": _controller_content(design),
         **range_content([training_range] * len(labels), model.channels),
@@ -70,7 +68,7 @@ def write_control_page(
         modules[0] = str(TARGET.files(make_source(model, training_range))[MODULE])
     rows = trial.robustness.rows
     context = {
-        "title": f"{_join_positions(design)} under control",
+        "title": f"{join_words(c.name for c in model.coordinates)} under control",
         "verdict": trial.robustness.sentence[:1].upper() + trial.robustness.sentence[1:] + ".",
         "inputs": text.describe_inputs(model.channels),
         "records": [*trial.runs],
@@ -93,23 +91,6 @@ def write_control_page(
     }
     write_into(path.parent, path.name, render(context, content, modules, "control.html"))
     return path
-
-
-def _join_positions(design: ControlDesign) -> str:
-    names = [c.name for c in design.model.channels.coordinates]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
-
-
-def _line_content(label: str, warm_up: int) -> dict[str, Any]:
-    """A line that is drawn beside the plant, as scripts know it from models of a report."""
-    return {
-        "label": label,
-        "warmUp": warm_up,
-        "ahead": [],
-        "residuals": [],
-        "search": None,
-        "training": [],
-    }
 
 
 def _run_content(label: str, run: ClosedLoopResult, design: ControlDesign) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from tustinnet.report.tables import Table, amounts, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import find_fitted, records_in_header
-from tustinnet.wording import counted
+from tustinnet.wording import counted, join_words
 
 _CHECKSUM_DIGITS = 12  # of a checksum
 
@@ -65,13 +65,13 @@ def model_title(reported: ReportedModel) -> str:
     family = family_of(reported.model)
     kind = family.title or family.kind
     article = "An" if kind[:1].lower() in "aeiou" else "A"
-    return f"{article} {kind} model of {_join([c.name for c in reported.model.coordinates])}"
+    return f"{article} {kind} model of {join_words(c.name for c in reported.model.coordinates)}"
 
 
 def describe_inputs(channels: Channels) -> str:
     """Sentence on inputs and sampling period, below the heading."""
     inputs = [f"{i.name} ({i.unit})" if i.unit else i.name for i in channels.inputs]
-    driven = f"Driven by {_join(inputs)}" if inputs else "Without inputs"
+    driven = f"Driven by {join_words(inputs)}" if inputs else "Without inputs"
     return f"{driven}, in steps of {channels.dt * 1e3:g} ms."
 
 
@@ -152,7 +152,7 @@ def describe_bands(results: Sequence[ModelResult]) -> str:
         for result in results
         if result.bands
     ]
-    return f"Shaded: bands that contain {_join(levels)} of the time." if levels else ""
+    return f"Shaded: bands that contain {join_words(levels)} of the time." if levels else ""
 
 
 def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) -> list[str]:
@@ -172,11 +172,6 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
         notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
         notes += [f"{label}: {f['text']}" for f in spoiled.get("left_out", ())]
     return notes
-
-
-def _join(names: Sequence[str]) -> str:
-    """Joins names as `a, b and c`."""
-    return f"{', '.join(names[:-1])} and {names[-1]}" if names[1:] else "".join(names)
 
 
 # --- tables ---
