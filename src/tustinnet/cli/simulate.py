@@ -76,9 +76,9 @@ def simulate(
             if training_range is not None:
                 point = training_range.extrapolation_point(simulator.channels, score.simulated, e.u)
             if point is not None:
-                content["left"] = extrapolation.extrapolation_content(point, e)
+                content["left"] = extrapolation.extrapolation_content(point, e.dt)
                 terminal.messages().print(
-                    f"note: {e.name}: {extrapolation.describe_extrapolation(point, e)}"
+                    f"note: {e.name}: {extrapolation.describe_extrapolation(point, e.dt)}"
                 )
             simulations.append(content)
     if json:

@@ -145,13 +145,15 @@ def compile_c(sources: Sequence[Path], to: Path, flags: Sequence[str]) -> None:
         raise NotRunnable(f"{command[0]} does not compile it: {error}")
 
 
+def address(array: np.ndarray) -> ctypes.c_void_p:
+    """Where the numbers of an array are, as functions in C take it."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
 def library_step(library: Path, n_x: int) -> Stepper:
     """The step of a shared library that has `model_init` and `model_step`, in double precision."""
     functions = ctypes.CDLL(str(library))
     state = np.zeros(n_x)  # of the same layout as `model_state`
-
-    def address(values: np.ndarray) -> ctypes.c_void_p:
-        return ctypes.c_void_p(values.ctypes.data)
 
     def step(x: Vector, u: Vector) -> Vector:
         x, u = (np.ascontiguousarray(v, np.float64) for v in (x, u))

@@ -18,6 +18,7 @@ from tustinnet.control.frequency import LoopResponses
 from tustinnet.control.robustness import Robustness
 from tustinnet.control.trial import Trial
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
+from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.tables import Table
 
 
@@ -276,7 +277,7 @@ def sentences(design: ControlDesign) -> list[str]:
         )
         lines.append(f"motion: {len(plan.u) * plan.dt:.3g} s, {used}, {how}")
     if design.beyond is not None:
-        lines.append(f"motion: {_beyond(design)}")
+        lines.append(f"motion: {describe_extrapolation(design.beyond, channels.dt, 'it')}")
     if design.plan is not None and design.point.is_unstable:
         lines.append(f"after a fall: {_recovery(design)}")
     if design.consistency is None:
@@ -312,22 +313,6 @@ def _recovery(design: ControlDesign) -> str:
     return (
         f"where {fallen} from the goal, feedback about the start damps the motion, then the plan "
         "begins again"
-    )
-
-
-def _beyond(design: ControlDesign) -> str:
-    point = design.beyond
-    assert point is not None
-    time = point.sample * design.model.dt
-    if not point.signal:
-        return (
-            f"from {time:.3g} s on in combinations of positions, velocities and inputs that no "
-            "record has"
-        )
-    low, high = point.recorded
-    return (
-        f"from {time:.3g} s on beyond the training records: {point.signal} reaches "
-        f"{point.value:.4g}, recorded {low:.4g} to {high:.4g}"
     )
 
 

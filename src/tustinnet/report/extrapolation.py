@@ -1,15 +1,15 @@
-"""Free runs that leave the range of the training data, in words and as plain values."""
+"""Motions that leave the range of the training data, in words and as plain values."""
 
 from typing import Any
 
-from tustinnet.data.experiment import Experiment
 from tustinnet.simulate.range import ExtrapolationPoint
 
 
-def describe_extrapolation(point: ExtrapolationPoint, experiment: Experiment) -> str:
-    """Describes where a free run leaves the range of the training data, and how far it goes."""
-    time = float(experiment.t[point.sample] - experiment.t[0])
-    start = f"from {time:.3g} s on the free run is outside the range of the training data"
+def describe_extrapolation(
+    point: ExtrapolationPoint, dt: float, motion: str = "the free run"
+) -> str:
+    """Describes where a motion leaves the range of the training data, and how far it goes."""
+    start = f"from {point.sample * dt:.3g} s on {motion} is outside the range of the training data"
     if not point.signal:
         return (
             f"{start}: this combination of positions, velocities and inputs is in no record "
@@ -19,10 +19,10 @@ def describe_extrapolation(point: ExtrapolationPoint, experiment: Experiment) ->
     return f"{start}: {point.signal} reaches {point.value:.4g}, recorded {low:.4g} to {high:.4g}"
 
 
-def extrapolation_content(point: ExtrapolationPoint, experiment: Experiment) -> dict[str, Any]:
+def extrapolation_content(point: ExtrapolationPoint, dt: float) -> dict[str, Any]:
     """Plain values of the place where a free run leaves the range of the training data."""
     return {
-        "time": float(experiment.t[point.sample] - experiment.t[0]),
+        "time": point.sample * dt,
         "what": point.signal,
         "value": point.value,
         "recorded": list(point.recorded),

@@ -9,9 +9,10 @@ from jaxtyping import Float
 from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import make_filter, rest_state
 from tustinnet.control.export.code import SOURCES
-from tustinnet.control.export.compiled import MEMORY, address, load_library
+from tustinnet.control.export.compiled import MEMORY, load_library
 from tustinnet.engine.engines import make_step
 from tustinnet.errors import InputError
+from tustinnet.export.c import address
 from tustinnet.export.source import Source
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise

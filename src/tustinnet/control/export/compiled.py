@@ -22,7 +22,7 @@ from tustinnet.control.input_history import causal_source
 from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.errors import InputError, convert_errors
-from tustinnet.export.c import compile_c, make_model_files
+from tustinnet.export.c import address, compile_c, make_model_files
 from tustinnet.export.target import Files, NotRunnable
 from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise
@@ -139,11 +139,6 @@ def folder_controller(folder: Path, gains: Feedback | Tracking, *, predictive: b
                 folder, f"predictive control, and {reason}", "a compiler, by which it is played"
             ) from reason
         return feedback_controller(gains)
-
-
-def address(array: np.ndarray) -> ctypes.c_void_p:
-    """Where the numbers of an array are, as functions in C take it."""
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 def load_library(files: Files, sources: Sequence[str]) -> ctypes.CDLL:

@@ -162,7 +162,7 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
         label = result.reported.label
         notes += [f"{label}: {note}" for note in result.notes]
         notes += [
-            f"{label}, {e.name}: {describe_extrapolation(point, e)}"
+            f"{label}, {e.name}: {describe_extrapolation(point, e.dt)}"
             for e, point in zip(records, result.extrapolations, strict=True)
             if point is not None
         ]
