@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -37,29 +36,21 @@ class FitProgress(AbstractContextManager["FitProgress"]):
     def __init__(self, console: Console, *, quiet: bool = False) -> None:
         self._console, self._quiet = console, quiet
         self._messages = set[str]()  # that were printed
-        self._bars: Progress | None = None
-        if console.is_terminal and not quiet:
-            self._bars = Progress(
-                TextColumn("{task.description}"),
-                # a terminal of 110 columns leaves room for a longer bar
-                BarColumn(bar_width=20 if console.width >= 110 else 4),
-                _Figures(),
-                console=console,
-            )
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            # a terminal of 110 columns leaves room for a longer bar
+            BarColumn(bar_width=20 if console.width >= 110 else 4),
+            _Figures(),
+            console=console,
+            disable=quiet or not console.is_terminal,
+        )
 
     def __enter__(self) -> Self:
-        if self._bars:
-            self._bars.start()
+        self._bars.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._bars:
-            self._bars.stop()
+    def __exit__(self, *error: object) -> None:
+        self._bars.stop()
 
     def listener(self, label: str = "") -> Listener:
         """Makes a listener that shows fits, one after the other.
@@ -68,14 +59,15 @@ class FitProgress(AbstractContextManager["FitProgress"]):
             label: name of the fits; by default that of their recipe.
         """
         shown: Callable[[Any], None]
+        has_lines = self._bars.disable and not self._quiet
 
         def on_begin(prepared: TrainingPlan | Task) -> None:
             nonlocal shown
             if isinstance(prepared, TrainingPlan):
-                shown = _Trainings(self._console, self._bars, prepared, label, self._quiet)
+                shown = _Trainings(self._bars, has_lines, prepared, label)
             else:
                 name = label or prepared.recipe.name
-                shown = _Identification(self._console, self._bars, name, self._quiet)
+                shown = _Identification(self._bars, has_lines, name)
 
         return Listener(
             on_begin=on_begin,
@@ -106,25 +98,24 @@ class _Identification:
     Elsewhere a line where a stage begins, and every few seconds while it goes on.
     """
 
-    def __init__(self, console: Console, bars: Progress | None, label: str, quiet: bool) -> None:
-        self._console, self._bars, self._label, self._quiet = console, bars, label, quiet
+    def __init__(self, bars: Progress, has_lines: bool, label: str) -> None:
+        self._bars, self._has_lines, self._label = bars, has_lines, label
         self._stage, self._begin = ("", 0), time.monotonic()
         self._last = self._begin
-        self._task = bars.add_task(label, total=None, figures=_COMPILING) if bars else None
+        self._task = bars.add_task(label, total=None, figures=_COMPILING)
 
     def __call__(self, progress: SearchProgress) -> None:
         figures = f"{progress.stage}, iteration {progress.iteration}, cost {progress.cost:.4g}"
         if progress.number:
             figures = f"stage {progress.number} of {progress.stages}, {figures}"
-        if self._bars and self._task is not None:
-            self._bars.update(self._task, figures=figures)
-            return
+        self._bars.update(self._task, figures=figures)
         stage, now = (progress.stage, progress.number), time.monotonic()
-        if self._quiet or (stage == self._stage and now - self._last < _SEARCH_LINE_EVERY):
+        is_soon = stage == self._stage and now - self._last < _SEARCH_LINE_EVERY
+        if is_soon or not self._has_lines:
             return
         self._stage, self._last = stage, now
         line = f"{self._label}: {figures}, {duration(now - self._begin)}"
-        self._console.print(line, highlight=False, soft_wrap=True)
+        self._bars.console.print(line, highlight=False, soft_wrap=True)
 
 
 class _Trainings:
@@ -133,10 +124,8 @@ class _Trainings:
     The bar shows the progress of the slowest training and the score of the best one.
     """
 
-    def __init__(
-        self, console: Console, bars: Progress | None, plan: TrainingPlan, label: str, quiet: bool
-    ) -> None:
-        self._console, self._bars, self._quiet = console, bars, quiet
+    def __init__(self, bars: Progress, has_lines: bool, plan: TrainingPlan, label: str) -> None:
+        self._bars, self._has_lines = bars, has_lines
         # work before each stage: in steps of windows, and in epochs
         self._before, self._total, self._epochs_before, self._epochs = {}, 0, {}, 0
         self._work = {
@@ -153,9 +142,7 @@ class _Trainings:
         self._names = [f"{title}, {m.name.replace('-', ' ')}" for m in members]
         self._more = f" and {len(self._names) - 1} more" if len(self._names) > 1 else ""
         self._name = self._names[0] + self._more
-        self._task = (
-            bars.add_task(self._name, total=self._total, figures=_COMPILING) if bars else None
-        )
+        self._task = bars.add_task(self._name, total=self._total, figures=_COMPILING)
         self._last = time.monotonic()
         self._compiling = 0.0  # seconds, of the last stage that was compiled
         self._scale = max(float(e.q.std(axis=0).max()) for e in plan.task.folds[0].roles.train)
@@ -165,7 +152,7 @@ class _Trainings:
     def __call__(self, report: EpochReport) -> None:
         stage, m = report.stage, report.member
         if report.event:
-            self._console.print(f"{self._names[m]}: {report.event}", highlight=False)
+            self._bars.console.print(f"{self._names[m]}: {report.event}", highlight=False)
         self._progress[m] = self._before[stage] + report.epoch * self._work[stage]
         self._lowest[m] = report.best
         done = min(self._progress)
@@ -187,13 +174,12 @@ class _Trainings:
             f"{epoch}/{self._epochs} loss {report.loss:.3g} rmse {rmse} {best}"
             f"rate {report.rate:.1e}{remaining}"
         )
-        if self._bars and self._task is not None:
-            self._bars.update(self._task, completed=done, figures=figures)
-            return
-        if self._quiet or (now - self._last < _LINE_EVERY and done < self._total):
+        self._bars.update(self._task, completed=done, figures=figures)
+        is_soon = now - self._last < _LINE_EVERY and done < self._total
+        if is_soon or not self._has_lines:
             return
         self._last = now
-        self._console.print(
+        self._bars.console.print(
             f"{self._name}: {100 * done / self._total:.0f} %, {figures}",
             highlight=False,
             soft_wrap=True,
