@@ -4,8 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from tustinnet.channels import Channels
-from tustinnet.evaluate.scores import Score, mean_rmse_by_unit
+from tustinnet.evaluate.scores import mean_rmse_by_unit
 from tustinnet.fits.run import Run
 from tustinnet.fitting.report import (
     BaseParameterEstimate,
@@ -13,6 +12,7 @@ from tustinnet.fitting.report import (
     ForceError,
     Identification,
 )
+from tustinnet.report.comparison import comparison_table
 from tustinnet.report.tables import Table, norm_words, number, numbers, scale_of
 from tustinnet.selection.cross_validation import CrossValidationResult
 from tustinnet.simulate.horizon import horizon_words
@@ -209,19 +209,16 @@ def position_in_range(e: Estimate, value: float) -> float:
 
 def validation_table(run: Run) -> Table:
     """Table of the free runs that score the best model of a run."""
-    best = run.best
-    title = (
-        f"{run.judging_split} free runs, start '{run.start}'{horizon_words(best.scores[0].horizon)}"
-    )
-    return _scores_table(best.scores, run.channels, title, has_mean=True)
+    scores = {run.best.result.recipe.name: run.best.scores}
+    return comparison_table(run.roles.ranking, scores, run.start)
 
 
 def training_table(run: Run) -> Table:
     """Table of the error of the best model of a run on each training record."""
     identification = run.best.result.identification
     if identification is None:
-        title = f"train, free runs, start '{run.start}'{horizon_words(run.best.scores[0].horizon)}"
-        return _scores_table(run.training_scores, run.channels, title)
+        scores = {run.best.result.recipe.name: run.training_scores}
+        return comparison_table(run.roles.train, scores, run.start)
     title = (
         "train, forces that are missing, relative to the actuators'"
         if identification.force_errors
@@ -235,18 +232,6 @@ def training_table(run: Run) -> Table:
     cells = numbers(list(identification.rmse.values()))
     rows = [list(row) for row in zip(identification.rmse, cells, strict=True)]
     return Table(["record", "RMSE"], rows, title)
-
-
-def _scores_table(
-    scores: Sequence[Score], channels: Channels, title: str, *, has_mean: bool = False
-) -> Table:
-    """Table of the RMSE of each record over the coordinates of each unit."""
-    errors = {s.experiment: s.rmse_by_unit(channels) for s in scores}
-    if has_mean:
-        errors["mean"] = mean_rmse_by_unit(scores, channels)
-    columns = [numbers([rmse[unit] for rmse in errors.values()]) for unit in channels.units]
-    rows = [[name, *cells] for name, *cells in zip(errors, *columns, strict=True)]
-    return Table(["record", *[f"RMSE [{unit}]" for unit in channels.units]], rows, title)
 
 
 def folds_table(result: CrossValidationResult) -> Table:
