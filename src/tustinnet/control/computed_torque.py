@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from tustinnet.control.dynamics import Limits, controlled, input_limits
 from tustinnet.control.lqr import AccelerationGains, Feedback, Tracking
 from tustinnet.control.plan import Plan
+from tustinnet.control.reference import checked_reference
 from tustinnet.engine.engines import evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
@@ -102,12 +103,8 @@ def computed_torque(
         feedforward of the inverse dynamics.
     """
     required = inverse_dynamics(model)
-    x = np.asarray(reference, np.float64)
     n, dt = model.channels.n_q, float(model.dt)
-    if x.ndim != 2 or x.shape[1] != 2 * n or len(x) < 2 or not np.isfinite(x).all():
-        raise InputError(
-            "computed torque", f"a reference of shape {x.shape}", f"(samples, {2 * n})"
-        )
+    x = checked_reference(reference, 2 * n, "computed torque")
     middle, a = _between(x, dt)
 
     def with_slope(point: Array) -> Array:

@@ -310,15 +310,3 @@ def require_known(given: Mapping[str, object], names: Sequence[str], where: str,
     for name in given:
         if name not in names:
             raise InputError(where, f"no '{name}' among the {what}", f"some of {', '.join(names)}")
-
-
-def require_vector(value: object, size: int, where: str) -> Float[np.ndarray, " size"]:
-    """An array of some finite numbers.
-
-    Raises:
-        InputError: another shape, or a number that is not finite.
-    """
-    array = np.asarray(value, np.float64)
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise InputError(where, f"{value} of shape {array.shape}", f"{size} finite numbers")
-    return array

@@ -18,10 +18,10 @@ from tustinnet.control.dynamics import (
     controlled,
     input_limits,
     require_known,
-    require_vector,
 )
 from tustinnet.control.lqr import Holding, gains_along, hold
 from tustinnet.control.plan import Plan
+from tustinnet.control.reference import checked_reference
 from tustinnet.control.riccati import Policy, backward_pass
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
 from tustinnet.engine.engines import simulate
@@ -29,6 +29,7 @@ from tustinnet.engine.equations import Equations
 from tustinnet.engine.runs import Runs
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import checked_vector
 from tustinnet.simulate.range import Range
 
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of the change of the inputs, that are tried
@@ -305,10 +306,10 @@ def ilqr(
     if steps < 1 or iterations < 1:
         raise InputError("ilqr", f"{steps} steps, {iterations} iterations", "at least 1 of each")
     system, bounds = controlled(model, delay), input_limits(model, limits)
-    x0 = require_vector(start, system.n_x, "ilqr, start")
-    x_end = require_vector(goal, system.n_x, "ilqr, goal")
+    x0 = checked_vector("start", start, system.n_x, "ilqr")
+    x_end = checked_vector("goal", goal, system.n_x, "ilqr")
     u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
-    u_end = bounds.clip(require_vector(u_end, system.n_u, "ilqr, goal_inputs"))
+    u_end = bounds.clip(checked_vector("goal_inputs", u_end, system.n_u, "ilqr"))
     cost, holding = make_cost(
         system,
         bounds,
@@ -380,11 +381,9 @@ def follow(
             end that no feedback can hold, a model that diverges along the reference.
     """
     system, bounds = controlled(model, delay), input_limits(model, limits)
-    x = np.asarray(reference, np.float64)
-    if x.ndim != 2 or x.shape[1] != system.n_x or len(x) < 2 or not np.isfinite(x).all():
-        raise InputError("follow", f"a reference of shape {x.shape}", f"(samples, {system.n_x})")
+    x = checked_reference(reference, system.n_x, "follow")
     u_end = np.zeros(system.n_u) if goal_inputs is None else goal_inputs
-    u_end = bounds.clip(require_vector(u_end, system.n_u, "follow, goal_inputs"))
+    u_end = bounds.clip(checked_vector("goal_inputs", u_end, system.n_u, "follow"))
     cost, holding = make_cost(
         system, bounds, x[-1], u_end, deviations=deviations, range=range, within=within
     )

@@ -15,7 +15,6 @@ from tustinnet.control.dynamics import (
     controlled,
     input_limits,
     require_known,
-    require_vector,
     safe_inputs,
 )
 from tustinnet.control.equilibrium import require_stabilisable
@@ -23,6 +22,7 @@ from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import checked_vector
 from tustinnet.simulate.range import Range
 
 _DEVIATION_SECONDS = (
@@ -239,8 +239,8 @@ def lqr(
         (1968), Multiple-input describing functions.
     """
     system, bounds = controlled(model, delay), input_limits(model, limits)
-    x0 = require_vector(x, system.n_x, "lqr, x")
-    u0 = require_vector(u, system.n_u, "lqr, u")
+    x0 = checked_vector("x", x, system.n_x, "lqr")
+    u0 = checked_vector("u", u, system.n_u, "lqr")
     positions = [c.name for c in model.channels.coordinates]
     require_known(dict.fromkeys(integral), positions, "integral", "coordinates")
     if len(integral) > system.n_u:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from tustinnet.channels import Channels
@@ -57,6 +58,18 @@ def read_reference(
         for name in table.columns
         if name != _TIME
     }
+
+
+def checked_reference(value: ArrayLike, n_x: int, where: str) -> Float[np.ndarray, "samples n_x"]:
+    """A reference as an array, a state for each sample.
+
+    Raises:
+        InputError: another shape, or a number that is not finite.
+    """
+    x = np.asarray(value, np.float64)
+    if x.ndim != 2 or x.shape[1] != n_x or len(x) < 2 or not np.isfinite(x).all():
+        raise InputError(where, f"a reference of shape {x.shape}", f"finite, (samples, {n_x})")
+    return x
 
 
 def _names(channels: Channels) -> list[str]:

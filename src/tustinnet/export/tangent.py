@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.simulate.linearise import value_and_jacobian
@@ -53,12 +52,8 @@ def compute_tangent(
         )
     state = np.asarray(x, float)
     inputs = np.tile(np.asarray(u, float), len(source.input_layout.offsets))
-    formula = Formula(
-        lambda point: source.function(point[:n_x], point[n_x:]),
-        n_x + len(inputs),
-        where="operating point",
-    )
-    following, jacobian = value_and_jacobian(formula, np.concatenate([state, inputs]))
+    point = np.concatenate([state, inputs])
+    following, jacobian = value_and_jacobian(source.batched_step, point)
     if not (np.isfinite(following).all() and np.isfinite(jacobian).all()):
         raise InputError(
             "operating point",

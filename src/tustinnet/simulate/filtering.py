@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
@@ -18,7 +19,6 @@ from tustinnet.simulate.recent import keep_latest
 from tustinnet.simulate.simulation import step_equations
 
 Deviations = Float[Array | np.ndarray, " _"]
-Rows = Float[Array | np.ndarray, "..."]
 Vector = Float[np.ndarray, " _"]
 
 # deviations beyond which an innovation is impossible: with noise by likelihood, loops of models
@@ -282,7 +282,7 @@ def _padded(rows: Sequence[Float[np.ndarray, "_ n"]]) -> Float[np.ndarray, "long
     return np.stack([np.pad(r, ((0, longest - len(r)), (0, 0)), "edge") for r in rows], axis=1)
 
 
-def checked_vector(name: str, value: Rows, size: int, where: str) -> Vector:
+def checked_vector(name: str, value: ArrayLike, size: int, where: str) -> Vector:
     """A vector of finite numbers in double precision.
 
     Raises:

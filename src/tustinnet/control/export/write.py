@@ -24,7 +24,7 @@ from tustinnet.errors import InputError
 from tustinnet.export.source import Source
 from tustinnet.models.contract import Model
 from tustinnet.models.groups import model_for_groups
-from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise
+from tustinnet.simulate.filtering import LOST_AFTER, FilterNoise, checked_vector
 from tustinnet.simulate.range import Range
 from tustinnet.store.exported import CARD, make_card, require_export_folder, write_export
 from tustinnet.store.header import read_header
@@ -108,8 +108,7 @@ def export_controller(
     _require_fit(gains, source)
     if start is None:
         start = _default_start(gains, source)
-    elif np.shape(start) != (source.n_x,) or not np.isfinite(start).all():
-        raise InputError("the start", f"{start}", f"{source.n_x} finite numbers")
+    start = checked_vector("start", start, source.n_x, "the controller")
     # periods of the loop in software
     steps = 300 + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
     code = make_code(controller, source, noise, start, steps, lost_after)
