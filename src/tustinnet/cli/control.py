@@ -180,13 +180,7 @@ def control(
     starts: Annotated[
         int, typer.Option(min=1, max=1000, help="Runs on the plants of each kind.")
     ] = 20,
-    group: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="For a model with values by group: the group, e.g. payload=1kg; may be repeated.",
-        ),
-    ] = None,
+    group: options.Group = None,
     force: Annotated[
         bool,
         typer.Option(

@@ -28,14 +28,7 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
-    group: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="For a model with values by group: the group to export, e.g. payload=1kg; may be "
-            "repeated.",
-        ),
-    ] = None,
+    group: options.Group = None,
     at: Annotated[
         str | None,
         typer.Option(

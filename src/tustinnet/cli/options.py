@@ -105,6 +105,13 @@ Set = Annotated[
         "search.loss=state, model.fixed.mass=0.4. May be repeated.",
     ),
 ]
+Group = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=VALUE",
+        help="For a model with values by group: the group, e.g. payload=1kg; may be repeated.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Do not show progress.")]
 

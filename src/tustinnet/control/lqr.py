@@ -453,6 +453,26 @@ def time_varying_lqr(
     return Tracking(plan, gains, final, settle and _make_recovery(model, plan, settle))
 
 
+def as_tracking(gains: Feedback | Tracking) -> Tracking:
+    """Feedback along a motion; that about a point is along one of no steps."""
+    if isinstance(gains, Tracking):
+        return gains
+    n_u, n_z = gains.gain.shape
+    plan = Plan(
+        x=gains.x0[None],
+        u=np.zeros((0, n_u)),
+        cost=0.0,
+        converged=True,
+        reached=True,
+        iterations=0,
+        dt=gains.dt,
+        goal=gains.x0,
+        before=gains.u0,
+        delay=gains.delay,
+    )
+    return Tracking(plan, np.zeros((0, n_u, n_z)), gains)
+
+
 def _make_recovery(model: Model, plan: Plan, settle: Feedback) -> Recovery:
     """The way back to a plan's start, its distances by the plan."""
     position, measured = model.channels.position, model.channels.measured

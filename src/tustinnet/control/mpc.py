@@ -10,8 +10,7 @@ from tustinnet.control.controller import Controller
 from tustinnet.control.controllers import TrackingFeedback, feedback_controller
 from tustinnet.control.dynamics import InputLimits, Limits, controlled
 from tustinnet.control.ilqr import SHARES, Motion, Solver, make_cost, shift, turns_to
-from tustinnet.control.lqr import Feedback, Tracking, gains_along, wrap
-from tustinnet.control.plan import Plan
+from tustinnet.control.lqr import Feedback, Tracking, as_tracking, gains_along, wrap
 from tustinnet.control.weights import Deviations, Weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
@@ -82,7 +81,7 @@ class Mpc:
                 f"{steps} steps, {iterations} iterations",
                 f"1 to {LONGEST} steps, at least 1 iteration",
             )
-        tracking = gains if isinstance(gains, Tracking) else _without_motion(gains)
+        tracking = as_tracking(gains)
         plan, final = tracking.plan, tracking.final
         if final.integral:
             raise InputError(
@@ -178,24 +177,6 @@ class Mpc:
             tries = (solver.roll_out(start, motion, policy, s * _WHOLE) for s in SHARES)
             motion = next((better for better in tries if better.cost <= most), motion)
         return motion
-
-
-def _without_motion(feedback: Feedback) -> Tracking:
-    """Feedback about a point as one along a motion of no steps."""
-    n_u, n_z = feedback.gain.shape
-    plan = Plan(
-        x=feedback.x0[None],
-        u=np.zeros((0, n_u)),
-        cost=0.0,
-        converged=True,
-        reached=True,
-        iterations=0,
-        dt=feedback.dt,
-        goal=feedback.x0,
-        before=feedback.u0,
-        delay=feedback.delay,
-    )
-    return Tracking(plan, np.zeros((0, n_u, n_z)), feedback)
 
 
 def make_controller(designed: Feedback | Tracking | Mpc) -> Controller:

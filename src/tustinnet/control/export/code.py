@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from tustinnet.control.computed_torque import inverse_dynamics
 from tustinnet.control.ilqr import SHARES
-from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.lqr import Feedback, Tracking, as_tracking
 from tustinnet.control.mpc import ROUNDING, Mpc
 from tustinnet.control.riccati import SWEEPS
 from tustinnet.export.c import make_filter_code, make_model_files, markdown_cell, math_helpers
@@ -86,12 +86,10 @@ def gains_of(controller: Feedback | Tracking | Mpc) -> Feedback | Tracking:
 
 def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> Files:
     """`controller.h` and `controller.c`."""
-    gains = gains_of(controller)
-    tracking = gains if isinstance(gains, Tracking) else None
-    final = gains.final
-    recovery = tracking.recovery if tracking else None
+    tracking = as_tracking(gains_of(controller))
+    plan, final, recovery = tracking.plan, tracking.final, tracking.recovery
     settle = recovery.feedback if recovery else None
-    own = tracking.by_acceleration if tracking else None
+    own, none = tracking.by_acceleration, np.zeros(0)
     n_x, n_i = len(final.x0), len(final.integral)
     # integrals last, so that the gains of a plan, which has none, are in the same order
     order = [*range(n_x), *range(n_x + n_i, final.gain.shape[1]), *range(n_x, n_x + n_i)]
@@ -102,13 +100,14 @@ def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> F
         "lower": final.lower,
         "upper": final.upper,
         "safe": _safe(final),
-        "before": tracking.plan.before if tracking else final.u0,
-        "plan_x": tracking.plan.x if tracking else np.zeros(0),
-        "plan_u": tracking.plan.u if tracking and not own else np.zeros(0),
-        "plan_gain": tracking.gains if tracking and not own else np.zeros(0),
-        "settle_gain": settle.gain if settle else np.zeros(0),
-        "settle_x0": settle.x0 if settle else np.zeros(0),
-        "settle_u0": settle.u0 if settle else np.zeros(0),
+        "before": plan.before,
+        "plan_x": plan.x if len(plan.u) else none,
+        "plan_u": none if own else plan.u,
+        "plan_gain": none if own else tracking.gains,
+        **{
+            f"settle_{name}": getattr(settle, name) if settle else none
+            for name in ("gain", "x0", "u0")
+        },
         "fallen_beyond": recovery.fallen_beyond if recovery else np.zeros(n_x),
         "settled_within": recovery.settled_within if recovery else np.zeros(n_x),
     }
@@ -129,7 +128,7 @@ def controller_files(controller: Feedback | Tracking | Mpc, source: Source) -> F
             integrals=n_i,
             previous=final.previous,
             periodic=len(final.periodic),
-            steps=len(tracking.plan.u) if tracking else 0,
+            steps=len(plan.u),
             recovers=int(recovery is not None),
             accelerates=int(own is not None),
             ahead=controller.steps if isinstance(controller, Mpc) else 0,

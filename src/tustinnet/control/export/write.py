@@ -17,7 +17,7 @@ from tustinnet.control.export.gains import JSON, MAT, controller_json, controlle
 from tustinnet.control.export.scripts import make_scripts
 from tustinnet.control.ilqr import make_cost
 from tustinnet.control.input_history import causal_source
-from tustinnet.control.lqr import Feedback, Tracking
+from tustinnet.control.lqr import Feedback, Tracking, as_tracking
 from tustinnet.control.mpc import Mpc, make_controller
 from tustinnet.control.weights import Deviations
 from tustinnet.errors import InputError
@@ -110,10 +110,11 @@ def export_controller(
         start = _default_start(gains, source)
     start = checked_vector("start", start, source.n_x, "the controller")
     # periods of the loop in software
-    steps = 300 + (len(gains.plan.u) if isinstance(gains, Tracking) else 0)
+    tracking = as_tracking(gains)
+    steps = 300 + len(tracking.plan.u)
     code = make_code(controller, source, noise, start, steps, lost_after)
     check = check_loop(
-        code, make_controller(controller), source, noise, start, steps, _fall(gains), lost_after
+        code, make_controller(controller), source, noise, start, steps, _fall(tracking), lost_after
     )
     notes, scripts = [*source.notes], {}
     if check.note:
@@ -168,11 +169,10 @@ def _default_start(controller: Feedback | Tracking, source: Source) -> Vector:
     return start
 
 
-def _fall(controller: Feedback | Tracking) -> Vector | None:
+def _fall(tracking: Tracking) -> Vector | None:
     """A state to which a held device falls in the check: beside the start, so that it swings."""
-    if not isinstance(controller, Tracking) or controller.recovery is None:
-        return None
-    return controller.plan.x[0] + controller.recovery.fallen_beyond
+    recovery = tracking.recovery
+    return None if recovery is None else tracking.plan.x[0] + recovery.fallen_beyond
 
 
 def _require_fit(controller: Feedback | Tracking, source: Source) -> None:
