@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -206,10 +206,7 @@ def closed_loop(
     result = ClosedLoopResult(plant.dt, *arrays, outcome=None)
     if goal is None or channels is None:
         return result
-    outcome = _judge(goal, channels, result, outside)
-    return ClosedLoopResult(
-        result.dt, result.states, result.measurements, result.estimates, result.inputs, outcome
-    )
+    return replace(result, outcome=_judge(goal, channels, result, outside))
 
 
 def _held_samples(goal: Goal, dt: float) -> int:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -187,16 +186,11 @@ def find_equilibrium(
     def settle(first: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_xu"] | None:
         """The equilibrium nearest to the named positions that is reached from a state."""
 
-        @lru_cache(1)  # value and derivatives are asked for one after the other
-        def change_at(numbers: bytes) -> tuple[np.ndarray, np.ndarray]:
-            y = np.frombuffer(numbers)
+        def change(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             point = centre + unit * y
             value, jacobian = value_and_jacobian(system.held_formula, point)
             jacobian = jacobian - np.eye(n_x, len(point))
             return (value - point[:n_x]) / system.dt, jacobian * unit / system.dt
-
-        def change(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return change_at(y.tobytes())
 
         y = np.concatenate([(first - target) / unit[:n_x], np.zeros(system.n_u)])
         with np.errstate(all="ignore"):

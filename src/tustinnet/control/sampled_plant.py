@@ -91,7 +91,6 @@ class SampledPlant(ABC):
 
     def __init__(self, channels: Channels, options: PlantOptions, where: str) -> None:
         self.channels, self.options, self.dt = channels, options, channels.dt
-        self.state = np.zeros(0)  # before the first `reset`
         n_q, n_u = channels.n_q, channels.n_u
 
         def sizes(name: str, value: Any) -> Vector:
@@ -115,8 +114,7 @@ class SampledPlant(ABC):
         if self._limits.shape != (n_u, 2) or not (self._limits[:, 0] <= self._limits[:, 1]).all():
             raise InputError(where, f"limits {limits}", f"(smallest, largest) of {n_u} inputs")
         self._limits = self._limits.T
-        self._is_noisy, self._is_rounded = self._noise.any(), self._counts.any()
-        self._is_disturbed = self._disturbance.any()
+        self._is_noisy, self._is_disturbed = self._noise.any(), self._disturbance.any()
         self._steps = np.where(self._counts > 0, self._counts, 1.0)
         self._where = where
         self.state = np.full(channels.measured.stop, np.nan)
@@ -135,10 +133,8 @@ class SampledPlant(ABC):
         q = self.state[self.channels.position]
         if self._is_noisy:
             q = q + self._noise * self.generator.normal(size=len(q))
-        if self._is_rounded:
-            rounded = np.rint((q - self._offset) / self._steps) * self._steps + self._offset
-            q = np.where(self._counts > 0, rounded, q)
-        q = np.array(q)
+        rounded = np.rint((q - self._offset) / self._steps) * self._steps + self._offset
+        q = np.where(self._counts > 0, rounded, q)
         if self.options.glitches:
             is_wrong = self.generator.random(len(q)) < self.options.glitches
             errors = self.generator.choice([np.nan, np.inf, -3.0, 3.0], len(q))
@@ -147,8 +143,7 @@ class SampledPlant(ABC):
 
     def apply(self, u: Vector) -> None:
         """Goes on by one period under inputs, (n_u,), within their limits."""
-        least, most = self._limits
-        self._coming.append(np.minimum(np.maximum(u, least), most))  # np.clip takes longer
+        self._coming.append(np.clip(u, *self._limits))
         self.applied = self._coming.popleft()
         self.state = self.advance(self.applied)
         if self._is_disturbed:
