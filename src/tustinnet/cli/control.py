@@ -272,7 +272,8 @@ def control(
             else {Path(plant).name: tn.control.load_plant(plant, simulator.channels, options=late)}
         )
         is_physical = physical_values.equations_in(simulator) is not None
-        candidates = [] if is_physical else _load_rivals(model, system, groups)
+        rivals = [] if is_physical else tn.control.load_rivals(model, system)
+        candidates = [model_groups.model_for_groups(one, groups, "control") for one in rivals]
         trial = trials.try_design(
             design, header, plants=plants, count=starts, candidates=candidates
         )
@@ -433,9 +434,3 @@ def _replay(
         f"next: tustinnet evaluate {shlex.quote(str(file))} {logs} (free runs of the model), "
         f"tustinnet fit {logs} --out refitted (a model by these logs, too), then control that"
     )
-
-
-def _load_rivals(model: Path, system: str | None, groups: Mapping[str, str]) -> "list[tn.Model]":
-    """Other candidates with equations of motion, beside a model that has none."""
-    rivals = tn.control.load_rivals(model, system)
-    return [model_groups.model_for_groups(one, groups, "control") for one in rivals]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -242,16 +243,9 @@ def design_controller(
         _require_recorded(model, point, range)
     sums = {k: v for k, v in task.deviations.items() if k.startswith("integral_")}
     on_message("feedback")
-    feedback = lqr(
-        model,
-        point.x,
-        point.u,
-        deviations=own | sums,
-        range=range,
-        integral=task.integral,
-        delay=task.delay,
-        limits=task.limits,
-        safe=task.safe,
+    make_feedback = partial(lqr, model, range=range, delay=task.delay, limits=task.limits)
+    feedback = make_feedback(
+        point.x, point.u, deviations=own | sums, integral=task.integral, safe=task.safe
     )
     loop_margins = margins(model, feedback)
     goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
@@ -277,22 +271,18 @@ def design_controller(
                 f"recorded {low:.4g} to {high:.4g}",
                 "record such motions, limit it (`within=`, `limits=`), or add `trust_beyond=`",
             )
-
-        def proportional_feedback(at: OperatingPoint) -> Feedback:
-            return lqr(
-                model, at.x, at.u, deviations=own, range=range, delay=task.delay, limits=task.limits
-            )
-
         if torque is not None:
             gains, loop_margins = torque, margins(model, torque.final)
         else:
             # along the plan errors are not integrated; from its end on they are
-            final = proportional_feedback(point) if task.integral else feedback
+            final = feedback
+            if task.integral:
+                final = make_feedback(point.x, point.u, deviations=own)
             settle = None
             if point.is_unstable and not start.is_unstable:
                 # only from a start where it comes to rest by itself a motion can begin again
                 with suppress(InputError):  # a mode there that the inputs do not move
-                    settle = proportional_feedback(start)
+                    settle = make_feedback(start.x, start.u, deviations=own)
             gains = time_varying_lqr(model, plan, final, deviations=own, range=range, settle=settle)
             gains = replace(gains, final=feedback)
     estimated, mpc = model, None

@@ -7,7 +7,6 @@ out on both sides, and said with the accelerations that it makes of the same tor
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -127,8 +126,8 @@ class RobotTarget(Target):
     def _written(self, source: Source) -> tuple[str, tuple[str, ...]]:
         """The text of the file, and names of parameters that it cannot hold."""
         equations, file = self._robot(source)
-        values = tuple((name, float(x)) for name, x in equations.values.items())
-        return _write_values(file, values, self.endings[0])
+        values = {name: float(x) for name, x in equations.values.items()}
+        return file.with_values(values, self.endings[0])
 
     def _held(self, source: Source) -> tuple[LagrangianSystem, dict[str, float]]:
         """The robot without what options and recipes add, and the values that the file can hold."""
@@ -215,14 +214,6 @@ def _plant_inputs(source: Source, system: LagrangianSystem, samples: Any) -> Any
     if source.channels.controller is not None:
         return jnp.zeros(len(system.inputs))
     return samples[: len(system.inputs)]
-
-
-@lru_cache(maxsize=1)  # an export needs the text and its gaps several times
-def _write_values(
-    file: RobotFile, values: tuple[tuple[str, float], ...], ending: str
-) -> tuple[str, tuple[str, ...]]:
-    """The text of a robot's file with values of parameters, see `RobotFile.with_values`."""
-    return file.with_values(dict(values), ending)
 
 
 URDF = RobotTarget("urdf", (".urdf",), "a URDF", (".urdf",))

@@ -2,16 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import Score
 from tustinnet.reproduce.table1 import Row
 from tustinnet.store.files import write_into
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # the paper's colours and lines: Algorithm 1 red and dash-dotted, Euler-Lagrange orange and dashed,
 # without spring purple and dotted; the others by their place in the table
@@ -103,16 +99,12 @@ def _find_score(row: Row, experiment: str) -> Score:
 
 def _write_runs(name: str, runs: dict[str, Score], data: DataSet, stem: Path) -> list[Path]:
     # the verb reads this module before the table is printed, and matplotlib takes half a second
+    from tustinnet.report.drawing import write_figure
     from tustinnet.report.figures import free_run_figure
 
     styles = {_NAMES[model]: _STYLES[model] for model in runs}
     named = {_NAMES[model]: score for model, score in runs.items()}
-    return _write_formats(free_run_figure(data[name], named, styles), stem)
-
-
-def _write_formats(figure: "Figure", stem: Path) -> list[Path]:
-    from tustinnet.report.drawing import write_figure
-
+    figure = free_run_figure(data[name], named, styles)
     paths = [stem.with_name(f"{stem.name}{ending}") for ending in (".png", ".svg")]
     for path in paths:
         write_figure(figure, path.parent, path.name)
