@@ -1,6 +1,6 @@
 """`tustinnet demo`: all steps on simulated records, offline."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +16,7 @@ from tustinnet.control import design as controller_design
 from tustinnet.control import trial as trials
 from tustinnet.evaluate import scores as scoring
 from tustinnet.models import physical_values
-from tustinnet.report import control, drawing, plain_fit, tables
+from tustinnet.report import comparison, control, drawing, plain_fit
 from tustinnet.report import figures as result_figures
 from tustinnet.report import progress as progress_bars
 from tustinnet.report.page import fit_reports, reported_model
@@ -99,12 +99,14 @@ def demo(
                 for label, model_scores in scores.items()
             },
         }
-        disk.write_into(out, "twin_table.md", _scores_table(scores).markdown())
+        table = comparison.comparison_table(tests, scores, _START)
+        table = replace(table, title=f"Twin (simulated, favours Lagrangian models). {table.title}")
+        disk.write_into(out, "twin_table.md", table.markdown())
         disk.write_into(out, "twin_table.json", disk.to_json(content))
         if json:
             terminal.print_json(content)
         else:
-            terminal.print_tables(_scores_table(scores))
+            terminal.print_tables(table)
         for name in _DRAWN:
             runs = {
                 label: next(s for s in model_scores if s.experiment == name)
@@ -211,20 +213,3 @@ def _swing_up(
         f"swing-up of the twin, through its encoders: {row.successes} of {len(row.outcomes)} runs "
         f"reach upright and hold it for {design.goal.hold:.0f} s"
     )
-
-
-def _scores_table(scores: "Mapping[str, Sequence[scoring.Score]]") -> "tables.Table":
-    """Table of the test records, with a row for each model."""
-    names = [s.experiment.removeprefix("twin_") for s in next(iter(scores.values()))]
-    rows = [
-        [
-            label,
-            *[tables.number(s.rmse) for s in model_scores],
-            tables.number(tn.mean_rmse(model_scores)),
-        ]
-        for label, model_scores in scores.items()
-    ]
-    title = (
-        f"Twin (simulated, favours Lagrangian models): free-run RMSE [rad], test, start '{_START}'"
-    )
-    return tables.Table(["model", *names, "mean"], rows, title=title)
