@@ -113,7 +113,7 @@ _OTHERS = {
 }
 # of two that are alike but for their weights, one
 NAMES = (*(name for name in _FAMILIES if not name.endswith(" 2")), *_OTHERS)
-_WITHOUT_LAYERS = ("physics", "committee", "qube", "qube memory", "qube rubbing", "cart")
+_WITHOUT_LAYERS = ("physics", "qube", "qube memory", "qube rubbing", "cart")
 _WITHOUT_LAYERS += ("actuator lag", "first-order")
 LAYERED = tuple(name for name in NAMES if name not in _WITHOUT_LAYERS)
 

@@ -35,10 +35,9 @@ def _small_ones_too(monkeypatch):
 
 def drive_shape(model: tn.Model) -> tuple[int, ...]:
     """What a step of the model takes."""
-    part = model.correction if isinstance(model, tn.HybridModel) else model
-    taps = len(getattr(part, "taps", ()))
-    rows = taps + (part is not model) if taps else 0
-    return (rows, model.channels.n_u) if rows else (model.channels.n_u,)
+    layout = model.step_layout
+    rows = layout.polynomial + layout.mean + len(layout.taps)
+    return (rows, model.channels.n_u) if rows > 1 else (model.channels.n_u,)
 
 
 def layers_of(model: tn.Model) -> list:

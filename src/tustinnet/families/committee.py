@@ -1,9 +1,10 @@
 """Committees: several models of the same channels, averaged in the acceleration at every step."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
-from operator import or_
+from operator import is_, or_
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from pydantic import Field
 
@@ -42,56 +42,6 @@ Weights = Sequence[float | int] | Float[np.ndarray | Array, " members"]
 _MEMBERS, _WEIGHT = "members", "weight"  # keys of headers
 
 
-class MemberGroup(eqx.Module):
-    """Members of one structure, their arrays side by side: one program steps them all.
-
-    Attributes:
-        arrays: the arrays of the members, each (members, ...).
-        weights: the weight of each member, (members,).
-        numbers: their places in the committee, from 0.
-        structure: the tree of a member, without its arrays.
-        internal: the names of a member's internal states.
-        warm_up: the warm-up of a member, in samples.
-        step_layout: the rows of inputs that a member's step takes.
-    """
-
-    arrays: tuple[Array, ...]
-    weights: Float[Array, " members"]
-    numbers: tuple[int, ...] = eqx.field(static=True)
-    structure: Any = eqx.field(static=True)
-    internal: tuple[str, ...] = eqx.field(static=True)
-    warm_up: int = eqx.field(static=True)
-    step_layout: StepLayout = eqx.field(static=True)
-
-    def member(self, i: int) -> Model:
-        """Member of the committee by its index; members differ in nothing but arrays."""
-        return jax.tree.unflatten(self.structure, [_row(a, i) for a in self.arrays])
-
-    def step_members(
-        self, shared: Array, own: Float[Array, "members n_z"], move: Callable[[Model, State], State]
-    ) -> Float[Array, "members n_x"]:
-        """The states of all members after a step.
-
-        Args:
-            shared: positions and velocities, (2 n_q,).
-            own: the internal states of each.
-            move: steps a member.
-        """
-
-        def one(arrays: tuple[Array, ...], z: Array) -> State:
-            member = jax.tree.unflatten(self.structure, arrays)
-            return move(member, jnp.concatenate([shared, z]))
-
-        return jax.vmap(one)(self.arrays, own)
-
-
-def _row(array: Array, i: int) -> Array:
-    """A row of an array; of one with values by numpy, which takes a tenth of JAX's time."""
-    if isinstance(array, Tracer) or array.weak_type:
-        return array[i]
-    return jnp.asarray(np.asarray(array)[i])
-
-
 class Committee(Model):
     """A committee of several models, averaged at every step; `committee` makes it.
 
@@ -103,28 +53,19 @@ class Committee(Model):
     `[q, v, z_1, ..., z_m]`, in the order in which the members were given.
 
     Attributes:
-        groups: the members, in groups that one program can step.
+        members: the models, in the order in which they were given.
+        weights: the weight of each, (members,); the sum is 1.
         channels: the coordinates, inputs and period of all.
     """
 
-    groups: tuple[MemberGroup, ...]
+    members: tuple[Model, ...]
+    weights: Float[Array, " members"]
     channels: Channels = eqx.field(static=True)
-
-    @property
-    def members(self) -> tuple[Model, ...]:
-        """The models, in the order in which they were given."""
-        members = ([group.member(i) for i in range(len(group.numbers))] for group in self.groups)
-        return tuple(self._in_order(members))
-
-    @property
-    def weights(self) -> Float[Array, " members"]:
-        """The weights of the members, in their order; the sum is 1."""
-        return jnp.stack(self._in_order(group.weights for group in self.groups))
 
     @property
     def internal(self) -> tuple[str, ...]:
         """The internal states of all members, with the member's number from 1: `cable 1`."""
-        return tuple(f"{z} {n}" for n, names in enumerate(self._internal_names, 1) for z in names)
+        return tuple(f"{z} {n}" for n, model in enumerate(self.members, 1) for z in model.internal)
 
     @property
     def inner_models(self) -> tuple[Model, ...]:
@@ -134,35 +75,22 @@ class Committee(Model):
     @property
     def warm_up(self) -> int:
         """The longest warm-up of the members."""
-        return max(group.warm_up for group in self.groups)
-
-    @property
-    def _internal_names(self) -> list[tuple[str, ...]]:
-        """The names of each member's internal states."""
-        return self._in_order([g.internal] * len(g.numbers) for g in self.groups)
-
-    def _in_order(self, by_group: Iterable[Any]) -> list[Any]:
-        """Values of members, given group by group, in the order of the members."""
-        numbers = [number for group in self.groups for number in group.numbers]
-        values = [value for group in by_group for value in group]
-        return [values[numbers.index(number)] for number in range(len(numbers))]
+        return max(member.warm_up for member in self.members)
 
     def for_record(self, experiment: Experiment) -> "Committee":
         """The committee with the members of the record."""
-        members = self.members
-        for_record = [member.for_record(experiment) for member in members]
-        if all(own is member for own, member in zip(for_record, members, strict=True)):
-            return self
-        return _group_members(for_record, self.weights)
+        members = tuple(member.for_record(experiment) for member in self.members)
+        is_same = all(map(is_, members, self.members))
+        return self if is_same else replace(self, members=members)
 
     def simplify(self) -> "Committee":
         """The committee with folded members."""
-        return _group_members([member.simplify() for member in self.members], self.weights)
+        return replace(self, members=tuple(member.simplify() for member in self.members))
 
     @property
     def step_layout(self) -> StepLayout:
         """The rows of all members."""
-        return reduce(or_, (group.step_layout for group in self.groups))
+        return reduce(or_, (member.step_layout for member in self.members))
 
     def step(self, x: State, u: StepInput) -> State:
         """The state after one period: mean positions and velocities, internal states of all."""
@@ -176,30 +104,24 @@ class Committee(Model):
         self, x: State, u: StepInput, move: Callable[[Model, State, Array], State]
     ) -> State:
         """The state after `move` has stepped every member."""
-        channels = self.channels
-        ends = np.cumsum([0, *map(len, self._internal_names)]).tolist()
-        internal = [x[channels.internal][a:b] for a, b in pairwise(ends)]
-        layout = self.step_layout
+        channels, layout = self.channels, self.step_layout
+        ends = np.cumsum([0, *(len(member.internal) for member in self.members)]).tolist()
         states = [
-            group.step_members(
-                x[channels.measured],
-                jnp.stack([internal[n] for n in group.numbers]),
-                lambda member, own: move(member, own, layout.select(u, member.step_layout)),
+            move(
+                member,
+                jnp.concatenate([x[channels.measured], x[channels.internal][a:b]]),
+                layout.select(u, member.step_layout),
             )
-            for group in self.groups
+            for member, (a, b) in zip(self.members, pairwise(ends), strict=True)
         ]
-        measured = jnp.concatenate([s[:, channels.measured] for s in states])
-        weights = jnp.concatenate([group.weights for group in self.groups])
+        measured = jnp.stack([state[channels.measured] for state in states])
         # differences are averaged: what all agree on stays, however the weights are rounded
-        mean = measured[0] + jnp.sum(weights[:, None] * (measured - measured[0]), axis=0)
-        internal_next = self._in_order(s[:, channels.internal] for s in states)
-        return jnp.concatenate([mean, *internal_next])
+        mean = measured[0] + self.weights @ (measured - measured[0])
+        return jnp.concatenate([mean, *(state[channels.internal] for state in states)])
 
 
 def committee(models: Sequence[Model], weights: Weights | None = None) -> Committee:
     """Makes one model of several, whose accelerations are averaged at every step.
-
-    Models that are alike, as those of several folds and seeds of one recipe, run as one program.
 
     Args:
         models: models of the same coordinates, inputs and period, of any families.
@@ -221,7 +143,7 @@ def committee(models: Sequence[Model], weights: Weights | None = None) -> Commit
             f"{len(models)} models, weights {shares.tolist()}",
             "one model or more, each with a weight; finite weights from 0 on, not all 0",
         )
-    return _group_members(models, shares / total)
+    return _average(models, shares / total)
 
 
 def _require_member(model: Model, first: Model, where: str) -> None:
@@ -246,24 +168,10 @@ def _require_member(model: Model, first: Model, where: str) -> None:
         )
 
 
-def _group_members(members: Sequence[Model], weights: Any) -> Committee:
-    """The committee of members of the same channels, in groups of one structure."""
-    kinds: dict[Any, list[tuple[int, list[Array]]]] = {}
-    for number, member in enumerate(members):
-        leaves, structure = jax.tree.flatten(member)
-        arrays = [jnp.asarray(leaf) for leaf in leaves]
-        kind = structure, tuple((a.shape, a.dtype) for a in arrays)
-        kinds.setdefault(kind, []).append((number, arrays))
-    all_arrays = [a for numbered in kinds.values() for _, arrays in numbered for a in arrays]
-    shares = jnp.asarray(weights, jnp.result_type(jnp.float32, *all_arrays))
-    groups = []
-    for (structure, _), numbered in kinds.items():
-        numbers = tuple(number for number, _ in numbered)
-        stacked = tuple(jnp.stack(a) for a in zip(*(arrays for _, arrays in numbered), strict=True))
-        first = members[numbers[0]]
-        static = structure, first.internal, first.warm_up, first.step_layout
-        groups.append(MemberGroup(stacked, shares[np.array(numbers)], numbers, *static))
-    return Committee(tuple(groups), members[0].channels)
+def _average(members: Sequence[Model], weights: np.ndarray) -> Committee:
+    """The committee of members of the same channels, its weights as precise as their arrays."""
+    kind = jnp.result_type(jnp.float32, *map(jnp.asarray, jax.tree.leaves(members)))
+    return Committee(tuple(members), jnp.asarray(weights, kind), members[0].channels)
 
 
 class MemberEntries(Entries):
@@ -324,7 +232,7 @@ class CommitteeFamily(Family):
         # weights may be in single precision
         if not (weights >= 0).all() or abs(weights.sum() - 1) > 1e-5:
             raise ValueError(f"weights {weights.tolist()}")
-        return _group_members(members, weights)
+        return _average(members, weights)
 
     def summarise(self, header: Header, arrays: Arrays) -> Lines:
         """The weights, and the lines that members of one structure have in common."""

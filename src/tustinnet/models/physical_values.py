@@ -4,23 +4,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
-import numpy as np
 
 from tustinnet.models.contract import ContinuousModel, Model
 from tustinnet.models.lagrangian import LagrangianModel
 
 
 def _is_equations(node: Any) -> bool:
-    """Whether a part of a model are equations of motion; those of committees are many in one."""
-    return isinstance(node, LagrangianModel) and all(
-        np.ndim(value) == 0 for value in node.values.values()
-    )
+    """Whether a part of a model are equations of motion."""
+    return isinstance(node, LagrangianModel)
 
 
 def equations_in(model: Model | ContinuousModel) -> LagrangianModel | None:
-    """The first equations of motion in a model, None where there are none."""
-    nodes = jax.tree.leaves(model, is_leaf=_is_equations)
-    return next((node for node in nodes if _is_equations(node)), None)
+    """The equations of motion in a model, None of none or of several, as in committees."""
+    found = [x for x in jax.tree.leaves(model, is_leaf=_is_equations) if _is_equations(x)]
+    return found[0] if len(found) == 1 else None
 
 
 def physical_parameters(model: Model | ContinuousModel) -> list[tuple[str, str, float]]:
@@ -34,7 +31,7 @@ def physical_parameters(model: Model | ContinuousModel) -> list[tuple[str, str, 
 
 
 def with_equations(model: Model, equations: LagrangianModel) -> Model:
-    """A model with others in the place of its first equations of motion."""
+    """A model with others in the place of its equations of motion."""
     leaves, structure = jax.tree.flatten(model, is_leaf=_is_equations)
     place = next(i for i, leaf in enumerate(leaves) if _is_equations(leaf))
     return jax.tree.unflatten(structure, [*leaves[:place], equations, *leaves[place + 1 :]])
