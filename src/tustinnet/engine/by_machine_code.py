@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tustinnet.cores import count_cores
+from tustinnet.engine.emission import Constants
 from tustinnet.engine.equations import Equations, Formula, ResidualFormula
 from tustinnet.engine.kernels import (
     COMPARE,
@@ -20,15 +21,15 @@ from tustinnet.engine.kernels import (
     MOST_ORDER,
     RUN,
     STEP,
-    Kernel,
-    compare_kernel,
-    map_kernel,
     output_size,
-    run_kernel,
-    step_kernel,
+    write_compare,
+    write_map,
+    write_run,
+    write_step,
 )
 from tustinnet.engine.machine import compile_module, width
 from tustinnet.engine.runs import Comparison, Directions, Runs, Samples
+from tustinnet.engine.text import Module
 from tustinnet.program.numbers import run
 
 _TYPES = {"ptr": ctypes.c_void_p, "i64": ctypes.c_int64}
@@ -49,7 +50,7 @@ def simulate(equations: Equations, runs: Runs, substeps: int) -> Float[np.ndarra
     # once for both
     has_layers = any(node.op == "product" for node in equations.program.nodes)
     lanes = 2 * width() if has_layers and len(runs.steps) > width() else width()
-    function, constants = _function(run_kernel, "run", RUN, equations, at_samples, lanes)
+    function, constants = _function(write_run, "run", RUN, lanes, equations, at_samples)
     states = np.zeros((runs.samples, equations.n_x))
     measured = np.zeros((1, 0)) if runs.measured is None else _contiguous(runs.measured)
     table = _table(runs, lanes)
@@ -87,7 +88,7 @@ def compare(
     runs = replace(runs, start=start)
     seeds = _with_sampled_states(equations, directions.seeds)[2]
     function, constants = _function(
-        compare_kernel, "compare", COMPARE, extended, at_samples, residual, lanes
+        write_compare, "compare", COMPARE, lanes, extended, residual, at_samples
     )
     n_r, n_d, n_x = seeds.shape
     result = Comparison(
@@ -157,7 +158,7 @@ def evaluate(
         rows = [run(program, x=point)["value"] for point in _contiguous(points)]
         return np.stack(rows) if rows else np.zeros((0, output_size(program, "value")))
     function, constants = _function(
-        map_kernel, "map", MAP, formula, width(), derivatives=derivatives
+        write_map, "map", MAP, width(), formula, derivatives=derivatives
     )
     values, points = np.zeros((len(points), output_size(program, "value"))), _contiguous(points)
     if values.size:
@@ -172,7 +173,7 @@ def compile_formula(formula: Formula, *, derivatives: bool) -> None:
         _FEW_POINTS * formula.program.operations,
         _FEW_POINTS * formula.derivatives.operations,
     )
-    _function(map_kernel, "map", MAP, formula, width(), derivatives=derivatives)
+    _function(write_map, "map", MAP, width(), formula, derivatives=derivatives)
 
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -202,7 +203,7 @@ def _make_function(
     equations: Equations, size: int, *, linearised: bool
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """The function of a step kernel; what it returns is overwritten by the next call."""
-    function, constants = _load(step_kernel(equations, linearised=linearised), "step", STEP)
+    function, constants = _load(write_step, "step", STEP, 1, equations, linearised=linearised)
     n_u = equations.n_u
     # memory of its own, whose addresses are known: asking an array for its address takes longer
     # than the step
@@ -238,19 +239,18 @@ def _arrays(runs: Runs) -> list[np.ndarray]:
     return [_contiguous(a) for a in (runs.drive, runs.periods, runs.start, runs.parameters)]
 
 
-@lru_cache(_CACHED_FUNCTIONS)
-def _function(
-    make_kernel: Callable[..., Kernel], name: str, signature: str, *args: Any, **options: Any
+def _load(
+    write: Callable[..., None], name: str, signature: str, lanes: int, *args: Any, **options: Any
 ) -> tuple[Any, np.ndarray]:
-    """The compiled function of a kernel, and the constants that it reads; made once."""
-    return _load(make_kernel(*args, **options), name, signature)
-
-
-def _load(kernel: Kernel, name: str, signature: str) -> tuple[Any, np.ndarray]:
-    """A function of a kernel that is compiled, and the constants that it reads."""
+    """A compiled function that `write` writes, and the constants that it reads."""
+    module, constants = Module(lanes), Constants()
+    write(module, constants, *args, **options)
     types = [_TYPES[parameter.split()[0]] for parameter in signature.split(", ")]
-    function = compile_module(kernel.text).function(name, types)
-    return function, np.array([*kernel.constants, 0.0])
+    function = compile_module(module.text()).function(name, types)
+    return function, np.array([*constants.numbers, 0.0])
+
+
+_function = lru_cache(_CACHED_FUNCTIONS)(_load)
 
 
 def _side_by_side(run: Callable[[int], None], groups: int) -> None:

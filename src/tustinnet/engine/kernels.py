@@ -3,7 +3,7 @@
 Lanes are runs of any lengths: a run that has ended stands still until the longest beside it ends.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,19 +17,6 @@ from tustinnet.program.program import Program
 # columns of the table of lanes: the run, its steps, its first row of inputs, its first row of
 # results, how many of its first samples are measured; a lane without a run has -1 steps
 LANE = ("run", "steps", "first", "result", "measured")
-
-
-@dataclass(frozen=True)
-class Kernel:
-    """Machine code in LLVM's language.
-
-    Attributes:
-        text: the module.
-        constants: numbers that the code reads from memory.
-    """
-
-    text: str
-    constants: tuple[float, ...]
 
 
 RUN = (
@@ -55,34 +42,21 @@ STEP = "ptr %constants, ptr %x, ptr %u, ptr %out"
 MOST_ORDER = 8  # coefficients of the polynomials that inputs follow between samples
 
 
-def _kernel(lanes: int, write: Callable[[Module, Constants], object]) -> Kernel:
-    """The kernel of a module that a function writes."""
-    module, constants = Module(lanes), Constants()
-    write(module, constants)
-    return Kernel(module.text(), tuple(constants.numbers))
-
-
-def run_kernel(equations: Equations, at_samples: Equations | None, lanes: int) -> Kernel:
-    """Machine code of free runs: the states at all samples.
+def write_run(
+    module: Module,
+    constants: Constants,
+    equations: Equations,
+    at_samples: Equations | None = None,
+) -> None:
+    """Writes the function `run`, free runs: the states at all samples.
 
     Args:
+        module: the module.
+        constants: numbers that its code reads from memory.
         equations: what is simulated.
         at_samples: a step, of the same sizes, that is done at each sample before the integration
             to the next one; None without.
-        lanes: the number of lanes.
     """
-    return _kernel(
-        lanes, lambda module, constants: write_run(module, equations, constants, at_samples)
-    )
-
-
-def write_run(
-    module: Module,
-    equations: Equations,
-    constants: Constants,
-    at_samples: Equations | None = None,
-) -> None:
-    """Writes the function `run`: free runs."""
     for name, own in _procedures(equations, at_samples):
         with module.procedure(name, DYNAMICS) as f:
             inputs = {"x": "%x", "u": "%u", "p": "%p", "c": f.at("%p", own.n_p)}
@@ -106,7 +80,7 @@ def _procedures(equations: Equations, at_samples: Equations | None) -> list[tupl
     return [(DYNAMIC, equations), *([] if at_samples is None else [(SAMPLE, at_samples)])]
 
 
-def write_backward(module: Module, equations: Equations, constants: Constants) -> None:
+def write_backward(module: Module, constants: Constants, equations: Equations) -> None:
     """Writes the function `backward`: adjoints of states, parameters and layers of a model.
 
     Inputs of a layer and adjoints of its outputs are kept at every step: the gradient of its
@@ -185,31 +159,22 @@ def layer_outputs(equations: Equations) -> list[str]:
     return [name for i in places for name in (f"in_{i}", f"out_{i}")]
 
 
-def compare_kernel(
-    equations: Equations, at_samples: Equations | None, residual: ResidualFormula, lanes: int
-) -> Kernel:
-    """Machine code of free runs with derivatives: products of these and of residuals.
-
-    Args:
-        equations: what is simulated.
-        at_samples: see `run_kernel`.
-        residual: how errors count.
-        lanes: the number of lanes.
-    """
-    return _kernel(
-        lanes,
-        lambda module, constants: write_compare(module, equations, residual, constants, at_samples),
-    )
-
-
 def write_compare(
     module: Module,
+    constants: Constants,
     equations: Equations,
     residual: ResidualFormula,
-    constants: Constants,
     at_samples: Equations | None = None,
 ) -> None:
-    """Writes the function `compare`: free runs with derivatives, compared with samples."""
+    """Writes the function `compare`, free runs with derivatives: products of these and residuals.
+
+    Args:
+        module: the module.
+        constants: numbers that its code reads from memory.
+        equations: what is simulated.
+        residual: how errors count.
+        at_samples: see `write_run`.
+    """
     structures = {
         name: _write_derivatives(module, own, constants, name)
         for name, own in _procedures(equations, at_samples)
@@ -227,49 +192,45 @@ def write_compare(
         s.hand_products_over()
 
 
-def map_kernel(formula: Formula, lanes: int, *, derivatives: bool) -> Kernel:
-    """Machine code of a formula at many points, or of its derivatives, from rows to rows."""
-    program = formula.derivatives if derivatives else formula.program
-
-    def write(module: Module, constants: Constants) -> None:
-        with module.procedure("map", MAP, is_internal=False) as f:
-            x = f.memory(formula.size)
-            rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
-            last = f.whole("sub", "%count", 1)
-            with f.loop(0, rounds) as turn:
-                rows = []
-                for lane in range(lanes):
-                    row = f.whole("add", f.whole("mul", turn, lanes), lane)
-                    beyond = f.value(f"icmp sgt i64 {row}, {last}")
-                    rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
-                _gather(f, rows, formula.size, "%in", x)
-                emission = Emission(f, program, {"x": x}, constants, "%constants")
-                values = [emission.as_number(number) for number in emission.outputs()["value"]]
-                for lane, row in enumerate(rows):
-                    _store_row(f, lane, values, "%out", row)
-
-    return _kernel(lanes, write)
+def write_map(module: Module, constants: Constants, formula: Formula, *, derivatives: bool) -> None:
+    """Writes the function `map`: a formula at many points, or its derivatives, by rows."""
+    program, lanes = formula.derivatives if derivatives else formula.program, module.lanes
+    with module.procedure("map", MAP, is_internal=False) as f:
+        x = f.memory(formula.size)
+        rounds = f.whole("sdiv", f.whole("add", "%count", lanes - 1), lanes)
+        last = f.whole("sub", "%count", 1)
+        with f.loop(0, rounds) as turn:
+            rows = []
+            for lane in range(lanes):
+                row = f.whole("add", f.whole("mul", turn, lanes), lane)
+                beyond = f.value(f"icmp sgt i64 {row}, {last}")
+                rows.append(f.value(f"select i1 {beyond}, i64 {last}, i64 {row}"))
+            _gather(f, rows, formula.size, "%in", x)
+            emission = Emission(f, program, {"x": x}, constants, "%constants")
+            values = [emission.as_number(number) for number in emission.outputs()["value"]]
+            for lane, row in enumerate(rows):
+                _store_row(f, lane, values, "%out", row)
 
 
-def step_kernel(equations: Equations, *, linearised: bool = False) -> Kernel:
-    """Machine code of one step of a discrete model without parameters, with one lane.
+def write_step(
+    module: Module, constants: Constants, equations: Equations, *, linearised: bool
+) -> None:
+    """Writes the function `step`: one step of a discrete model without parameters.
 
     Args:
+        module: the module, of one lane.
+        constants: numbers that its code reads from memory.
         equations: the model.
         linearised: whether the derivatives by the state and by the inputs follow the next state.
     """
     program = equations.linearised if linearised else equations.program
-
-    def write(module: Module, constants: Constants) -> None:
-        with module.procedure("step", STEP, is_internal=False) as f:
-            inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
-            emission = Emission(f, program, inputs, constants, "%constants")
-            values, begin = emission.values(), 0
-            for name in ("x", "a", "b") if linearised else ("x",):
-                emission.store(values[name], f.at("%out", begin))
-                begin += output_size(program, name)
-
-    return _kernel(1, write)
+    with module.procedure("step", STEP, is_internal=False) as f:
+        inputs = {"x": "%x", "u": "%u", "p": "%x", "c": "%x"}  # of the last two there are none
+        emission = Emission(f, program, inputs, constants, "%constants")
+        values, begin = emission.values(), 0
+        for name in ("x", "a", "b") if linearised else ("x",):
+            emission.store(values[name], f.at("%out", begin))
+            begin += output_size(program, name)
 
 
 def output_size(program: Program, name: str) -> int:

@@ -227,27 +227,23 @@ class _Target:
         return list(call(jnp.concatenate(numbers)[self._order], *arrays))
 
 
-def _target(
-    kernel: str, equations: Equations, x0: Array, residual: ResidualFormula | None = None
-) -> _Target:
+def _target(kernel: str, equations: Equations, x0: Array, *residual: ResidualFormula) -> _Target:
     """The function of a kernel for initial states of some number and precision; made once."""
-    return _make_target(kernel, equations, _lanes(x0), x0.dtype == np.float64, residual)
+    return _make_target(kernel, equations, _lanes(x0), x0.dtype == np.float64, *residual)
 
 
 @cache
 def _make_target(
-    kernel: str, equations: Equations, lanes: int, is_double: bool, residual: ResidualFormula | None
+    kernel: str, equations: Equations, lanes: int, is_double: bool, *residual: ResidualFormula
 ) -> _Target:
     module, constants = Module(lanes, "double" if is_double else "float"), Constants()
-    if kernel == "run":
-        write_run(module, equations, constants)
-        _write_called(module, _call_run)
-    elif residual is not None:
-        write_compare(module, equations, residual, constants)
-        _write_called(module, _call_compare)
-    else:
-        write_backward(module, equations, constants)
-        _write_called(module, _call_backward)
+    write, call = {
+        "run": (write_run, _call_run),
+        "compare": (write_compare, _call_compare),
+        "backward": (write_backward, _call_backward),
+    }[kernel]
+    write(module, constants, equations, *residual)
+    _write_called(module, call)
     return _Target(module, constants, equations)
 
 
