@@ -161,30 +161,33 @@ def _next_state(
     return jax.lax.fori_loop(0, substeps, step, x)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _states(
+def _run(
     equations: Equations,
     substeps: int,
-    start: Array,
-    parameters: Array,
-    drive: Array,
+    x0: Array,
+    p: Array,
+    u: Array,
     periods: Array,
-    measured: Array | None,
-    measured_samples: Array,
+    measured: Array | None = None,
+    measured_samples: Array | int = 0,
 ) -> Array:
-    def run(x0: Array, p: Array, u: Array, h: Array, measured: Array | None, count: Array) -> Array:
-        def step(x: Array, k: Array) -> tuple[Array, Array]:
-            current = x
-            if measured is not None:
-                corrected = jnp.concatenate([measured[k], x[measured.shape[1] :]])
-                current = jnp.where(k < count, corrected, x)
-            return _next_state(equations, substeps, current, p, u[k], h[k]), x
+    """The states of one run."""
 
-        end, states = jax.lax.scan(step, x0, jnp.arange(len(u) - 1))
-        return jnp.concatenate([states, end[None]])
+    def step(x: Array, k: Array) -> tuple[Array, Array]:
+        current = x
+        if measured is not None:
+            corrected = jnp.concatenate([measured[k], x[measured.shape[1] :]])
+            current = jnp.where(k < measured_samples, corrected, x)
+        return _next_state(equations, substeps, current, p, u[k], periods[k]), x
 
-    axes = (0, 0, 0, 0, None if measured is None else 0, 0)
-    return jax.vmap(run, axes)(start, parameters, drive, periods, measured, measured_samples)
+    end, states = jax.lax.scan(step, x0, jnp.arange(len(u) - 1))
+    return jnp.concatenate([states, end[None]])
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _states(equations: Equations, substeps: int, *arrays: Any) -> Array:
+    """The states of runs side by side, by the arrays that `_run` takes of each."""
+    return jax.vmap(partial(_run, equations, substeps))(*arrays)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3))
@@ -201,40 +204,31 @@ def _products(
     target: Array,
     weight: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    n_p, n_y = equations.n_p, residual.n_y
     n_d = seeds.shape[1]
     # the derivative of the parameters along each direction
     dp = jnp.eye(n_d, parameters.shape[1])
-    dp = dp * (jnp.arange(n_d) < n_p)[:, None] * by_parameters
+    dp = dp * (jnp.arange(n_d) < equations.n_p)[:, None] * by_parameters
 
     def run(
         x0: Array, p: Array, dx0: Array, u: Array, h: Array, target: Array, weight: Array
     ) -> tuple[Array, Array, Array, Array]:
-        def compare(x: Array, dx: Array, k: Array, sums: tuple[Array, ...]) -> tuple[Any, Array]:
-            error = x[:n_y] - target[k]
-            value, derivative = jax.jvp(residual.function, (error,), (jnp.ones(n_y),))
-            is_counted = weight[k] > 0
-            r = jnp.where(is_counted, value * weight[k], 0.0)
-            jacobian = dx[:, :n_y] * derivative * weight[k]
-            products, gradient, cost = sums
-            return (
-                products + jacobian @ jacobian.T,
-                gradient + jacobian @ r,
-                cost + jnp.sum(r**2),
-            ), jnp.where(is_counted, error, 0.0)
+        def errors(x0: Array, p: Array) -> Array:
+            return _run(equations, substeps, x0, p, u, h)[:, : residual.n_y] - target
 
-        def step(carried: tuple[Any, ...], k: Array) -> tuple[tuple[Any, ...], Array]:
-            x, dx, sums = carried
-            sums, error = compare(x, dx, k, sums)
-            x_next, push_forward = jax.linearize(
-                lambda x, p: _next_state(equations, substeps, x, p, u[k], h[k]), x, p
-            )
-            return (x_next, jax.vmap(push_forward)(dx, dp), sums), error
+        def along(dx0: Array, dp: Array) -> Array:
+            return jax.jvp(errors, (x0, p), (dx0, dp))[1]
 
-        zeros = jnp.zeros((n_d, n_d)), jnp.zeros(n_d), jnp.zeros(())
-        (x, dx, sums), errors = jax.lax.scan(step, (x0, dx0, zeros), jnp.arange(len(u) - 1))
-        sums, last = compare(x, dx, jnp.asarray(len(u) - 1), sums)
-        return *sums, jnp.concatenate([errors, last[None]])
+        error, changes = errors(x0, p), jax.vmap(along)(dx0, dp)
+        value, slope = jax.jvp(jax.vmap(residual.function), (error,), (jnp.ones_like(error),))
+        is_counted = weight > 0
+        r = jnp.where(is_counted, value * weight, 0.0)
+        jacobian = changes * slope * weight
+        return (
+            jnp.einsum("aki,bki->ab", jacobian, jacobian),
+            jnp.einsum("aki,ki->a", jacobian, r),
+            jnp.sum(r**2),
+            jnp.where(is_counted, error, 0.0),
+        )
 
     return jax.vmap(run)(start, parameters, seeds, drive, periods, target, weight)
 
