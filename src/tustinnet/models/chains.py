@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tustinnet.channels import Kind
+from tustinnet.engine.engines import evaluate
+from tustinnet.engine.equations import Formula
 from tustinnet.models.contract import Coordinates
 from tustinnet.models.lagrangian import Inertia, Scalar, Values
 
@@ -318,16 +320,20 @@ class Chain:
 
 def body_inertia(body: Body, p: Values) -> BodyInertia:
     """The inertia of a body about the origin of its frame, by the values of its parameters."""
-    mass, *others = (p[f"{body.name}.{name}"] for name in INERTIAL)
-    center = jnp.stack([jnp.asarray(x) for x in others[:3]]) - np.array(body.anchor)
-    spread = dict(zip((*DIAGONAL, *OFF_DIAGONAL), others[3:], strict=True))
+    values = jnp.stack([jnp.asarray(p[f"{body.name}.{name}"]) for name in INERTIAL])
+    return _inertia(values, np.array(body.anchor))
+
+
+def _inertia(values: Float[Array, " 10"], origin: np.ndarray) -> BodyInertia:
+    """The inertia of a body about an origin, by the values of `INERTIAL`."""
+    mass, center = values[0], values[1:4] - origin
     second = jnp.outer(center, center)
     # U U' by its columns: U is upper triangular
     for column in range(3):
-        entries: list[Any] = [jnp.zeros_like(center[0])] * 3
-        for name, (i, j) in _PLACES.items():
+        entries: list[Any] = [jnp.zeros_like(mass)] * 3
+        for value, (i, j) in zip(values[4:], _PLACES.values(), strict=True):
             if j == column:
-                entries[i] = jnp.asarray(spread[name])
+                entries[i] = value
         u = jnp.stack(entries)
         second = second + jnp.outer(u, u)
     second = mass * second
@@ -373,33 +379,14 @@ def standard_inertia(
         Mass [kg], first moments [kg m] and the inertia about the origin of the frame in which the
         centre is given [kg m^2], as `STANDARD` names them; their derivatives by `values`.
     """
-    mass, center = values[:, 0], values[:, 1:4]
-    upper = np.zeros((len(values), 3, 3))
-    for i, place in enumerate(_PLACES.values()):
-        upper[:, *place] = values[:, 4 + i]
-    # second moments of the mass by the mass, and their derivatives by all ten values
-    second = center[:, :, None] * center[:, None] + upper @ upper.transpose(0, 2, 1)
-    changes = np.zeros((len(values), 10, 3, 3))
-    for i in range(3):
-        changes[:, 1 + i, i] = center
-    for k, (i, j) in enumerate(_PLACES.values()):
-        changes[:, 4 + k, i] = upper[:, :, j]
-    changes = mass[:, None, None, None] * (changes + changes.transpose(0, 1, 3, 2))
-    changes[:, 0] = second
-    derivatives = np.zeros((len(values), 10, 10))
-    derivatives[:, 0, 0] = 1.0
-    derivatives[:, 1:4, 0] = center
-    derivatives[:, range(1, 4), range(1, 4)] = mass[:, None]
-    derivatives[:, 4:] = _inertia_entries(changes).transpose(0, 2, 1)
-    moments = [mass[:, None], mass[:, None] * center]
-    return np.concatenate([*moments, mass[:, None] * _inertia_entries(second)], axis=1), derivatives
 
+    def standard(values: Array) -> Array:
+        mass, moment, tensor = _inertia(values, np.zeros(3))
+        return jnp.stack([mass, *moment, *(tensor[place] for place in _PLACES.values())])
 
-def _inertia_entries(second: Float[np.ndarray, "*b 3 3"]) -> Float[np.ndarray, "*b 6"]:
-    """Inertia xx, yy, zz, xy, xz, yz by the second moments of the mass."""
-    xx, yy, zz = (second[..., i, i] for i in range(3))
-    products = [-second[..., i, j] for i, j in ((0, 1), (0, 2), (1, 2))]
-    return np.stack([yy + zz, xx + zz, xx + yy, *products], axis=-1)
+    formula = Formula(standard, len(INERTIAL), where="an inertia")
+    derivatives = evaluate(formula, values, derivatives=True)
+    return evaluate(formula, values), derivatives.reshape(-1, 10, 10)
 
 
 def _in_parent(inertia: BodyInertia, placement: _Placement) -> BodyInertia:
