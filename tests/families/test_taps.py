@@ -80,9 +80,11 @@ def test_a_correction_sees_its_taps_and_the_physics_what_it_always_did(swings):
     correction = tapped(swings)
     silent = HybridModel(physics, correction.with_zero_output())
     x = np.array([0.4, 0.1])
-    np.testing.assert_array_equal(
+    np.testing.assert_allclose(
         tn.rollout(silent, x, input_signal(silent, e)),
         tn.rollout(physics, x, input_signal(physics, e)),
+        rtol=1e-12,
+        atol=1e-14,
     )
     both = HybridModel(physics, correction)
     given = jnp.asarray(input_signal(both, e).u)[5]

@@ -40,11 +40,6 @@ from tustinnet.models.parameters import Parameter, require_group_value
 
 Scalar = Float[Array, ""]
 
-_UNROLLED_COORDINATES = (
-    4  # coordinates up to which the factorisation is written out instead of called
-)
-
-
 _SMALLEST_PIVOT = 1e-12  # of balanced internal states, relative to the size of the equations
 
 
@@ -766,23 +761,5 @@ def _derivative(model: LagrangianModel, x: State, u: InputVector) -> State:
 def solve_positive(
     matrix: Float[Array, "n n"], right: Float[Array, "n *columns"]
 ) -> Float[Array, "n *columns"]:
-    """Solves `matrix x = right` for a symmetric positive definite matrix by Cholesky.
-
-    Small systems are written out: a call of LAPACK a step would cost more than all the rest. So are
-    those of several columns, whose rows programs take as vectors.
-    """
-    n = right.shape[0]
-    if n > _UNROLLED_COORDINATES and right.ndim == 1:
-        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix, lower=True), right)
-    lower: dict[tuple[int, int], Array] = {}
-    y: list[Array] = []
-    for i in range(n):
-        for j in range(i):
-            rest = sum(lower[i, k] * lower[j, k] for k in range(j))
-            lower[i, j] = (matrix[i, j] - rest) / lower[j, j]
-        lower[i, i] = jnp.sqrt(matrix[i, i] - sum(lower[i, k] ** 2 for k in range(i)))
-        y.append((right[i] - sum(lower[i, k] * y[k] for k in range(i))) / lower[i, i])
-    x: list[Array] = [right[0]] * n
-    for i in reversed(range(n)):
-        x[i] = (y[i] - sum(lower[k, i] * x[k] for k in range(i + 1, n))) / lower[i, i]
-    return jnp.stack(x)
+    """Solves `matrix x = right` for a symmetric positive definite matrix by Cholesky."""
+    return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix, lower=True), right)

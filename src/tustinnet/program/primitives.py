@@ -266,14 +266,14 @@ def _triangular(tape: Tape, params: dict[str, Any], a: Ids, b: Ids) -> Ids:
     matrix, lower = (a.T, not params["lower"]) if params["transpose_a"] else (a, params["lower"])
     n = len(matrix)
     out = np.full(b.shape, tape.number(0.0))
-    for column in range(b.shape[1]):
-        for i in range(n) if lower else range(n - 1, -1, -1):
-            solved = slice(0, i) if lower else slice(i + 1, n)
-            sums = _dot(tape, matrix[i, solved], out[solved, column])
-            rest = tape.apply("sub", int(b[i, column]), sums)
-            if not params["unit_diagonal"]:
-                rest = tape.apply("div", rest, int(matrix[i, i]))
-            out[i, column] = rest
+    # by rows, as long ones are vectors
+    for i in range(n) if lower else range(n - 1, -1, -1):
+        solved = slice(0, i) if lower else slice(i + 1, n)
+        known = _combination(tape, matrix[i, solved], out[solved])
+        rest = elementwise(tape, partial(tape.apply, "sub"), [b[i], known])
+        if not params["unit_diagonal"]:
+            rest = elementwise(tape, partial(tape.apply, "div"), [rest, np.asarray(matrix[i, i])])
+        out[i] = rest
     return out
 
 
