@@ -1,10 +1,10 @@
 """States along records: what a model's state is while positions and velocities are measured."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -41,8 +41,7 @@ def states_along(
         # end
         rows = stack_padded([e.measured_states(velocity) for e in batch])
         signal = input_signals(model, batch)
-        inputs = initial_inputs(model, signal)
-        start = initial_states(model, rows[:, 0], None if inputs is None else np.asarray(inputs))
+        start = initial_states(model, rows[:, 0], initial_inputs(model, signal))
         runs = simulate_runs(model, start, signal, rows)
         return runs[..., model.channels.internal]
 
@@ -66,8 +65,7 @@ def predictions_along(
         signal: what acts between the samples.
     """
 
-    def predict(rows: Array, signal: InputSignal, u: Array | None) -> Array:
+    def predict(rows: Array, signal: InputSignal, u: Any) -> Array:
         return rollout(model, model.initial_state(rows[0], u), signal, rows)
 
-    inputs = initial_inputs(model, signal)
-    return jax.vmap(predict)(measured, signal, None if inputs is None else jnp.asarray(inputs))
+    return jax.vmap(predict)(measured, signal, initial_inputs(model, signal))

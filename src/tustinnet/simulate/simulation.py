@@ -223,7 +223,7 @@ def simulate_runs(
 def initial_states(
     model: Model,
     measured: Float[np.ndarray, "runs n_measured"],
-    inputs: Float[np.ndarray, "runs n_u"] | None = None,
+    inputs: Float[Array | np.ndarray, "runs n_u"] | None = None,
 ) -> Float[np.ndarray, "runs n_x"]:
     """The states in which records begin, by their first [q, v], see `Model.initial_internal`.
 

@@ -227,9 +227,7 @@ class WarmUpStart(Start):
     def numeric_states(self, model: Model, start_data: Any) -> np.ndarray:
         """Measured states with the internal states that the samples led to, (records, n_x)."""
         measured, signal = start_data
-        inputs = initial_inputs(model, signal)
-        first = None if inputs is None else np.asarray(inputs)
-        start = initial_states(model, measured[:, 0], first)
+        start = initial_states(model, measured[:, 0], initial_inputs(model, signal))
         run = simulate_runs(model, start, signal, measured)
         return np.concatenate([measured[:, -1], run[:, -1, model.channels.internal]], axis=1)
 

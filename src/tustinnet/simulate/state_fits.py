@@ -221,17 +221,10 @@ def _with_departures(
     """
     products, gradient, cost = terms
     n_d, n_z = gradient.shape[1], departure.shape[1]
-    internal = np.arange(n_d - n_z, n_d)
-
-    def add(array: Any, places: tuple[Any, ...], values: Any) -> Any:
-        if isinstance(array, np.ndarray):
-            array[places] += values
-            return array
-        return array.at[places].add(values)
-
+    internal = np.eye(n_d, dtype=gradient.dtype)[n_d - n_z :]
     return (
-        add(products, (slice(None), internal, internal), precision),
-        add(gradient, (slice(None), internal), precision * departure),
+        products + (internal.T * precision[:, None]) @ internal,
+        gradient + (precision * departure) @ internal,
         cost + xp.sum(precision * departure**2, axis=1),
     )
 
