@@ -80,35 +80,32 @@ def compile_formula(formula: Formula, *, derivatives: bool) -> None:
 
 def make_step(equations: Equations) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function that steps a discrete model once; see `runs.make_step`."""
-    none = jnp.zeros(0)
-    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
-    program = jax.jit(lambda x, u: equations.function(x, u, none, none)).lower(*shapes).compile()
-
-    def step(state: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        return np.asarray(program(np.asarray(state, float), np.asarray(inputs, float)))
-
-    return step
+    program = _compile(equations, lambda x: x)
+    return lambda state, inputs: np.asarray(program(state, inputs))
 
 
 def make_linearised_step(
     equations: Equations,
 ) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """A function that steps and linearises a discrete model; see `runs.make_linearised_step`."""
-    none = jnp.zeros(0)
-
-    def twice(x: Array, u: Array) -> tuple[Array, Array]:
-        following = equations.function(x, u, none, none)
-        return following, following
-
-    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
-    derivatives = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)
-    program = jax.jit(derivatives).lower(*shapes).compile()
+    program = _compile(
+        equations, lambda f: jax.jacfwd(lambda x, u: (f(x, u),) * 2, argnums=(0, 1), has_aux=True)
+    )
 
     def step(state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        (a, b), following = program(np.asarray(state, float), np.asarray(inputs, float))
+        (a, b), following = program(state, inputs)
         return np.asarray(following), np.asarray(a), np.asarray(b)
 
     return step
+
+
+def _compile(equations: Equations, change: Callable[..., Any]) -> Callable[..., Any]:
+    """What `change` makes of the step of a discrete model, compiled: of state and inputs."""
+    none = jnp.zeros(0)
+    function = change(lambda x, u: equations.function(x, u, none, none))
+    shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)
+    program = jax.jit(function).lower(*shapes).compile()
+    return lambda state, inputs: program(np.asarray(state, float), np.asarray(inputs, float))
 
 
 def _rows(runs: Runs, longest: int) -> np.ndarray:

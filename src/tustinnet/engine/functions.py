@@ -11,7 +11,7 @@ References:
 """
 
 from fractions import Fraction
-from math import factorial
+from math import factorial, frexp
 
 from tustinnet.engine.text import SYMBOL, Function, Module, float_bits
 
@@ -45,22 +45,13 @@ _SATURATED = 40.0  # of twice the argument: from there on tanh is 1
 
 
 def _parts(number: Fraction, count: int) -> list[float]:
-    """A number as a sum of floats; all but the last have 33 bits, so that multiples are exact."""
+    """A number as a sum of floats; all but the last have 34 bits, so that multiples are exact."""
     parts, rest = [], number
-    for i in range(count):
-        part = float(rest)
-        if i < count - 1:
-            scale = Fraction(2) ** (
-                33
-                - Fraction(part).numerator.bit_length()
-                + 1
-                + Fraction(part).denominator.bit_length()
-                - 1
-            )
-            part = float(Fraction(int(rest * scale)) / scale)
-        parts.append(part)
-        rest -= Fraction(part)
-    return parts
+    for _ in range(count - 1):
+        unit = Fraction(2) ** (frexp(rest)[1] - 34)
+        parts.append(float(rest // unit * unit))
+        rest -= Fraction(parts[-1])
+    return [*parts, float(rest)]
 
 
 def widen(f: Function, x: str) -> str:

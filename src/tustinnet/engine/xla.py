@@ -287,18 +287,19 @@ def _field(f: Function, structure: str, place: int, kind: str) -> str:
     return f.value(f"load {kind}, ptr {f.at(structure, place, 'i8')}")
 
 
-def _arrays(f: Function, list_of: int, count: int) -> list[str]:
-    """The arrays that a call passes in, or those for its results."""
-    pointers = _field(f, "%call", list_of, "ptr")
-    return [f.value(f"load ptr, ptr {f.at(pointers, i, 'ptr')}") for i in range(count)]
+def _arrays(f: Function, arguments: str, results: str) -> dict[str, str]:
+    """The arrays that a call passes in, and those for its results, by their names."""
+    arrays = {}
+    for place, names in ((_ARGUMENTS, arguments), (_RESULTS, results)):
+        pointers = _field(f, "%call", place, "ptr")
+        for i, name in enumerate(names.split()):
+            arrays[name] = f.value(f"load ptr, ptr {f.at(pointers, i, 'ptr')}")
+    return arrays
 
 
-def _data(f: Function, names: str, arrays: Sequence[str]) -> dict[str, str]:
-    """The places of the numbers of some arrays, by their names."""
-    return {
-        name: _field(f, array, _DATA, "ptr")
-        for name, array in zip(names.split(), arrays, strict=True)
-    }
+def _data(f: Function, arrays: dict[str, str]) -> dict[str, str]:
+    """The places of the numbers of arrays, by their names."""
+    return {name: _field(f, array, _DATA, "ptr") for name, array in arrays.items()}
 
 
 def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
@@ -323,13 +324,12 @@ def _lane_table(f: Function, drive: str) -> tuple[str, str, str]:
 
 
 def _call_run(f: Function) -> None:
-    arguments, results = _arrays(f, _ARGUMENTS, 4), _arrays(f, _RESULTS, 1)
-    table, groups, _ = _lane_table(f, arguments[3])
-    data = _data(f, "constants parameters start drive states", [*arguments, *results])
+    arrays = _arrays(f, "constants parameters start drive", "states")
+    table, groups, _ = _lane_table(f, arrays["drive"])
     f.call_procedure(
         "run",
         RUN,
-        **data,
+        **_data(f, arrays),
         begin=0,
         end=groups,
         lanes=table,
@@ -342,11 +342,10 @@ def _call_run(f: Function) -> None:
 
 
 def _call_compare(f: Function) -> None:
-    arguments, results = _arrays(f, _ARGUMENTS, 7), _arrays(f, _RESULTS, 4)
-    table, groups, _ = _lane_table(f, arguments[3])
-    n_d = f.value(f"load i64, ptr {f.at(_field(f, arguments[4], _SHAPE, 'ptr'), 1, 'i64')}")
-    names = "constants parameters start drive seeds target weight errors products gradient cost"
-    data = _data(f, names, [*arguments, *results])
+    arguments = "constants parameters start drive seeds target weight"
+    arrays = _arrays(f, arguments, "errors products gradient cost")
+    table, groups, _ = _lane_table(f, arrays["drive"])
+    n_d = f.value(f"load i64, ptr {f.at(_field(f, arrays['seeds'], _SHAPE, 'ptr'), 1, 'i64')}")
     # three derivatives of a state, a row of products and the gradient for each direction
     size = f.whole("mul", n_d, f.whole("add", f.whole("mul", n_d, 4), 1))
     v, align = f.module.v, f.module.align
@@ -354,7 +353,7 @@ def _call_compare(f: Function) -> None:
     f.call_procedure(
         "compare",
         COMPARE,
-        **data,
+        **_data(f, arrays),
         begin=0,
         end=groups,
         lanes=table,
@@ -368,11 +367,15 @@ def _call_compare(f: Function) -> None:
 
 
 def _call_backward(f: Function) -> None:
-    arguments, results = _arrays(f, _ARGUMENTS, 5), _arrays(f, _RESULTS, 3)
-    table, groups, steps = _lane_table(f, arguments[2])
-    names = "constants parameters drive states seeds layers by_p by_start"
-    data = _data(f, names, [*arguments, *results])
-    span = f.whole("mul", groups, steps)
+    arrays = _arrays(f, "constants parameters drive states seeds", "layers by_p by_start")
+    table, groups, steps = _lane_table(f, arrays["drive"])
     f.call_procedure(
-        "backward", BACKWARD, **data, begin=0, end=groups, lanes=table, span=span, length=steps
+        "backward",
+        BACKWARD,
+        **_data(f, arrays),
+        begin=0,
+        end=groups,
+        lanes=table,
+        span=f.whole("mul", groups, steps),
+        length=steps,
     )
