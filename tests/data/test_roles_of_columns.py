@@ -666,6 +666,29 @@ def test_files_of_set_points_are_no_records(tmp_path: Path) -> None:
     assert len(draft_card(tmp_path, files[:2]).splits.records) > 1  # nothing says what was measured
 
 
+def test_a_quaternion_is_no_coordinates(tmp_path: Path) -> None:
+    u = levels(37)
+    x, _ = moved_by(u)
+    tilt = 0.3 * np.sin(np.arange(N) / 70)
+    quaternion = {
+        "q_w": np.cos(tilt) * np.cos(x),
+        "q_x": np.cos(tilt) * np.sin(x),
+        "q_y": np.sin(tilt) * np.cos(x),
+        "q_z": np.sin(tilt) * np.sin(x),
+    }
+    made = draft(tmp_path, {"wheel_pos": x, **quaternion, "command": u})
+    assert [c.column for c in made.choice.coordinates] == ["wheel_pos"]
+
+
+def test_derivatives_in_words_are_no_positions(tmp_path: Path) -> None:
+    u = levels(38)
+    x, v = moved_by(u)
+    names = ("sway_angle", "sway_angle_first_derivative", "sway_angle_second_derivative")
+    columns = dict(zip(names, (x, v, np.gradient(v, DT)), strict=True))
+    made = draft(tmp_path, {**columns, "u": u})
+    assert uses(made) == {names[0]: "coordinate", names[1]: names[0], names[2]: "", "u": "input"}
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -693,6 +716,9 @@ def test_terms_of_a_controller_are_neither_inputs_nor_positions(tmp_path: Path) 
     u = levels(31)
     x, v = moved_by(u)
     terms = {"P": -3 * x, "I": np.cumsum(-x) / 40, "D": -0.4 * v, "PID": u}
+    elbow = {f"elbow_T_{name.lower()}": column for name, column in terms.items() if name != "PID"}
+    made = draft(tmp_path, {"elbow_deg": np.rad2deg(x), **elbow, "elbow_torque": u})
+    assert {*elbow} <= {*made.choice.unused}
     assert uses(draft(tmp_path, {"Angle": x, **terms})) == {
         **dict.fromkeys("PID", ""),
         "Angle": "coordinate",

@@ -405,6 +405,12 @@ def test_a_number_beside_the_columns_may_say_the_period(
     assert draft_card(tmp_path, ["a.json"]).dt == pytest.approx(0.02)
 
 
+def test_rows_may_end_in_a_mark_that_the_names_have_not(tmp_path: Path) -> None:
+    columns = read(tmp_path, "step 9 V\nt,x,u\n0.0,1.0,2.0,\n0.1,1.5,2.0,\n0.2,1.7,0.0,\n")
+    assert columns.names == ("t", "x", "u")
+    assert columns["u"].tolist() == [2, 2, 0]
+
+
 def test_rows_above_a_table_may_describe_its_columns(tmp_path: Path) -> None:
     settings = "Name\tActPos\tActTorque\nData-Type\tREAL64\tINT16\nSampleTime[ms]\t2\t2\n"
     rows = "Unit\tmm\t(None)\nUnit Offset\t0\t0\n\n0\t50,0\t0\n2\t50,5\t-1\n4\t51,5\t-3\n"

@@ -273,6 +273,7 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
+    lines = _without_last_marks(lines, dialect)
     skipped, above, described, pairs = 0, [], None, None
     if header is not False:
         shape = find_table([dialect.split(line) for _, line in lines[-LAST_ROWS:]], dialect)
@@ -357,6 +358,16 @@ def _without_sections(lines: Lines) -> Lines:
             _, time, value, *_ = (*line.split(";"), "")
             rows.append((row, f"{time};{name};{value}"))
     return [(lines[0][0], "time;signal;value"), *rows] if rows else lines
+
+
+def _without_last_marks(lines: Lines, dialect: Dialect) -> Lines:
+    """Lines without a mark at the end of each sample that the row of names has not."""
+    cells = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
+    table = find_table(cells[-LAST_ROWS:], dialect)
+    first = table.find_first_sample(cells)
+    if not first or len(cells[first - 1]) != table.width - 1 or any(c[-1] for c in cells[first:]):
+        return lines
+    return [(row, line.rstrip().removesuffix(dialect.delimiter)) for row, line in lines]
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:

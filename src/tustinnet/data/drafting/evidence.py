@@ -332,9 +332,10 @@ class EvidenceTable:
         push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gains))
         self.cause = push - WEIGHTS.back * push.T
         self._add_circles(records)
+        self._add_quaternions(records)
         self._add_errors(records, sums)
         self._add_copies()
-        self._add_rates()
+        self._add_rates(records)
         self._add_tool()
         self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
@@ -375,6 +376,18 @@ class EvidenceTable:
                 if k not in (i, j) and is_angle and is_alike:
                     text = f"of a circle on which '{self.names[k]}' is the angle"
                     self.own[i].append(Evidence("other", w.useless, text))
+
+    def _add_quaternions(self, records: Sequence[Table]) -> None:
+        """Evidence against four neighbours whose squares add up to 1: they are no coordinates."""
+        squares = np.concatenate(records) ** 2
+        moves = np.ptp(squares, axis=0) > 0
+        for first in range(len(self.names) - 3):
+            four = range(first, first + 4)
+            deviation = np.abs(squares[:, four].sum(axis=1) - 1).max()
+            if moves[four].all() and deviation < WEIGHTS.circle / 3:
+                for i in four:
+                    text = "of a quaternion, as four squares add up to 1"
+                    self.own[i].append(Evidence("other", WEIGHTS.useless, text))
 
     def _add_errors(
         self, records: Sequence[Table], sums: Sequence[tuple[int, int, int | None]]
@@ -438,12 +451,16 @@ class EvidenceTable:
                 text = "of the tool, as numbered joints are there"
                 self.own[i].append(Evidence("other", w.useless, text))
 
-    def _add_rates(self) -> None:
+    def _add_rates(self, records: Sequence[Table]) -> None:
         """Evidence on derivatives of set points, which drive nothing, and on what is no derivative.
 
-        Numbers without a name are no acceleration where they are the slope of nothing.
+        Numbers without a name are no acceleration where they are the slope of nothing, and the less
+        an input the more records there are in which they rest.
         """
+        rests = np.mean([np.ptp(record, axis=0) == 0 for record in records], axis=0)
         for i, reading in enumerate(self.readings):
+            if not reading.quantities:
+                self.own[i].append(Evidence("input", -WEIGHTS.held * float(rests[i]), ""))
             if not reading.quantities and (self.slope[:, i] <= 0).all():
                 self.own[i].append(Evidence("acceleration", -WEIGHTS.no_slope, ""))
         commands = np.array([r.qualifier == "command" for r in self.readings])

@@ -33,7 +33,7 @@ _LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
 _VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
 _RATE = re.compile(r"(.*[a-z])D{1,2}(?![A-Za-z])")  # `angleD`, which is one beside `angle`
-_TERMS = {("p",), ("i",), ("d",)}  # of a controller, by their names
+_TERMS = ("p", "i", "d")  # of a controller, by their last words
 _EPISODES = {"episode", "run", "trial", "versuch", "experiment", "take", "traj", "trajectory"}
 
 
@@ -736,9 +736,10 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
             names[name] = text.replace(rate[0], rate[1], 1)  # as of `axisD`, a term of a controller
     readings = {name: read_name(text, units.get(name, "")) for name, text in names.items()}
     words = {word for r in readings.values() for word in r.words}
-    if {r.words for r in readings.values()} >= _TERMS:
-        term = read_name("error")
-        readings |= {n: replace(term, name=n) for n, r in readings.items() if r.words in _TERMS}
+    for name, reading in [*readings.items()]:
+        terms = {(*reading.words[:-1], term) for term in _TERMS}
+        if reading.words in terms and terms <= {r.words for r in readings.values()}:
+            readings[name] = replace(read_name("error"), name=name, words=reading.words)
     return {
         name: replace(r, kind=None) if _is_output(r, words) else r for name, r in readings.items()
     }

@@ -231,7 +231,7 @@ def _read_quantities(
         quantities["velocity"] += 0.5  # `theta_dot`, `angle rate`: it is of that position
     if {"d", "dt"} <= {*words} or (words[:1] == ["d"] and "position" in quantities):
         add("velocity", 3.5, "d/dt")
-    if {("dot", "dot"), ("d", "dot")} & {*pairwise(words)}:
+    if {("dot", "dot"), ("d", "dot"), ("second", "derivative")} & {*pairwise(words)}:
         add("acceleration", 4.0, "dot dot")
     return quantities, word
 

@@ -27,7 +27,7 @@ Qualifier = Literal["command", "measured", "filtered", "model"]
 
 _STRONG: dict[Quantity, str] = {
     "time": "time times zeit timestamp stamp clock millis micros uptime zeitstempel elapsed temps "
-    "tijd",
+    "tijd nsec tsec tnsec",
     "counter": "index idx frame seq sequence row zeile nr episode iteration iter sample samples "
     "task lfd messpunkt",
     "position": "pos position positions angle angles winkel enc encoder encoders theta phi psi "
@@ -35,7 +35,8 @@ _STRONG: dict[Quantity, str] = {
     "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
     "elevation posicion hoek lage tilt heading",
     "velocity": "vel velo velocity velocities speed omega tacho dot qdot "
-    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm",
+    "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm "
+    "derivative ableitung",
     "acceleration": "acc accel acceleration beschleunigung ddot qddot qacc accelerometer beschl",
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
