@@ -352,6 +352,24 @@ def test_a_long_table_is_columns_by_signal(slower: int, tmp_path: Path) -> None:
         assert draft_card(tmp_path, ["can.csv"]).dt == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize(("label", "motors"), [("motor_id", ("1", "2")), ("joint", ("a", "b"))])
+def test_rows_of_several_motors_in_turn_are_columns_of_each(
+    label: str, motors: tuple[str, str], tmp_path: Path
+) -> None:
+    t = 0.02 * np.arange(90)
+    lines = [
+        f"{x + 4e-4 * k:.4f},{motor},{np.sin(x + k):.6f},{k}"
+        for x in t
+        for k, motor in enumerate(motors)
+    ]
+    (tmp_path / "log.csv").write_text(f"t_s,{label},position_rot,duty\n" + "\n".join(lines))
+    columns = read_columns(tmp_path / "log.csv")
+    position = f"{motors[1]}/position_rot"
+    np.testing.assert_allclose(columns[position], np.sin(t + 1), atol=1e-6)
+    np.testing.assert_allclose(columns[columns.clocks[position]], t + 4e-4)
+    assert draft_card(tmp_path, ["log.csv"]).dt == pytest.approx(0.02)
+
+
 def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:
     lines = [f"{k},{'up' if k % 40 < 20 else 'down'},{k * k}" for k in range(200)]
     (tmp_path / "log.csv").write_text("t,state,x\n" + "\n".join(lines))

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
+_ID = re.compile(r"(?i)(?:^|[_ .])id$|(?<=[a-z])I[Dd]$")
 _SECTION = re.compile(r"\d+\.Variable\s*;\s*(\S.*)")
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
 
@@ -169,16 +170,19 @@ def _by_topic(
 def _spread_if_long(
     columns: Columns, table: "pl.DataFrame", header_rows: int, dialect: Dialect
 ) -> Columns | None:
-    """The columns by signal of a long table of times, signals and values; None of another one."""
+    """The columns by signal of a long table of times, signals and values; None of another one.
+
+    Signals are texts, or numbers below a name such as `motor_id`.
+    """
     names = columns.names
-    # time, signal, value
-    if not header_rows or len(names) != 3:
+    if not header_rows or len(names) < 3:
         return None
     texts = [
         n
         for n, cell in zip(names, _texts(table, header_rows), strict=True)
         if not (dialect.is_number(cell) or is_date(cell))
     ]
+    texts = texts or [name for name in names[1:] if _ID.search(name)]
     if len(texts) != 1:
         return None
     cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()

@@ -1,6 +1,7 @@
-"""Long tables: a row for each value, with its time and the name of its signal.
+"""Long tables: rows with a time, the name or number of a signal or joint, and its values.
 
-Databases export them, as `time,signal,value`. Here they become columns by signal.
+Databases and drives export them, as `time,signal,value` and `time,motor_id,position,current`. Here
+they become columns by signal.
 """
 
 from collections.abc import Sequence
@@ -10,52 +11,60 @@ import numpy as np
 from tustinnet.data.columns import Column, Columns
 from tustinnet.errors import InputError
 
+_MOST_SIGNALS, _FEWEST_VALUES = 60, 10
+_TURNS = 0.9  # of the rows are of another signal than the row before, where signals take turns
+
 
 def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Columns | None:
-    """The columns of a long table by signal, None where a table of three columns is none.
+    """The columns of a long table by signal, None of another table.
 
-    Signals of the same times share a column of times; others have one of their own.
+    Signals of the same times share a column of times; others have one of their own. With several
+    values in a row, columns are called by the signal and the value, as `elbow/position`.
 
     Args:
-        columns: the table, with one column of texts.
-        names: texts of that column, row by row.
-        label: name of that column.
+        columns: the table; but for the labels its first column has the times.
+        names: the signal of each row.
+        label: name of the column that says it.
     """
     signals, which = np.unique(np.asarray(names, str), return_inverse=True)
+    time, *values = (name for name in columns.names if name != label)
     counts = np.bincount(which)
-    time, value = (name for name in columns.names if name != label)
-    # at most 60 signals, of at least ten values each
-    is_long = 2 <= len(signals) <= 60 and counts.min() >= 10
-    if not is_long or time in signals or "" in signals:
+    is_long = 2 <= len(signals) <= _MOST_SIGNALS and counts.min() >= _FEWEST_VALUES
+    if not is_long or not values or time in signals or "" in signals:
         return None
     try:
-        t, values = columns[time], columns[value]
+        columns.fetch([time, *values])
     except InputError:  # another text
         return None
+    t = columns[time]
     repeated = 1 - len(np.unique(t)) / len(t)
+    takes_turns = float(np.mean(np.diff(which) != 0)) > _TURNS
     # mostly other rows have the time of a row, too
+    shares = repeated >= min(0.5, 0.9 * (1 - 1 / len(signals)))
     rising = all((np.diff(t[which == k]) > 0).all() for k in range(len(signals)))
-    if not rising or repeated < min(0.5, 0.9 * (1 - 1 / len(signals))):
+    if not rising or not (shares or takes_turns):
         return None
     rows = [which == k for k in range(len(signals))]
     order = sorted(range(len(signals)), key=lambda k: int(np.argmax(rows[k])))
-    columns_by_name: dict[str, Column] = {}
+    is_common = all(np.array_equal(t[rows[0]], t[row]) for row in rows)
+    columns_by_name: dict[str, Column] = {time: t[rows[0]]} if is_common else {}
     clocks: dict[str, str] = {}
-    if all(np.array_equal(t[rows[0]], t[row]) for row in rows):
-        columns_by_name[time] = t[rows[0]]
-        columns_by_name |= {str(signals[k]): values[rows[k]] for k in order}
-    else:
-        for k in order:
-            name, clock = str(signals[k]), f"{signals[k]}/{time}"
-            columns_by_name |= {clock: t[rows[k]], name: values[rows[k]]}
-            clocks |= {clock: clock, name: clock}
-    note = f"a row for each value: columns by '{label}'"
+    units: dict[str, str] = {}
+    for k in order:
+        signal, clock = str(signals[k]), f"{signals[k]}/{time}"
+        own = {signal if len(values) == 1 else f"{signal}/{value}": value for value in values}
+        if not is_common:
+            columns_by_name[clock] = t[rows[k]]
+            clocks |= dict.fromkeys([clock, *own], clock)
+        for name, value in own.items():
+            columns_by_name[name] = columns[value][rows[k]]
+            units |= {name: columns.units[value]} if value in columns.units else {}
     times = {time, *clocks.values()} & columns_by_name.keys()
-    units = dict.fromkeys(times, columns.units[time]) if time in columns.units else {}
+    units |= dict.fromkeys(times, columns.units[time]) if time in columns.units else {}
     return Columns(
         tuple(columns_by_name),
         lambda names: [columns_by_name[name] for name in names],
-        notes=(*columns.notes, note),
+        notes=(*columns.notes, f"a row for each value: columns by '{label}'"),
         clocks=clocks,
         units=units,
     )
