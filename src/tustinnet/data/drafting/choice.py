@@ -139,8 +139,10 @@ def _why_unused(
             return f"{factor:.6g} times '{used}'"
     reading = findings.readings[name]
     if verdict.role in ("input", "other") and reading.quantity in INPUTS and inputs:
-        rest = [u for u in inputs if stage_of(findings.readings[u]) != stage_of(reading)]
-        return f"an effect of '{rest[0]}'" if rest else f"beside the input '{inputs[0]}'"
+        # of several that of its joint
+        near = sorted(inputs, key=lambda u: -len({*findings.readings[u].words} & {*reading.words}))
+        rest = [u for u in near if stage_of(findings.readings[u]) != stage_of(reading)]
+        return f"an effect of '{rest[0]}'" if rest else f"beside the input '{near[0]}'"
     if "velocity" in (verdict.role, reading.quantity):
         for position in motion:
             correlation, _ = findings.slopes.between(position, name)
