@@ -76,7 +76,7 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     assert [e["coordinate"] for e in held_out] == ["pole", "slide"], "in the order of the card"
     assert held_out[1]["missing"] < 0.05 * held_out[1]["size"]
     assert set(summary["scores"]["mean_by_unit"]) == {"rad", "m"}
-    for text in ("RMSE [rad]", "RMSE [m]", "base_parameters.csv", "\ntime: "):
+    for text in (" [rad]", " [m]", "base_parameters.csv", "\ntime: "):
         assert text in out
     with (run / "base_parameters.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

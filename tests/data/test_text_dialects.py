@@ -423,6 +423,10 @@ def test_a_number_beside_the_columns_may_say_the_period(
     assert draft_card(tmp_path, ["a.json"]).dt == pytest.approx(0.02)
 
 
+def test_a_single_column_has_its_name(tmp_path: Path) -> None:
+    assert read(tmp_path, "angle\n" + "".join(f"{k / 8}\n" for k in range(50))).names == ("angle",)
+
+
 def test_rows_may_end_in_a_mark_that_the_names_have_not(tmp_path: Path) -> None:
     columns = read(tmp_path, "step 9 V\nt,x,u\n0.0,1.0,2.0,\n0.1,1.5,2.0,\n0.2,1.7,0.0,\n")
     assert columns.names == ("t", "x", "u")

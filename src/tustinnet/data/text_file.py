@@ -332,7 +332,7 @@ def _without_labels(lines: Lines) -> Lines:
         """The labels of a line and its numbers; none where there is something else in it."""
         pairs = [(m[1], m[2]) for m in _LABELLED.finditer(line)]
         rest = _LABELLED.sub("", line).strip(_EMPTY)
-        if rest and NUMBER.fullmatch(rest) and line.lstrip().startswith(rest):
+        if pairs and NUMBER.fullmatch(rest) and line.lstrip().startswith(rest):
             pairs.insert(0, (f"{NUMBERED}1", rest))
         elif rest:
             pairs = []
