@@ -277,6 +277,7 @@ class EvidenceTable:
         is_copy: whether two columns differ by rounding only, apart from unit and zero.
         signal: the first of the columns that are copies of one another, for each.
         sums: columns of which two add up to the third.
+        is_silent: whether a name says nothing where another one states a motion.
         is_free: whether a position moves others and is moved by nothing.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
         family: the family of each column; those of one family have one role.
@@ -296,6 +297,13 @@ class EvidenceTable:
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
+        # where a name states a motion, one that says nothing is no position
+        is_stated = any(r.stated(["position", "velocity"]) for r in self.readings)
+        self.is_silent = [
+            is_stated and bool(r.name) and r.quantity in (None, "time") for r in self.readings
+        ]
+        for own, is_silent in zip(self.own, self.is_silent, strict=True):
+            own += [Evidence("position", -WEIGHTS.against, "")] if is_silent else []
         factors = find_copies(records, [numbers[n].count or 0.0 for n in readings])
         # a set point is not what follows it
         kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
@@ -415,7 +423,7 @@ class EvidenceTable:
                     text = "the sum or difference of two other positions"
                     self.own[max(three)].append(Evidence("other", w.derived, text))
                 continue
-            if size[error] > w.small * size[controlled]:
+            if size[error] > w.small * size[controlled] or self.is_silent[controlled]:
                 continue
             text = f"'{self.names[controlled]}' and it add up to a set point: a control error"
             self.own[error].append(Evidence("other", w.useless, text))
