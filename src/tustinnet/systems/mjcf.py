@@ -8,14 +8,15 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from tustinnet.data.reading_process import call
 from tustinnet.errors import InputError, convert_errors, require_package
+from tustinnet.lazy_package import LateModule
 from tustinnet.systems.robot import (
     Lead,
     LinkInertia,
@@ -27,10 +28,10 @@ from tustinnet.systems.robot import (
     RobotLink,
     parse_xml,
     require_few_joints,
-    restore_robot,
     without_rounding,
 )
 
+mujoco = LateModule("mujoco")  # no types are known
 _EXPECTED = "a robot in MuJoCo's format (MJCF)"
 _SECONDS = 20.0  # to compile a file; a humanoid with its hands takes a tenth of one
 _MEMORY = 2**30  # bytes, for it
@@ -118,7 +119,7 @@ def read_mjcf(text: str, path: Path) -> Robot:
     plain, _ = call(
         path, f"{__name__}:compile_mjcf", [text], seconds=_SECONDS, modules=modules, memory=_MEMORY
     )
-    return restore_robot(plain)
+    return TypeAdapter(Robot).validate_python(plain)
 
 
 def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarray]]:
@@ -149,7 +150,7 @@ def compile_mjcf(where: Path, text: str) -> tuple[dict[str, Any], list[np.ndarra
             )
     spec, model = _compile(text, where)
     has_shape = {body.name for body in spec.bodies if body.geoms}
-    return asdict(_robot_of(import_module("mujoco"), model, has_shape, where)), []
+    return asdict(_robot_of(model, has_shape, where)), []
 
 
 def joint_forces(
@@ -168,7 +169,6 @@ def joint_forces(
     Raises:
         InputError: MuJoCo refuses it.
     """
-    mujoco = import_module("mujoco")
     _, model = _compile(text, where)
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     joints = [model.joint(name) for name in lead.joints]
@@ -190,10 +190,9 @@ def _compile(text: str, where: object) -> tuple[Any, Any]:
     Raises:
         InputError: MuJoCo refuses it.
     """
-    mujoco = import_module("mujoco")  # no types are known
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         spec = mujoco.MjSpec.from_string(text)
-    _remove_seen(mujoco, spec, where)
+    _remove_seen(spec, where)
     with convert_errors(where, "MuJoCo refuses it", _EXPECTED):
         try:
             return spec, spec.compile()
@@ -208,7 +207,7 @@ def _compile(text: str, where: object) -> tuple[Any, Any]:
             ) from None
 
 
-def _remove_seen(mujoco: Any, spec: Any, where: object) -> None:
+def _remove_seen(spec: Any, where: object) -> None:
     """Takes out what is only seen or touched; shapes stay where inertias are computed of them.
 
     Raises:
@@ -246,19 +245,19 @@ def _moves(body: Any) -> bool:
     return False
 
 
-def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Robot:
+def _robot_of(model: Any, has_shape: set[str], where: object) -> Robot:
     """The description of a compiled model."""
-    _require_supported(mujoco, model, where)
+    _require_supported(model, where)
     require_few_joints(model.njnt, where)
     links, joints, remarks = [], [], Remarks()
     for i in range(model.nbody):
         body = model.body(i)
         is_frame = body.name not in has_shape
-        links.append(RobotLink(body.name, _inertia_of(mujoco, model, i), is_frame))
+        links.append(RobotLink(body.name, _inertia_of(model, i), is_frame))
         if i == _WORLD:
             continue
         parent = model.body(model.body_parentid[i]).name
-        rotation, position = _matrix(mujoco, model.body_quat[i]), model.body_pos[i].copy()
+        rotation, position = _matrix(model.body_quat[i]), model.body_pos[i].copy()
         first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
         if count and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
             remarks["stands where the file has it, and does not move freely"].append(body.name)
@@ -281,27 +280,29 @@ def _robot_of(mujoco: Any, model: Any, has_shape: set[str], where: object) -> Ro
             child = body.name if is_last else f"{body.name}@{model.joint(k).name}"
             if not is_last:
                 links.append(RobotLink(child, None, is_frame=True))
-            joints.append(_joint_of(mujoco, model, k, parent, child, rotation, position, where))
+            joints.append(_joint_of(model, k, parent, child, rotation, position, where))
             # further joints of a body begin where the one before ends
             parent, rotation, position = child, np.eye(3), np.zeros(3)
-    has_gravity = not _is_disabled(mujoco, model, "GRAVITY")
+    has_gravity = not _is_disabled(model, "GRAVITY")
     x, y, z = (float(g) * has_gravity for g in model.opt.gravity)
+    # the names of a compiled model begin with its own
+    name = bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
     return Robot(
-        _name_of(model) or "robot",
+        name or "robot",
         tuple(links),
         tuple(joints),
-        _actuators_of(mujoco, model, where),
+        _actuators_of(model, where),
         (x, y, z),
         remarks.sentences(),
     )
 
 
-def _is_disabled(mujoco: Any, model: Any, name: str) -> bool:
+def _is_disabled(model: Any, name: str) -> bool:
     """Whether a file switches off a kind of force, by <flag>."""
     return bool(model.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
-def _require_supported(mujoco: Any, model: Any, where: object) -> None:
+def _require_supported(model: Any, where: object) -> None:
     """Raises for constraints and forces that a file may have and the equations here have not."""
     for name, what in _UNSUPPORTED.items():
         if np.any(getattr(model, name, 0)):
@@ -331,7 +332,6 @@ def _require_supported(mujoco: Any, model: Any, where: object) -> None:
 
 
 def _joint_of(
-    mujoco: Any,
     model: Any,
     k: int,
     parent: str,
@@ -351,7 +351,7 @@ def _joint_of(
         raise InputError(f"{where}, body '{child}'", "a joint without a name", "a name")
     dof, zero = int(model.jnt_dofadr[k]), float(model.qpos0[model.jnt_qposadr[k]])
     has_damper, has_spring, has_friction = (
-        not _is_disabled(mujoco, model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
+        not _is_disabled(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
     return RobotJoint(
         name,
@@ -390,9 +390,9 @@ def _mimic_of(model: Any, k: int, place: str) -> Mimic | None:
     return None
 
 
-def _actuators_of(mujoco: Any, model: Any, where: object) -> tuple[RobotActuator, ...]:
+def _actuators_of(model: Any, where: object) -> tuple[RobotActuator, ...]:
     """The actuators, of which each must be at a joint and linear."""
-    actuators, has_input_range = [], not _is_disabled(mujoco, model, "CLAMPCTRL")
+    actuators, has_input_range = [], not _is_disabled(model, "CLAMPCTRL")
     for i in range(model.nu):
         name, joint = model.actuator(i).name, int(model.actuator_trnid[i, 0])
         place = f"{where}, actuator '{name or i}'"
@@ -451,21 +451,16 @@ def _range_of(is_limited: Any, ends: Any) -> tuple[float, float] | None:
     return (low, high) if low > high or (is_limited and low < high) else None
 
 
-def _inertia_of(mujoco: Any, model: Any, i: int) -> LinkInertia | None:
+def _inertia_of(model: Any, i: int) -> LinkInertia | None:
     mass = float(model.body_mass[i])
     if not mass:
         return None
-    rotation = _matrix(mujoco, model.body_iquat[i])
+    rotation = _matrix(model.body_iquat[i])
     tensor = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
     return LinkInertia(mass, model.body_ipos[i].copy(), tensor)
 
 
-def _matrix(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:
+def _matrix(quaternion: np.ndarray) -> np.ndarray:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, quaternion)
     return without_rounding(rotation.reshape(3, 3))
-
-
-def _name_of(model: Any) -> str:
-    """The model's name, with which the names of a compiled model begin."""
-    return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")

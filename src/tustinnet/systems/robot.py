@@ -4,22 +4,22 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
+from pydantic import PlainValidator
 
 from tustinnet.channels import Kind
 from tustinnet.errors import InputError, describe_error
-
-if TYPE_CHECKING:
-    from tustinnet.models.chains import Vector3
 
 _MOST_NAMES = 6  # in a sentence
 _ROUNDING, _THIN = 1e-6, 1e-6  # of inertias, and thickness [m], by which a body is none yet
 _MISSING = 0.01  # share of the largest inertia by which rounded ones of public files miss it
 MOST_JOINTS = 100  # that move; the time to make their equations grows with the cube
 Range = tuple[float, float]
+# from lists of numbers, too, as JSON has them
+Numbers = Annotated[np.ndarray, PlainValidator(lambda x: np.array(x, np.float64))]
 JointKind = Literal["angular", "linear", "fixed"]
 
 
@@ -50,8 +50,8 @@ class LinkInertia:
     """
 
     mass: float
-    center: np.ndarray
-    tensor: np.ndarray
+    center: Numbers
+    tensor: Numbers
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ class RobotJoint:
     kind: JointKind
     parent: str
     child: str
-    rotation: np.ndarray
-    position: np.ndarray
-    axis: np.ndarray
-    anchor: np.ndarray
+    rotation: Numbers
+    position: Numbers
+    axis: Numbers
+    anchor: Numbers
     zero: float = 0.0
     mimic: Mimic | None = None
     armature: float = 0.0
@@ -225,7 +225,7 @@ class Robot:
     links: tuple[RobotLink, ...]
     joints: tuple[RobotJoint, ...]
     actuators: tuple[RobotActuator, ...] | None
-    gravity: "Vector3"
+    gravity: tuple[float, float, float]
     remarks: tuple[str, ...] = ()
 
 
@@ -282,31 +282,6 @@ def find_lead(
         else:
             ratios[k, coordinates.index(name)] = ratio
     return Lead(tuple(joints), ratios, offsets)
-
-
-def restore_robot(plain: Mapping[str, Any]) -> Robot:
-    """The robot of the plain values that `dataclasses.asdict` and JSON make of one."""
-
-    def arrays(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
-        return {**values, **{name: np.array(values[name], np.float64) for name in names}}
-
-    def ranges(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: tuple(x) if isinstance(x, list) else x for name, x in values.items()}
-
-    def inertia(values: Mapping[str, Any] | None) -> LinkInertia | None:
-        return None if values is None else LinkInertia(**arrays(values, "center", "tensor"))
-
-    def joint(values: Mapping[str, Any]) -> RobotJoint:
-        plain = arrays(values, "rotation", "position", "axis", "anchor")
-        mimic = None if values["mimic"] is None else Mimic(**values["mimic"])
-        return RobotJoint(**{**ranges(plain), "mimic": mimic})
-
-    links = [RobotLink(x["name"], inertia(x["inertia"]), x["is_frame"]) for x in plain["links"]]
-    joints = [joint(values) for values in plain["joints"]]
-    x, y, z = plain["gravity"]
-    actuators = tuple(RobotActuator(**ranges(values)) for values in plain["actuators"])
-    remarks = tuple(plain["remarks"])
-    return Robot(plain["name"], tuple(links), tuple(joints), actuators, (x, y, z), remarks)
 
 
 def require_few_joints(count: int, where: object) -> None:
