@@ -8,13 +8,10 @@ A new one is a line here. Other packages add theirs by entry points of the group
 import sys
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from importlib.metadata import EntryPoints, entry_points
-from typing import Any, Generic, TypeVar, cast
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from typing import Any
 
 from tustinnet.errors import InputError, convert_errors
-
-Item = TypeVar("Item")
 
 
 @cache
@@ -29,7 +26,7 @@ def _entry_points(group: str, path: tuple[str, ...]) -> EntryPoints:
 
 
 @dataclass(frozen=True)
-class Registry(Generic[Item]):
+class Registry:
     """Items by name, loaded when they are first used.
 
     Attributes:
@@ -40,51 +37,49 @@ class Registry(Generic[Item]):
 
     noun: str
     group: str
-    places: dict[str, str | Item]
+    places: dict[str, Any]
 
     def names(self) -> tuple[str, ...]:
         """All names, those of other packages included."""
         return (*self.places, *(e.name for e in _entry_points(self.group, tuple(sys.path))))
 
-    def register(self, name: str, item: Item) -> None:
+    def register(self, name: str, item: Any) -> None:
         """Adds an item, or replaces the one of the same name."""
         self.places[name] = item
 
     def __contains__(self, name: object) -> bool:
         return name in self.names()
 
-    def place(self, name: str) -> str | Item | None:
+    def place(self, name: str) -> Any:
         """The place of an item as `module:attribute`, the item itself, or None without it."""
-        entries = _entry_points(self.group, tuple(sys.path))
-        values = (entry.value for entry in entries if entry.name == name)
-        return self.places[name] if name in self.places else next(values, None)
-
-    def __getitem__(self, name: str) -> Item:
         if name in self.places:
-            place = self.places[name]
-            return cast(Item, load_place(place)) if isinstance(place, str) else place
-        for entry in _entry_points(self.group, tuple(sys.path)):
-            if entry.name != name:
-                continue
-            with convert_errors(
-                f"{self.noun} '{name}'",
-                f"{entry.value} cannot be loaded",
-                "a package for this version of tustinnet",
-                "update or uninstall the package",
-            ):
-                return cast(Item, entry.load())
-        raise InputError(
-            f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"
-        )
+            return self.places[name]
+        entries = _entry_points(self.group, tuple(sys.path))
+        return next((entry.value for entry in entries if entry.name == name), None)
+
+    def __getitem__(self, name: str) -> Any:
+        place = self.place(name)
+        if place is None:
+            raise InputError(
+                f"{self.noun} '{name}'", f"no such {self.noun}", f"one of {', '.join(self.names())}"
+            )
+        if not isinstance(place, str):
+            return place
+        with convert_errors(
+            f"{self.noun} '{name}'",
+            f"{place} cannot be loaded",
+            "a package for this version of tustinnet",
+            "update or uninstall the package",
+        ):
+            return load_place(place)
 
 
 def load_place(place: str) -> Any:
     """The attribute of a module at `module:attribute`."""
-    module, _, attribute = place.partition(":")
-    return getattr(import_module(module), attribute)
+    return EntryPoint("", place, "").load()
 
 
-FAMILIES: Registry[Any] = Registry(
+FAMILIES = Registry(
     "kind of model",
     "tustinnet.families",
     {
@@ -98,7 +93,7 @@ FAMILIES: Registry[Any] = Registry(
     },
 )
 DEFAULT_FAMILY = next(iter(FAMILIES.places))  # the kind of a recipe that names none
-SCALINGS: Registry[Any] = Registry(
+SCALINGS = Registry(
     "scaling",
     "tustinnet.scalings",
     {
@@ -107,7 +102,7 @@ SCALINGS: Registry[Any] = Registry(
         "published": "tustinnet.reproduce.published:published_scaling",
     },
 )
-SYSTEMS: Registry[Any] = Registry(
+SYSTEMS = Registry(
     "system",
     "tustinnet.systems",
     {
@@ -129,7 +124,7 @@ SYSTEMS: Registry[Any] = Registry(
         "duffing": "tustinnet.systems.library.duffing:SYSTEM",
     },
 )
-TARGETS: Registry[Any] = Registry(
+TARGETS = Registry(
     "target",
     "tustinnet.targets",
     {
@@ -144,7 +139,7 @@ TARGETS: Registry[Any] = Registry(
         "mjcf": "tustinnet.export.robot:MJCF",
     },
 )
-READERS: Registry[Any] = Registry(
+READERS = Registry(
     "reader",
     "tustinnet.readers",
     {
