@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, TypeAdapter
 
 from tustinnet.errors import InputError, require_name, require_text
 
@@ -433,23 +433,8 @@ class Channels(Described):
     @classmethod
     def from_header(cls, header: dict[str, Any]) -> "Channels":
         """The channels that `as_header` wrote, among other keys."""
-        controller = header.get("controller")
-        return cls(
-            tuple(Coordinate(**c) for c in header["coordinates"]),
-            _restore_inputs(header["inputs"]),
-            header["dt"],
-            controller
-            and PDController(
-                _restore_inputs(controller["inputs"]),
-                tuple(PDLoop(**loop) for loop in controller["loops"]),
-            ),
-        )
-
-
-def _restore_inputs(entries: Sequence[dict[str, Any]]) -> tuple[Input, ...]:
-    """The inputs of a header; JSON has no tuples."""
-    limits = [i.get("limits") and tuple(i["limits"]) for i in entries]
-    return tuple(Input(**{**i, "limits": pair}) for i, pair in zip(entries, limits, strict=True))
+        known = {f.name: header[f.name] for f in fields(cls) if f.name in header}
+        return TypeAdapter(cls).validate_python(known)
 
 
 class HasChannels:
