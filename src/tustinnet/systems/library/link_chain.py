@@ -26,33 +26,30 @@ def make_link_chain(count: int) -> LagrangianSystem:
     """
     numbers = range(1, count + 1)
 
-    def points(angles: list[Any], p: Values) -> list[tuple[list[Any], list[Any]]]:
-        """Lengths from joint to joint, then to the centre, and angles, for each link's centre."""
-        lengths = [p[f"length{i}"] for i in numbers]
-        return [([*lengths[:k], p[f"centre{k + 1}"]], angles[: k + 1]) for k in range(count)]
+    def of_links(name: str, p: Values) -> Any:
+        """A parameter of all links, (count,)."""
+        return jnp.stack([p[f"{name}{i}"] for i in numbers])
+
+    def to_centres(directions: Any, p: Values) -> Any:
+        """Sums along the chain up to the centre of each link, of a direction of each, (count,)."""
+        lengths = of_links("length", p)
+        return jnp.cumsum(lengths * directions) - (lengths - of_links("centre", p)) * directions
 
     def kinetic(q: Coordinates, v: Coordinates, p: Values) -> Scalar:
         """Links move with their centres and turn [J]."""
-        speeds, energy = jnp.cumsum(v), jnp.zeros(())
-        for i, (lengths, angles) in zip(numbers, points(list(jnp.cumsum(q)), p), strict=True):
-            pairs = list(zip(lengths, angles, speeds[:i], strict=True))
-            along = sum(length * jnp.cos(a) * w for length, a, w in pairs)
-            up = sum(length * jnp.sin(a) * w for length, a, w in pairs)
-            energy = energy + p[f"mass{i}"] * (along**2 + up**2) / 2
-            energy = energy + p[f"inertia{i}"] * speeds[i - 1] ** 2 / 2
-        return energy
+        angles, speeds = jnp.cumsum(q), jnp.cumsum(v)
+        along, up = (to_centres(f(angles) * speeds, p) for f in (jnp.cos, jnp.sin))
+        moving = of_links("mass", p) * (along**2 + up**2)
+        return jnp.sum(moving + of_links("inertia", p) * speeds**2) / 2
 
     def potential(q: Coordinates, p: Values) -> Scalar:
         """Height of the centres [J]."""
-        energy = jnp.zeros(())
-        for i, (lengths, angles) in zip(numbers, points(list(jnp.cumsum(q)), p), strict=True):
-            drop = sum(length * jnp.cos(a) for length, a in zip(lengths, angles, strict=True))
-            energy = energy - p[f"mass{i}"] * GRAVITY * drop
-        return energy
+        drops = to_centres(jnp.cos(jnp.cumsum(q)), p)
+        return -GRAVITY * jnp.sum(of_links("mass", p) * drops)
 
     def dissipation(q: Coordinates, v: Coordinates, p: Values) -> Coordinates:
         """Viscous friction of the joints [N m]."""
-        return forces.viscous(v, jnp.stack([p[f"viscous{i}"] for i in numbers]))
+        return forces.viscous(v, of_links("viscous", p))
 
     def input_map(q: Coordinates, v: Coordinates, u: InputVector, p: Values) -> Coordinates:
         """The torque turns the first link [N m]."""
