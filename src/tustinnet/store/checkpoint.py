@@ -8,7 +8,6 @@ import dataclasses
 import hashlib
 import json
 import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,15 @@ class Checkpointer:
     def flush(self) -> None:
         """Writes the last state, where that was not done yet."""
         if self._unwritten is not None:
-            write_checkpoint(self._path, self._unwritten, self._progress, self._fingerprints)
+            header = {
+                "kind": _KIND,
+                "stage": max(p.stage for p in self._progress),
+                "members": self._fingerprints,
+                "progress": [dataclasses.asdict(p) for p in self._progress],
+            }
+            leaves = jax.tree.leaves(_with_plain_key(self._unwritten))
+            arrays = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
+            write_sealed(self._path.parent, self._path.name, header, arrays)
             self._written, self._unwritten = time.monotonic(), None
 
 
@@ -99,26 +106,6 @@ def feed_record(digest: Any, experiment: Experiment) -> None:
     digest.update(f"{e.name} {e.channels} {e.k_bar}{controller}".encode())
     for array in (e.t, e.q, e.u, e.v, e.outputs):
         digest.update(b"" if array is None else array.tobytes())
-
-
-def write_checkpoint(
-    path: Path,
-    state: TrainingState,
-    progress: Sequence[Progress],
-    fingerprints: Mapping[str, str],
-) -> None:
-    """Writes the checkpoint of members that train together, whole or not at all."""
-    header = {
-        "kind": _KIND,
-        "stage": max(p.stage for p in progress),
-        "members": dict(fingerprints),
-        "progress": [dataclasses.asdict(p) for p in progress],
-    }
-    arrays = {
-        f"{i:04d}": np.asarray(leaf)
-        for i, leaf in enumerate(jax.tree.leaves(_with_plain_key(state)))
-    }
-    write_sealed(path.parent, path.name, header, arrays)
 
 
 def read_checkpoint(path: Path, task: Task) -> tuple[tuple[Member, ...], ResumePoint | None]:

@@ -143,25 +143,16 @@ class Mechanism(SystemTemplate):
             parameters: the inertia of each coordinate, and the parameters of its other terms.
         """
         channels = tuple(coordinates), tuple(inputs)
-        functions = _functions(*channels)
         return LagrangianSystem(
             NAME,
             *channels,
             tuple(parameters),
-            functions["kinetic"],
-            functions["potential"],
-            functions["dissipation"],
-            functions["input_map"],
-            energy_unit=_energy_unit(coordinates),
+            **_functions(*channels),
+            energy_unit=f"{coordinates[0].unit}^2/s^2",  # of which the first inertia is 1
         )
 
 
 MECHANISM = Mechanism()
-
-
-def _energy_unit(coordinates: Sequence[Coordinate]) -> str:
-    """The unit of energies, of which the first inertia is 1."""
-    return f"{coordinates[0].unit}^2/s^2"
 
 
 def _sizes(signals: Sequence[np.ndarray]) -> list[float]:
@@ -533,9 +524,7 @@ def _input_map(
 
 
 @lru_cache(maxsize=64)  # so that equal systems serve the same compiled programs
-def _functions(
-    coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]
-) -> dict[str, Callable[..., Any]]:
+def _functions(coordinates: tuple[Coordinate, ...], inputs: tuple[Input, ...]) -> dict[str, Any]:
     """Energies and forces with the terms whose parameters they are given."""
     return {
         "kinetic": _kinetic(coordinates),

@@ -213,7 +213,16 @@ def _of_joint(channels: RobotChannels, k: int, motion: RecordedMotion | None) ->
         _weak(f"{name}.viscous", units.damping, viscous, largest_damping, damping_basis),
         _weak(f"{name}.coulomb", units.force, coulomb, largest_coulomb, effort_basis),
         _near(f"{name}.coulomb_speed", units.speed, width, 100.0, fixed=True),
-        _about_zero(f"{name}.offset", units.force, effort, effort_basis),
+        # a force of either sign that a file does not have
+        Parameter(
+            f"{name}.offset",
+            units.force,
+            0.0,
+            -effort,
+            effort,
+            prior=_SHARE * effort,
+            basis=effort_basis,
+        ),
     ]
     if "stribeck" in options.friction:
         slow = _STRIBECK * width
@@ -273,11 +282,6 @@ def _near(name: str, unit: str, value: float, factor: float, **more: Any) -> Par
 def _weak(name: str, unit: str, value: float, largest: float, basis: str = "") -> Parameter:
     """A parameter from 0 on, of which a file often says nothing."""
     return Parameter(name, unit, value, 0.0, largest, prior=_SHARE * largest, basis=basis)
-
-
-def _about_zero(name: str, unit: str, largest: float, basis: str = "") -> Parameter:
-    """A force of either sign that a file does not have."""
-    return Parameter(name, unit, 0.0, -largest, largest, prior=_SHARE * largest, basis=basis)
 
 
 def _with_ranges(

@@ -39,10 +39,6 @@ class _Pose:
         rotation = self.rotation @ other.rotation
         return _Pose(rotation, self.position + self.rotation @ other.position)
 
-    def place(self, inertia: LinkInertia) -> LinkInertia:
-        """An inertia of the inner frame in the outer one."""
-        return place_inertia(inertia, self.rotation, self.position)
-
 
 class JointMotion(NamedTuple):
     """The way in which a coordinate moves a joint.
@@ -251,7 +247,8 @@ class RobotTree:
                 frame = frame @ _motion(joint, self.locked[joint.name])
             self.owners[joint.child], frames[joint.child] = owner, frame
             if link.inertia is not None and owner is not None:
-                self.parts[owner][link.name] = frame.place(link.inertia)
+                placed = place_inertia(link.inertia, frame.rotation, frame.position)
+                self.parts[owner][link.name] = placed
 
     def _add_body(self, joint: RobotJoint, parent: int | None, frame: _Pose) -> None:
         """Adds the body that a joint carries; its frame is at the joint."""

@@ -130,12 +130,9 @@ class Twin:
     ) -> Float[np.ndarray, "samples n_u"]:
         """Sums of 10 sines as inputs."""
         t, (lowest, highest) = np.arange(count) * self.dt, self.band
-        u = np.zeros((count, len(self.amplitude)))
-        for i, size in enumerate(self.amplitude):
-            phases = generator.uniform(0, 2 * np.pi, 10)
-            angles = 2 * np.pi * np.geomspace(lowest, highest, 10) * t[:, None] + phases
-            u[:, i] = size * np.sqrt(2 / 10) * np.sin(angles).sum(axis=1)
-        return u
+        phases = generator.uniform(0, 2 * np.pi, (len(self.amplitude), 10))
+        angles = 2 * np.pi * np.geomspace(lowest, highest, 10) * t[:, None, None] + phases
+        return np.array(self.amplitude) * np.sqrt(2 / 10) * np.sin(angles).sum(axis=2)
 
 
 def simulate_twin(
