@@ -102,17 +102,16 @@ def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():
     records = [record(f"r{k}", 60, k, "train") for k in range(11)]
     data = tn.DataSet("d", (*records, replace(record("t", 60, 99, "train"), split="test")))
     by_size = draw_records(data, (), 3, 5)
-    assert [draws[0].size for draws in by_size] == [2, 4, 8]
-    for draw in (draw for draws in by_size for draw in draws):
-        split = draw.split
+    assert [*by_size] == [2, 4, 8]
+    for size, split in ((size, split) for size, splits in by_size.items() for split in splits):
         used, scored = ({e.name for e in of} for of in (split.roles.all, split.scored))
         assert not used & scored
         assert "t" not in used | scored
         roles = split.roles_for(read_recipe("standard"))
-        assert len(roles.train) + len(roles.validation) == draw.size
-        assert len(roles.validation) == {2: 1, 4: 1, 8: 2}[draw.size]
+        assert len(roles.train) + len(roles.validation) == size
+        assert len(roles.validation) == {2: 1, 4: 1, 8: 2}[size]
         assert not split.roles_for(read_recipe("best-grey")).validation
-    first, second = by_size[0][0].split.roles.all, by_size[1][0].split.roles.all
+    first, second = by_size[2][0].roles.all, by_size[4][0].roles.all
     assert {e.name for e in first} < {e.name for e in second}
 
 

@@ -127,11 +127,6 @@ class CrossValidationOptions:
     seeds: tuple[int, ...] = (0,)
     starts: tuple[str, ...] = ()
 
-    @property
-    def own_seeds(self) -> tuple[int, ...]:
-        """The seeds of every fit, 0 of one that is no training."""
-        return self.recipe.family.select_seeds(self.seeds)
-
 
 def make_cross_validation_options(
     recipe: AnyRecipe,
@@ -244,7 +239,8 @@ def cross_validate(
         system=options.system if executor is None else system or options.system,
     )
     workplace = Workplace(executor, lambda job: listener, listener.on_message, raises=True)
-    jobs = [Job(RECIPE, options.recipe, fold, options.own_seeds) for fold in range(folds)]
+    seeds = options.recipe.family.select_seeds(options.seeds)
+    jobs = [Job(RECIPE, options.recipe, fold, seeds) for fold in range(folds)]
     results = fit_splits(options, jobs, context, workplace)
     fits = sorted((r for r in results if r.candidate == RECIPE), key=lambda r: r.fold)
     return CrossValidationResult(
@@ -298,32 +294,24 @@ def fit_splits(
         The results of all jobs, in the order in which they ended. Where the physics of a split
         could not be identified, there is none of its recipe.
     """
-    waiting, results, physics = list[Job](), list[JobResult](), dict[int, str]()
-    if options.physics is not None:
-        waiting += [Job(PHYSICS, options.physics, job.fold) for job in jobs]
-    waiting += jobs
-
-    def choose() -> list[Job]:
-        """The next job; in this process with all others that train together with it."""
-        has_physics = options.physics is None
-        ready = [
-            job for job in waiting if job.candidate == PHYSICS or has_physics or job.fold in physics
-        ]
-        chosen = ready[:1]
-        if chosen and workplace.executor is None and chosen[0].recipe.family.has_seeds:
-            chosen = [job for job in ready if job.candidate == chosen[0].candidate]
-        for job in chosen:
-            waiting.remove(job)
-        return [replace(job, physics=physics.get(job.fold)) for job in chosen]
+    results: list[JobResult] = []
 
     def on_result(result: JobResult) -> None:
-        if result.ended == "done" and result.candidate == PHYSICS:
-            physics[result.fold] = result.scores[0].model
-        elif result.ended != "done" and workplace.raises:
+        if result.ended != "done" and workplace.raises:
             raise InputError(f"fold {result.fold}", result.why)
         results.append(result)
 
-    run_jobs(choose, on_result, lambda: context, workplace)
+    def run(jobs: Sequence[Job]) -> None:
+        """Runs jobs of one recipe; in this process those of a training together."""
+        together = workplace.executor is None and jobs and jobs[0].recipe.family.has_seeds
+        waiting = [jobs] if together else [[job] for job in jobs]
+        run_jobs(lambda: waiting.pop(0) if waiting else (), on_result, lambda: context, workplace)
+
+    if options.physics is not None:
+        run([Job(PHYSICS, options.physics, job.fold) for job in jobs])
+        physics = {r.fold: r.scores[0].model for r in results if r.ended == "done"}
+        jobs = [replace(job, physics=physics[job.fold]) for job in jobs if job.fold in physics]
+    run(jobs)
     return results
 
 

@@ -36,22 +36,6 @@ DRAWS = 3  # by default
 
 
 @dataclass(frozen=True)
-class Draw:
-    """Some records of a draw, which models are made from.
-
-    Attributes:
-        number: which draw, from 0; also the seed.
-        size: how many records.
-        split: the records, and those that are left out. Where a recipe has validation choose, one
-            record in four does.
-    """
-
-    number: int
-    size: int
-    split: FoldSplit
-
-
-@dataclass(frozen=True)
 class LearningPoint:
     """The accuracy of an approach with some records.
 
@@ -154,8 +138,12 @@ class LearningCurve:
         }
 
 
-def draw_records(data: DataSet, sizes: Sequence[int], draws: int, folds: int) -> list[list[Draw]]:
+def draw_records(
+    data: DataSet, sizes: Sequence[int], draws: int, folds: int
+) -> dict[int, list[FoldSplit]]:
     """The draws of every number of records; records of the split `test` take part in nothing.
+
+    Where a recipe has validation choose, one record in four does.
 
     Args:
         data: the records.
@@ -177,10 +165,8 @@ def draw_records(data: DataSet, sizes: Sequence[int], draws: int, folds: int) ->
     splits = split_into_folds(data, folds) if count >= folds else []
     most = min((len(s.roles.all) for s in splits), default=0)
     if not sizes and most >= FEWEST:
-        doubled = [FEWEST]
-        while 2 * doubled[-1] <= most:
-            doubled.append(2 * doubled[-1])
-        sizes = list(dict.fromkeys([*doubled, most]))
+        doubled = (FEWEST * 2**k for k in range(most.bit_length()))
+        sizes = [*(size for size in doubled if size < most), most]
     if len(sizes) < 2 or sizes[-1] > most:
         needed = sizes[-1] if len(sizes) > 1 else 2 * FEWEST
         raise InputError(
@@ -189,15 +175,15 @@ def draw_records(data: DataSet, sizes: Sequence[int], draws: int, folds: int) ->
             f"{needed} that remain",
             "record more, or request fewer: `records=` 2,4",
         )
-    drawn: list[list[Draw]] = [[] for _ in sizes]
+    drawn: dict[int, list[FoldSplit]] = {size: [] for size in sizes}
     for number in range(draws):
         split = splits[number % len(splits)]
         order = np.random.default_rng(number).permutation(len(split.roles.all))
         records = [split.roles.all[i] for i in order]
-        for size, of_size in zip(sizes, drawn, strict=True):
-            first = tuple(records[: size - max(1, size // _CHOOSING)])
-            roles = Roles(first, tuple(records[len(first) : size]))
-            of_size.append(Draw(number, size, FoldSplit(split.scored, roles)))
+        for size, of_size in drawn.items():
+            train = size - max(1, size // _CHOOSING)
+            roles = Roles(tuple(records[:train]), tuple(records[train:size]))
+            of_size.append(FoldSplit(split.scored, roles))
     return drawn
 
 
@@ -229,30 +215,25 @@ def learning_curve(
     start = next(iter(options.starts), None) or default_start(list(data))
     recipe, points = options.recipe, list[LearningPoint]()
     drawn = draw_records(data, sizes, draws, options.folds)
-    for of_size in drawn:
+    for size, splits in drawn.items():
         context = RunContext(
             data,
             RecipeScorer(0, start, names=(start,), warm_up=True),
             models={},
             system=options.system,
-            drawn=tuple(draw.split for draw in of_size),
+            drawn=tuple(splits),
         )
-        jobs = [
-            Job(RECIPE, recipe, i, recipe.family.select_seeds([draw.number]))
-            for i, draw in enumerate(of_size)
-        ]
+        jobs = [Job(RECIPE, recipe, i, recipe.family.select_seeds([i])) for i in range(draws)]
         results = fit_splits(options, jobs, context, Workplace(None, lambda job: listener))
-        for i, draw in enumerate(of_size):
+        for i in range(draws):
             result = [r for r in results if r.fold == i][-1]  # of the physics where that failed
             rmse, outcome = np.inf, result.why
             if result.scores and result.candidate == RECIPE:
                 (score,) = result.scores
                 (by_record,) = score.rmse.values()
                 rmse, outcome = float(np.mean([*by_record.values()])), score.outcome
-            points.append(LearningPoint(recipe.name, draw.number, draw.size, rmse, outcome))
+            points.append(LearningPoint(recipe.name, i, size, rmse, outcome))
     if not any(point.rmse < np.inf for point in points):
         raise InputError(recipe.name, f"no model of any draw: {points[-1].outcome}", "a fit")
-    scored = tuple(len(draw.split.scored) for draw in drawn[0])
-    return LearningCurve(
-        data.channels.unit, start, tuple(of[0].size for of in drawn), tuple(points), scored
-    )
+    scored = tuple(len(split.scored) for split in next(iter(drawn.values())))
+    return LearningCurve(data.channels.unit, start, tuple(drawn), tuple(points), scored)
