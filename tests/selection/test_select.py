@@ -46,7 +46,7 @@ from tustinnet.systems.files import find_system
 def _rough_models():
     """Networks of a few epochs are far off over whole records, by which they are judged here."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(queue, "DEFAULTS", queue.QueueOptions(far=1.0))
+        patched.setattr(queue, "OPTIONS", queue.QueueOptions(far=1.0))
         yield
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from tustinnet.signals.transients import is_moving
 
 Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
+Key = TypeVar("Key")
 
 
 def rmse(simulated: Trajectory, measured: Trajectory) -> float:
@@ -96,3 +98,11 @@ def mean_and_error(values: Iterable[float]) -> tuple[float, float]:
     if len(array) > 1 and np.isfinite(array).all():
         error = float(array.std(ddof=1) / np.sqrt(len(array)))
     return float(array.mean()) if len(array) else np.nan, error
+
+
+def mean_by_key(pairs: Iterable[tuple[Key, float]]) -> dict[Key, float]:
+    """Mean of the values of each key, in the order of first appearance."""
+    values: dict[Key, list[float]] = {}
+    for key, value in pairs:
+        values.setdefault(key, []).append(value)
+    return {key: float(np.mean(of_key)) for key, of_key in values.items()}

@@ -1,5 +1,6 @@
 """Bands of the chosen model, calibrated on the records that each fold left out."""
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration, Prediction, calibrate_bands, predict
 from tustinnet.families.family import family_of
@@ -34,16 +35,16 @@ def calibrate_on_folds(
     if not family_of(final.model).alternatives(final.model, dict(final.header)):
         return None
     start, horizon = result.starts[0], context.scoring.horizon
-    predictions: list[Prediction] = []
+    predictions, records = list[Prediction](), list[Experiment]()
     for fold, (fit, *_) in sorted(result.fits_by_fold.items()):
         model = context.load_model(fit.model)
         alternatives = family_of(model).alternatives(model, read_header(context.folder / fit.model))
         if not alternatives or deadline.remaining <= 0:
             return None
-        records = context.splits[fold].scored
-        predictions += predict(model, alternatives, records, start, horizon=horizon)
+        scored = context.splits[fold].scored
+        predictions += predict(model, alternatives, scored, start, horizon=horizon)
+        records += scored
     try:
-        records = [e for fold in sorted(result.fits_by_fold) for e in context.splits[fold].scored]
         return calibrate_bands(predictions, records, start, horizon)
     except InputError:
         return None

@@ -267,7 +267,7 @@ class Choice(Shown):
         name = min(differences, key=lambda other: differences[other].mean)
         difference = differences[name]
         mean, error, count = difference.mean, difference.standard_error, difference.records
-        level = LEVEL * mean_and_error(best.rmse().values())[0]
+        level = LEVEL * best.mean
         code = "not clearly better"
         if mean < 0:
             code = "other better"
@@ -335,16 +335,10 @@ class Choice(Shown):
             "folds": sorted(result.fits_by_fold),
             **({"unexplained": result.unexplained} if result.unexplained else {}),
             "starts": {
-                start: dict(
-                    zip(("mean", "standard_error"), mean_and_error(rmse.values()), strict=True)
-                )
-                | {"rmse": rmse}
+                start: {"mean": mean, "standard_error": error, "rmse": rmse}
                 for start, rmse in by_start.items()
+                for mean, error in [mean_and_error(rmse.values())]
             },
-            "difference": {
-                "mean": difference.mean,
-                "standard_error": difference.standard_error,
-                "records": difference.records,
-            },
+            "difference": asdict(difference),
             "models": [fit.model for fit in result.fits if fit.model],
         }

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.metrics import mean_and_error, mean_by_key
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.recipe import Recipe
@@ -71,23 +69,18 @@ class CrossValidationResult:
 
     def means(self, start: str) -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m]."""
-        by_record: dict[str, list[float]] = {}
-        for score in self.scores:
-            by_record.setdefault(score.record, []).append(score.rmse[start])
-        return {record: float(np.mean(values)) for record, values in by_record.items()}
+        return mean_by_key((score.record, score.rmse[start]) for score in self.scores)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """By start: mean over the records, its standard error, the mean of each seed."""
         summary = {}
         for start in self.scores[0].rmse:
             mean, error = mean_and_error(self.means(start).values())
-            by_seed: dict[int, list[float]] = {}
-            for score in self.scores:
-                by_seed.setdefault(score.seed, []).append(score.rmse[start])
+            by_seed = mean_by_key((score.seed, score.rmse[start]) for score in self.scores)
             summary[start] = {
                 "mean": mean,
                 "standard_error": error,
-                "by_seed": {str(seed): float(np.mean(by_seed[seed])) for seed in sorted(by_seed)},
+                "by_seed": {str(seed): by_seed[seed] for seed in sorted(by_seed)},
             }
         return summary
 

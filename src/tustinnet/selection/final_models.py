@@ -93,13 +93,12 @@ def make_final_models(
     """
     models = {}
     for result in candidates.choosable:
-        if result.name not in (best.name, simplest.name):
-            ways = _possible_models(candidates, result, context, None, deadline)
-            models[result.name] = next(ways)
-            continue
-        ways = _possible_models(candidates, result, context, make_listener, deadline)
-        promised = mean_and_error(result.rmse().values())[0]
-        models[result.name] = _first_as_promised(ways, promised, context, deadline)
+        is_tried = result.name in (best.name, simplest.name)
+        listeners = make_listener if is_tried else None
+        ways = _possible_models(candidates, result, context, listeners, deadline)
+        models[result.name] = (
+            _first_as_promised(ways, result.mean, context, deadline) if is_tried else next(ways)
+        )
     return models
 
 
@@ -163,19 +162,16 @@ def _first_as_promised(
     something is wrong with it.
     """
     records, tried = records_without_test(context.data), list[tuple[float, FinalModel]]()
-    for final in ways:
-        start, *_ = context.scoring.starts(final.model, context.data)
-        scores = evaluate(final.model, records, start, horizon=context.scoring.horizon)
+    for way in ways:
+        start, *_ = context.scoring.starts(way.model, context.data)
+        scores = evaluate(way.model, records, start, horizon=context.scoring.horizon)
         error = mean_and_error(rmse_by_record(scores).values())[0]
-        if error <= _AS_PROMISED * promised:
+        tried.append((error if math.isfinite(error) else math.inf, way))
+        is_late = deadline.has_passed() and math.isfinite(error)
+        if is_late or error <= _AS_PROMISED * promised:
             break
-        tried.append((error if math.isfinite(error) else math.inf, final))
-        if deadline.has_passed() and math.isfinite(tried[-1][0]):
-            final = min(tried, key=lambda pair: pair[0])[1]
-            break
-    else:
-        final = min(tried, key=lambda pair: pair[0])[1]
-    if not tried or final is tried[0][1]:
+    final = min(tried, key=lambda pair: pair[0])[1]
+    if final is tried[0][1]:
         return final
     origin = (
         f"{final.origin}; {tried[0][1].origin} was discarded, its free runs of all records are "
@@ -191,7 +187,6 @@ def _identify_from_all(
     records = tuple(records_without_test(context.data))
     drawn = (FoldSplit((), Roles(records, ())),)
     task = make_job_task([job], context.with_changes(drawn=drawn))
-
     folder = context.folder / CANDIDATES / job.candidate / WHOLE
     why = "no time was left to identify it from all records"
     try:

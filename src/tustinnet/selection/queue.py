@@ -8,7 +8,7 @@ was scored on too few of them to be sure, is one fit from changing the ranking.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
 
@@ -57,7 +57,7 @@ class QueueOptions:
     starts: int = 3
 
 
-DEFAULTS = QueueOptions()
+OPTIONS = QueueOptions()
 
 
 class CandidateQueue:
@@ -71,7 +71,6 @@ class CandidateQueue:
         deadline: when the last job has to end.
         ending: seconds after that, in which the chosen system is identified from all records.
         promising: names of candidates that the records speak for, however rarely they are best.
-        options: numbers that decide.
 
     Attributes:
         plan: the plan.
@@ -89,13 +88,11 @@ class CandidateQueue:
         deadline: Deadline = NEVER,
         ending: float = 0.0,
         promising: Collection[str] = (),
-        options: QueueOptions | None = None,
     ) -> None:
         self.plan, self.context, self.notes = plan, context, list[Finding]()
         lost = context.lost_error
         self.results = {c.name: CandidateResult(c.name, lost=lost) for c in candidates}
         self._candidates, self._on_message = tuple(candidates), on_message
-        self._options = options or DEFAULTS
         self._deadline, self._ending = deadline, ending
         self._promising = promising
         self._seconds: dict[str, float] = {}  # that a candidate takes on a fold
@@ -114,7 +111,7 @@ class CandidateQueue:
         if (not steps or self._is_costly(steps[0][0])) and self._is_lost():
             if self._running:
                 return []
-            self.judge_by_pieces_if_lost()
+            self._judge_by_pieces()
             return self.choose()
         earlier = {(job.candidate, job.fold) for job in self._running}  # or further ahead
         known = len(self._jobs)
@@ -146,7 +143,7 @@ class CandidateQueue:
         """
         steps, places, ahead = [], self._places(), self._find_ahead()
         kinds = len({*places.values()})
-        kept = max(self._options.fewest, math.ceil(self.plan.keep * kinds))
+        kept = max(OPTIONS.fewest, math.ceil(self.plan.keep * kinds))
         for c in self._candidates:
             place = places.get(c.name, 0)
             goes_on = (c.name in places and place < kept) or c.name in ahead
@@ -162,7 +159,7 @@ class CandidateQueue:
 
         Lost is what is lost on every record.
         """
-        ranking = rank([*self.results.values()])
+        ranking = self._rank()
         kept = [r for r in ranking if min(r.compared().values()) < r.lost]
         return kept or ranking
 
@@ -173,6 +170,10 @@ class CandidateQueue:
         """
         is_fitted = not self.plan.candidate(name).content.family.averages_folds
         return self._seconds.get(name, 0.0) if is_fitted else 0.0
+
+    def _rank(self) -> list[CandidateResult]:
+        """The candidates that have scores, the best first."""
+        return rank(self.results.values())
 
     @property
     def _folds(self) -> int:
@@ -191,7 +192,7 @@ class CandidateQueue:
 
         What a candidate corrects or begins with is as good as it.
         """
-        kinds = self._best_of_kinds(rank([*self.results.values()]))
+        kinds = self._best_of_kinds(self._rank())
         places = {result.name: place for place, result in enumerate(kinds)}
         for c in reversed(self._candidates):
             if c.name in places:
@@ -204,7 +205,7 @@ class CandidateQueue:
 
         By more than nobody minds; with what these correct or begin with.
         """
-        ranking = rank([*self.results.values()])
+        ranking = self._rank()
         ahead = {r.name for r in ranking[1:] if is_ahead(r, ranking[0])}
         for c in self._candidates:
             if c.name in ahead:
@@ -262,7 +263,7 @@ class CandidateQueue:
             tried = [c.content.family for c in self._candidates if c.name in self._seconds]
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = self.results[candidate.name].fits_by_fold
-        cost = max(len(folds), 1) * self._expected(job) * self._options.rarely**power
+        cost = max(len(folds), 1) * self._expected(job) * OPTIONS.rarely**power
         return (not is_best if is_further else power > 0), cost
 
     def _expected(self, job: Job) -> float:
@@ -301,9 +302,9 @@ class CandidateQueue:
         remaining = self._deadline.remaining
         if math.isinf(remaining) or self._is_on_disk(job):
             return math.inf
-        scored = rank([*self.results.values()])
+        scored = self._rank()
         if job.candidate not in self._seconds:
-            share = self._options.first_try
+            share = OPTIONS.first_try
             least = share * self._expected(job) if scored else 0.0
             if remaining <= least:
                 return None
@@ -364,7 +365,7 @@ class CandidateQueue:
         if not math.isinf(remaining) and not self._running:
             for result in self.remaining():
                 for key, seconds in self._stopped.items():
-                    if key[0] == result.name and remaining > self._options.again * seconds:
+                    if key[0] == result.name and remaining > OPTIONS.again * seconds:
                         del self._stopped[key]
                         job = replace(self._jobs[key], continues=True, limit=remaining)
                         return [self._start(job)]
@@ -390,11 +391,6 @@ class CandidateQueue:
             self._judge_by_pieces()
         self._report_best()
 
-    def _follows(self, errors: Iterable[float]) -> bool:
-        """Whether the errors of whole records say something of a model."""
-        mean, _ = mean_and_error(errors)
-        return bool(mean <= self._options.far * self.context.motion_within_turns)
-
     def _explains_forces_and_is_lost(self, fit: FitScore) -> bool:
         """Whether equations that explain the forces leave the records when they are simulated.
 
@@ -404,20 +400,17 @@ class CandidateQueue:
             return False
         mean = mean_and_error(next(iter(fit.rmse.values())).values())[0]
         is_lost = not mean <= self.context.motion_within_turns
-        return is_lost and fmean(fit.unexplained.values()) < self._options.explained
+        return is_lost and fmean(fit.unexplained.values()) < OPTIONS.explained
 
     def _is_lost(self) -> bool:
         """Whether whole records are judged and no candidate follows them.
 
         As where a plant is unstable, turns over or only integrates.
         """
-        ranking = rank([*self.results.values()])
-        is_whole = self.context.scoring.horizon is None
-        return (
-            is_whole
-            and bool(ranking)
-            and not any(self._follows(result.compared().values()) for result in ranking)
-        )
+        if self.context.scoring.horizon is not None or not (ranking := self._rank()):
+            return False
+        far = OPTIONS.far * self.context.motion_within_turns
+        return not any(mean_and_error(r.compared().values())[0] <= far for r in ranking)
 
     def judge_by_pieces_if_lost(self) -> None:
         """Scores over pieces of records where no candidate follows whole ones."""
@@ -431,8 +424,8 @@ class CandidateQueue:
         """
         before, dt = self.context, self.context.data.channels.dt
         chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
-        usual = self._options.horizon * float(np.median([len(e) for e in before.data])) * dt
-        shortest = self._options.starts * start_named(before.scoring.start).samples * dt
+        usual = OPTIONS.horizon * float(np.median([len(e) for e in before.data])) * dt
+        shortest = OPTIONS.starts * start_named(before.scoring.start).samples * dt
         horizon = max(min([usual, *chosen]), shortest)
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
         self.notes.append(
@@ -475,12 +468,11 @@ class CandidateQueue:
         news = (best.name, len(best.fits_by_fold) == folds, self.context.scoring.horizon)
         if news == self._reported:
             return
-        self._reported, rmse = news, best.rmse()
-        mean, motion = mean_and_error(rmse.values())[0], self.context.motion_within_turns
+        self._reported, mean, motion = news, best.mean, self.context.motion_within_turns
         off = f"off by {mean:.3g} {self.context.data.channels.unit}"
         share = f"{percent(mean / motion)} % of the motion"
         self._on_message(
             f"best so far: {best.name}, {f'{off} ({share})' if mean < motion else 'which is lost'} "
-            f"on {counted(len(rmse), 'record')}, "
+            f"on {counted(len(best.rmse()), 'record')}, "
             f"{len(best.fits_by_fold)} of {counted(folds, 'fold')}"
         )

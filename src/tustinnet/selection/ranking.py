@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tustinnet.evaluate.metrics import mean_and_error
+from tustinnet.evaluate.metrics import mean_and_error, mean_by_key
 from tustinnet.selection.jobs import FitScore, JobResult
 
 LEVEL = 0.02  # of an error, a difference that nobody minds
@@ -69,20 +69,24 @@ class CandidateResult:
         """The starts that its models were scored from, first the one that judges."""
         return tuple(dict.fromkeys(start for fit in self.fits for start in fit.rmse))
 
-    def rmse(self, folds: Iterable[int] | None = None, start: int | str = 0) -> dict[str, float]:
+    def rmse(self, folds: Iterable[int] | None = None, start: str = "") -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
 
         Args:
             folds: of which folds; all that were done by default.
-            start: of the free runs, by name, or by its place: 0 is the one that judges.
+            start: of the free runs; by default the one that judges.
         """
-        by_record: dict[str, list[float]] = {}
-        for fold in self.fits_by_fold if folds is None else folds:
-            for fit in self.fits_by_fold[fold]:
-                name = list(fit.rmse)[start] if isinstance(start, int) else start
-                for record, value in fit.rmse.get(name, {}).items():
-                    by_record.setdefault(record, []).append(value)
-        return {record: float(np.mean(values)) for record, values in by_record.items()}
+        return mean_by_key(
+            pair
+            for fold in (self.fits_by_fold if folds is None else folds)
+            for fit in self.fits_by_fold[fold]
+            for pair in fit.rmse.get(start or next(iter(fit.rmse)), {}).items()
+        )
+
+    @property
+    def mean(self) -> float:
+        """Mean over the records of their RMSE [rad or m]."""
+        return mean_and_error(self.rmse().values())[0]
 
     def compared(self, folds: Iterable[int] | None = None) -> dict[str, float]:
         """The RMSE by record that candidates are compared by: of a lost free run that of `lost`.
@@ -98,11 +102,7 @@ class CandidateResult:
 
         Mean over the fits that have one, on the records that each was not fitted to.
         """
-        shares: dict[str, list[float]] = {}
-        for fit in self.fits:
-            for coordinate, share in fit.unexplained.items():
-                shares.setdefault(coordinate, []).append(share)
-        return {coordinate: float(np.mean(values)) for coordinate, values in shares.items()}
+        return mean_by_key(pair for fit in self.fits for pair in fit.unexplained.items())
 
 
 def paired_difference(one: CandidateResult, other: CandidateResult) -> PairedDifference:
@@ -122,12 +122,7 @@ def is_ahead(one: CandidateResult, other: CandidateResult) -> bool:
     return bool(paired_difference(one, other).mean < -level)
 
 
-def shared_folds(results: Sequence[CandidateResult]) -> set[int] | None:
-    """The folds that all of some candidates were scored on; None where there are none."""
-    return set.intersection(*(set(r.fits_by_fold) for r in results)) or None if results else None
-
-
-def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
+def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
     """The candidates that were scored, the best first.
 
     Those that were scored on the most folds, by the folds that all of them have. The best of these
@@ -139,14 +134,10 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
     scored = [r for r in results if r.fits_by_fold]
     most = max((len(r.fits_by_fold) for r in scored), default=0)
     longest = [r for r in scored if len(r.fits_by_fold) == most]
-    shared = shared_folds(longest)
-    means = {r.name: mean_and_error(r.compared(shared).values())[0] for r in longest}
+    shared = set.intersection(*(set(r.fits_by_fold) for r in longest)) if longest else None
+    means = {r.name: mean_and_error(r.compared(shared or None).values())[0] for r in longest}
     finite = [r for r in longest if np.isfinite(means[r.name])]
-
-    def mean_error(result: CandidateResult) -> float:
-        return mean_and_error(result.rmse().values())[0]
-
-    best = min(finite, key=lambda r: (means[r.name], mean_error(r)), default=None)
+    best = min(finite, key=lambda r: (means[r.name], r.mean), default=None)
 
     def error(result: CandidateResult) -> float:
         if result.name in means:
@@ -166,7 +157,7 @@ def rank(results: Sequence[CandidateResult]) -> list[CandidateResult]:
         return value if np.isfinite(value) else np.inf
 
     # of those that are all lost the one that is least far off
-    return sorted(scored, key=lambda r: (error(r), mean_error(r)))
+    return sorted(scored, key=lambda r: (error(r), r.mean))
 
 
 def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> CandidateResult:
