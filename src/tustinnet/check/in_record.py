@@ -21,7 +21,7 @@ from tustinnet.check.card_lines import (
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
 from tustinnet.check.weak_form import Windows
-from tustinnet.data.units import velocity_factor
+from tustinnet.data.units import convert
 from tustinnet.finding import Finding, make_finding
 from tustinnet.signals import outliers
 from tustinnet.signals.timescales import timescales
@@ -411,7 +411,7 @@ def _velocity_unit(view: RecordView, j: int, gain: float) -> str:
     card, unit = view.coordinate_card(j), view.experiment.coordinates[j].unit
     declared = card.velocity_factor() if card and card.velocity else 1.0
     for name in _VELOCITIES.get(unit, ()):
-        factor = velocity_factor(name, unit) / declared
+        factor = convert(name, f"{unit}/s") / declared
         if abs(factor - 1) > 1e-6 and abs(factor * gain - 1) < LEVELS.same_velocity_unit:
             return name
     return ""

@@ -28,7 +28,7 @@ from tustinnet.channels import (
     PDLoop,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
-from tustinnet.data.units import TIME, convert, convert_to_si, velocity_factor
+from tustinnet.data.units import TIME, convert, convert_to_si
 
 _MOST_COLUMNS = 10**6
 _SMALLEST_FACTOR = 1e-15  # of inputs: their squares are numbers
@@ -197,7 +197,7 @@ class CoordinateCard(Declaration):
         counts, _, per = unit.partition("/")
         if counts == "counts" and self.count and per in TIME:
             return self.count / TIME[per]
-        return velocity_factor(unit, self.si_unit)
+        return convert(unit, f"{self.si_unit}/s")
 
     def coordinate(self) -> Coordinate:
         """The coordinate as records have it."""

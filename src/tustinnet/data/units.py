@@ -164,23 +164,3 @@ def convert(unit: str, to: str) -> float:
     if si != own_si:
         raise ValueError(f"'{unit}' is not a unit of a quantity in {to}")
     return factor / own_factor
-
-
-def velocity_factor(unit: str, position_unit: str) -> float:
-    """SI units per second in one unit of a velocity.
-
-    Args:
-        unit: the velocity's unit: `deg/s`, `rpm`, `km/h`.
-        position_unit: the SI unit of the position.
-
-    Raises:
-        ValueError: another unit than one of the position per one of time.
-    """
-    if unit == "rpm" and position_unit == "rad":
-        return 2 * np.pi / 60
-    length, _, per = unit.rpartition("/")
-    if per in TIME and length:
-        factor, name = convert_to_si(length)
-        if name == position_unit:
-            return factor / TIME[per]
-    return convert(unit, f"{position_unit}/s")
