@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tustinnet.channels import Input
 from tustinnet.data.card import Card, ColumnKey, CoordinateCard
 from tustinnet.data.columns import Column, Columns
 from tustinnet.errors import InputError
@@ -19,7 +18,8 @@ from tustinnet.signals import resampling
 
 Times = Float[np.ndarray, " n"]
 Grid = Float[np.ndarray, " m"]
-Resample = Callable[[Times, Column, Grid], Grid]  # times, values, other times
+Matrix = Float[np.ndarray, "_ c"]
+Resample = Callable[[Times, Matrix, Grid], Matrix]  # times, values, other times
 
 
 def align_columns(
@@ -70,8 +70,10 @@ def align_columns(
             raise InputError(
                 f"{where}, {clock}", "times that do not increase strictly", "at least 2 that do"
             )
-    held = {c for c in own if all(r is _resample_held for n, r in rules.items() if clocks[n] == c)}
-    inside = find_covered(own[base], {c: (t[0], t[-1]) for c, t in own.items()}, held)
+    others = {clocks[n] for n, rule in rules.items() if rule is not resampling.resample_held}
+    inside = find_covered(
+        own[base], {c: (t[0], t[-1]) for c, t in own.items()}, own.keys() - others
+    )
     if inside.sum() < 2:
         spans = ", ".join(
             f"{clock} {t[0] * second:.6g}..{t[-1] * second:.6g} s" for clock, t in own.items()
@@ -91,7 +93,8 @@ def align_columns(
         elif not np.isfinite(columns[column]).all():
             aligned[column] = np.interp(grid, own[clock], columns[column])  # refused as it is read
         else:
-            aligned[column] = rule(own[clock], columns[column], np.clip(grid, own[clock][0], None))
+            covered = np.clip(grid, own[clock][0], None)
+            aligned[column] = rule(own[clock], columns[column][:, None], covered)[:, 0]
     lost = len(inside) - int(inside.sum())
     notes = [
         *(
@@ -119,11 +122,14 @@ def _rules(card: Card, name: Callable[[ColumnKey], str]) -> dict[str, Resample]:
     for coordinate in card.coordinates:
         rules[name(coordinate.column)] = partial(_resample_position, coordinate)
         if coordinate.sine is not None:
-            rules[name(coordinate.column)] = rules[name(coordinate.sine)] = _resample_spline
+            both = name(coordinate.column), name(coordinate.sine)
+            rules |= dict.fromkeys(both, resampling.resample_positions)
         if coordinate.velocity is not None:
-            rules.setdefault(name(coordinate.velocity.column), _resample_linear)
+            rules.setdefault(name(coordinate.velocity.column), resampling.resample_linear)
     for entry in (*card.input_columns(), *card.output_columns()):
-        rules.setdefault(name(entry.column), _input_rule(entry.input))
+        hold = entry.input.hold or "zero-order"
+        rule = resampling.BY_HOLD.get(hold, resampling.resample_held)  # of an unknown one
+        rules.setdefault(name(entry.column), rule)
     return rules
 
 
@@ -153,31 +159,13 @@ def _note(clock: str, t: Times, base: str, names: list[str]) -> str:
     return text + (f", over {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
 
 
-def _resample_position(coordinate: CoordinateCard, t: Times, column: Column, grid: Grid) -> Grid:
+def _resample_position(coordinate: CoordinateCard, t: Times, column: Matrix, grid: Grid) -> Matrix:
     if coordinate.kind == "linear" or not coordinate.unwrap:
-        return resampling.resample_positions(t, column[:, None], grid)[:, 0]
+        return resampling.resample_positions(t, column, grid)
     factor = coordinate.factor()
-    angle = column * factor
+    angle = column[:, 0] * factor
     unwrapped = resampling.unwrap_angle(angle)[0]
-    moved = resampling.resample_positions(t, unwrapped[:, None], grid)[:, 0]
+    moved = resampling.resample_positions(t, unwrapped[:, None], grid)
     if resampling.wraps_within_turn(angle):  # and it still shows that it does
         moved = angle.min() + (moved - angle.min()) % (2 * np.pi)
     return moved / factor
-
-
-def _resample_linear(t: Times, column: Column, grid: Grid) -> Grid:
-    return np.interp(grid, t, column)
-
-
-def _resample_spline(t: Times, column: Column, grid: Grid) -> Grid:
-    return resampling.resample_positions(t, column[:, None], grid)[:, 0]
-
-
-def _resample_held(t: Times, column: Column, grid: Grid) -> Grid:
-    return resampling.resample_held(t, column[:, None], grid)[:, 0]
-
-
-def _input_rule(entry: Input) -> Resample:
-    """The rule for an input, by the course between its samples."""
-    rules = {"first-order": _resample_linear, "band-limited": _resample_spline}
-    return rules.get(entry.hold or "", _resample_held)

@@ -274,15 +274,10 @@ class Experiment(HasChannels, Plotted):
             end = len(self) == self.k_bar
             near = 1e-6 * dt  # rounding must not move it by a sample
             k_bar = len(grid) if end else int(np.searchsorted(grid, self.t[self.k_bar] - near))
-        by_hold = {
-            "zero-order": resampling.resample_held,
-            "first-order": resampling.resample_linear,
-            "band-limited": resampling.resample_positions,
-        }
 
         def resample_inputs(u: np.ndarray, inputs: Sequence[Input]) -> np.ndarray:
             columns = [
-                by_hold[i.hold or "zero-order"](self.t, u[:, k : k + 1], grid)
+                resampling.BY_HOLD[i.hold or "zero-order"](self.t, u[:, k : k + 1], grid)
                 for k, i in enumerate(inputs)
             ]
             return np.concatenate(columns, axis=1) if columns else np.zeros((len(grid), 0))

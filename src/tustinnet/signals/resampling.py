@@ -115,6 +115,14 @@ def resample_held(
     return np.diff(inside, axis=0) / np.diff(edges)[:, None]
 
 
+# inputs of a hold
+BY_HOLD = {
+    "zero-order": resample_held,
+    "first-order": resample_linear,
+    "band-limited": resample_positions,
+}
+
+
 def unwrap_angle(
     angle: Float[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " w"]]:
