@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.columns import Column, Listing, require_different
+from tustinnet.data.columns import Column, require_different
 from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
 from tustinnet.errors import InputError
 from tustinnet.registry import load_place
@@ -31,20 +31,21 @@ def read_by(path: Path, reader: str, names: list[str]) -> tuple[None, list[Colum
     return None, read(path, load_place(reader), names)
 
 
-def list_columns(path: Path, reader: Reader) -> Listing:
-    """The names of the columns of a file, and what else is known of them."""
+def list_columns(path: Path, reader: Reader) -> Contents:
+    """The contents of a file, each column of a matrix as an array of its own."""
     contents = reader.contents(path)
     _latest.clear()
     _latest[_key(path, reader)] = contents
     places = _places(path, contents.arrays)
-    return Listing(
-        list(places),
-        dict(contents.others),
-        _by_column(places, contents.clocks),
-        _by_column(places, contents.units),
-        _numbered(places, contents.labels),
-        dict(contents.parts),
-        list(contents.notes),
+    return dataclasses.replace(
+        contents,
+        arrays=[
+            (name, (int(p.shape[0] if p.number is not None else math.prod(p.shape)),))
+            for name, p in places.items()
+        ],
+        clocks=_by_column(places, contents.clocks),
+        units=_by_column(places, contents.units),
+        labels=_numbered(places, contents.labels),
     )
 
 

@@ -3,13 +3,12 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from tustinnet.data.formats.reader import Part
+from tustinnet.data.formats.reader import Contents, Part
 from tustinnet.errors import InputError, convert_errors, escape_unprinted
 
 Column = Float[np.ndarray, " n"]
@@ -30,30 +29,6 @@ def find_column(names: Sequence[str], key: int | str) -> str | None:
     if isinstance(key, int):
         return names[key - 1] if 1 <= key <= len(names) else None
     return key if key in names else None
-
-
-@dataclass(frozen=True)
-class Listing:
-    """The names of the columns of a file, and what else is known of them without their numbers.
-
-    Attributes:
-        names: names of the columns.
-        others: a description of everything in the file that is no column of numbers, by name.
-        clocks: for columns whose samples have times of their own, the name of the column of these
-            times, by name. A column of times is its own clock.
-        units: units by the name of the column, where the file has them.
-        labels: what a file calls a column in a text beside it, by its name, where it does.
-        parts: records among several in the file, by label.
-        notes: remarks on how the file is read.
-    """
-
-    names: list[str]
-    others: dict[str, str] = field(default_factory=dict)
-    clocks: dict[str, str] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    labels: dict[str, str] = field(default_factory=dict)
-    parts: dict[str, Part] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
 
 class Columns:
@@ -99,19 +74,19 @@ class Columns:
         self._columns: dict[str, Column] = {}
 
     @classmethod
-    def from_listing(
-        cls, listing: Listing, read: Callable[[list[str]], Sequence[Column]]
+    def from_contents(
+        cls, contents: Contents, read: Callable[[list[str]], Sequence[Column]]
     ) -> "Columns":
-        """Columns of a listing, read by a function."""
+        """Columns of a file whose arrays are columns, read by a function."""
         return cls(
-            listing.names,
+            [name for name, _ in contents.arrays],
             read,
-            notes=tuple(listing.notes),
-            others=listing.others,
-            clocks=listing.clocks,
-            units=listing.units,
-            labels=listing.labels,
-            parts=listing.parts,
+            notes=contents.notes,
+            others=contents.others,
+            clocks=contents.clocks,
+            units=contents.units,
+            labels=contents.labels,
+            parts=contents.parts,
         )
 
     def place(self, sample: int) -> str:
@@ -144,18 +119,25 @@ class Columns:
 
     def element(self, number: int) -> "Columns":
         """The columns with one element, from 1 on, in place of each cell or struct array."""
-        sources = self._element_names(self.names, number)
+        others = self._element_names(self.others, number)
+        texts = {name: self.others[source] for name, source in others.items()}
+        return self._renamed(self._element_names(self.names, number), texts)
+
+    def _renamed(
+        self, sources: Mapping[str, str], others: Mapping[str, str], rows: slice = slice(None)
+    ) -> "Columns":
+        """Some of the columns by other names, or some rows of them."""
 
         def read(names: list[str]) -> list[Column]:
             self.fetch([sources[name] for name in names])
-            return [self[sources[name]] for name in names]
+            return [self[sources[name]][rows] for name in names]
 
-        others = self._element_names(self.others, number)
-        texts = {name: self.others[source] for name, source in others.items()}
-        units = {name: self.units[s] for name, s in sources.items() if s in self.units}
-        labels = {name: self.labels[s] for name, s in sources.items() if s in self.labels}
+        units, labels = (
+            {name: texts[source] for name, source in sources.items() if source in texts}
+            for texts in (self.units, self.labels)
+        )
         return Columns(
-            tuple(sources), read, self.rows, self.notes, texts, units=units, labels=labels
+            tuple(sources), read, self.rows, self.notes, others, units=units, labels=labels
         )
 
     def _match_element(self, name: str) -> re.Match[str] | None:
@@ -184,14 +166,7 @@ class Columns:
             for name in self.names
             if (part.prefix and name.startswith(part.prefix)) or not name.startswith(prefixes)
         }
-
-        def read(names: list[str]) -> list[Column]:
-            self.fetch([sources[name] for name in names])
-            first, stop = part.rows or (None, None)
-            return [self[sources[name]][first:stop] for name in names]
-
-        units = {name: self.units[s] for name, s in sources.items() if s in self.units}
-        return Columns(tuple(sources), read, None, self.notes, self.others, units=units)
+        return self._renamed(sources, self.others, slice(*(part.rows or (None,))))
 
     def fetch_parts(self, names: Collection[str]) -> None:
         """Reads some columns of all records in the file at once: one by one, each would read it."""

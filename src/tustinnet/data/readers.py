@@ -80,17 +80,17 @@ def read_columns(
             require_package(reader.library.partition(".")[0], reader.extra, path)
         place = READERS.place(suffix)
         if isinstance(place, str):
-            listing = reading_process.list_columns(path, place, reader)
+            contents = reading_process.list_columns(path, place, reader)
             read = partial(reading_process.read, path, place, reader)
         else:  # one that a program registered: another process does not know it
-            listing = binary_files.list_columns(path, reader)
+            contents = binary_files.list_columns(path, reader)
             read = partial(binary_files.read, path, reader)
-    if not listing.names:
-        others = listing.others
+    if not contents.arrays:
+        others = contents.others
         example = "".join(f", only {name or 'it'!r}: {x}" for name, x in [*others.items()][:1])
         remedy = object_remedy() if OBJECT in others.values() else ""
         raise InputError(path, f"the file holds no samples{example}", "columns of numbers", remedy)
-    return Columns.from_listing(listing, read)
+    return Columns.from_contents(contents, read)
 
 
 def is_readable(path: Path) -> bool:

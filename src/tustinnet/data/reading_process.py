@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from tustinnet.data.columns import Column, Listing
-from tustinnet.data.formats.reader import Part, Reader
+from tustinnet.data.columns import Column
+from tustinnet.data.formats.reader import Contents, Reader
 from tustinnet.errors import InputError, convert_errors
 
 _NAMES_S = 10.0  # to list the columns of a file
@@ -37,6 +38,7 @@ serve()
 _ONE_THREAD = ("POLARS_MAX_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 Reply = tuple[dict[str, Any], list[Column]]
+_CONTENTS = TypeAdapter(Contents)  # JSON has lists where these have tuples
 
 
 class _Process:
@@ -97,8 +99,8 @@ _process: _Process | None = None
 _one_at_a_time = threading.Lock()
 
 
-def list_columns(path: Path, place: str, reader: Reader) -> Listing:
-    """The names of the columns of a binary file, and what else is known of them.
+def list_columns(path: Path, place: str, reader: Reader) -> Contents:
+    """The contents of a binary file, each column of a matrix as an array of its own.
 
     Args:
         path: the file.
@@ -111,12 +113,8 @@ def list_columns(path: Path, place: str, reader: Reader) -> Listing:
     # one more second for every 10 MB of the file
     seconds = _NAMES_S + _size(path) / 10e6
     function, modules = "tustinnet.data.binary_files:list_columns_by", _modules(place, reader)
-    listing, _ = call(path, function, [place], seconds=seconds, modules=modules)
-    parts = {
-        label: Part(part["prefix"], None if part["rows"] is None else tuple(part["rows"]))
-        for label, part in listing["parts"].items()
-    }
-    return Listing(**{**listing, "parts": parts})
+    contents, _ = call(path, function, [place], seconds=seconds, modules=modules)
+    return _CONTENTS.validate_python(contents)
 
 
 def read(path: Path, place: str, reader: Reader, names: list[str]) -> list[Column]:

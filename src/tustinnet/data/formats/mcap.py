@@ -7,19 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tustinnet.data.formats.messages import Topic, topic_arrays, topic_contents
-from tustinnet.data.formats.reader import Array, Contents, Reader
+from tustinnet.data.formats.messages import Topic, topic_reader
 from tustinnet.errors import InputError
-
-
-def _contents(path: Path) -> Contents:
-    with _topics(path) as (topics, begin):
-        return topic_contents(topics, begin)
-
-
-def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    with _topics(path) as (topics, begin):
-        return topic_arrays(topics, begin, names)
 
 
 @contextmanager
@@ -67,4 +56,4 @@ def _topics(path: Path) -> Iterator[tuple[list[Topic], int]]:
         yield topics, summary.statistics.message_start_time
 
 
-READER = Reader("mcap.reader", _contents, _arrays, "mcap", speed=1e6)
+READER = topic_reader("mcap.reader", _topics, "mcap")

@@ -8,13 +8,15 @@ others by number: `command/data[0]`.
 import dataclasses
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tustinnet.data.formats.reader import Array, Contents
+from tustinnet.data.formats.reader import Array, Contents, Reader
 from tustinnet.errors import describe_error
 
 _LONGEST_LIST = 64  # numbers of a list that can be columns: pictures and scans are none
@@ -68,6 +70,30 @@ class _Layout(NamedTuple):
     clocks: dict[str, str]
     others: dict[str, str]
     has_stamps: bool
+
+
+def topic_reader(
+    library: str,
+    open_topics: Callable[[Path], AbstractContextManager[tuple[list[Topic], int]]],
+    extra: str,
+) -> Reader:
+    """The reader of a kind of recordings.
+
+    Args:
+        library: the module that it needs.
+        open_topics: function that opens a file and gives its topics and its begin [ns].
+        extra: the extra of this package that installs the library.
+    """
+
+    def contents(path: Path) -> Contents:
+        with open_topics(path) as (topics, begin):
+            return topic_contents(topics, begin)
+
+    def arrays(path: Path, names: set[str]) -> dict[str, Array]:
+        with open_topics(path) as (topics, begin):
+            return topic_arrays(topics, begin, names)
+
+    return Reader(library, contents, arrays, extra, speed=1e6)
 
 
 def topic_contents(topics: Iterable[Topic], begin: int) -> Contents:

@@ -7,18 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from tustinnet.data.formats.messages import Topic, topic_arrays, topic_contents
-from tustinnet.data.formats.reader import Array, Contents, Reader
-
-
-def _contents(path: Path) -> Contents:
-    with _topics(path) as (topics, begin):
-        return topic_contents(topics, begin)
-
-
-def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
-    with _topics(path) as (topics, begin):
-        return topic_arrays(topics, begin, names)
+from tustinnet.data.formats.messages import Topic, topic_reader
 
 
 @contextmanager
@@ -46,4 +35,4 @@ def _topics(path: Path) -> Iterator[tuple[list[Topic], int]]:
         yield topics, bag.start_time if topics else 0
 
 
-READER = Reader("rosbags.highlevel", _contents, _arrays, "ros", speed=1e6)
+READER = topic_reader("rosbags.highlevel", _topics, "ros")
