@@ -12,22 +12,22 @@ if TYPE_CHECKING:
 _DIALECT = Dialect(",")  # of numbers that are cells of text
 
 
-class _Sheet(NamedTuple):
-    """The columns of a sheet: their cells by name, and their units."""
+class _Column(NamedTuple):
+    """The cells of a column, and its unit."""
 
-    cells: dict[str, "pl.Series"]
-    units: dict[str, str]
+    cells: "pl.Series"
+    unit: str
 
 
 def _contents(path: Path) -> Contents:
     import polars as pl
 
     arrays, others, units = [], {}, {}
-    for name, (column, unit) in _columns(path).items():
-        if column.cast(pl.Float64, strict=False).null_count() == len(column):
+    for name, (cells, unit) in _columns(path).items():
+        if cells.cast(pl.Float64, strict=False).null_count() == len(cells):
             others[name] = "text"
             continue
-        arrays.append((name, (len(column),)))
+        arrays.append((name, (len(cells),)))
         units[name] = unit
     return Contents(arrays, others, units=units)
 
@@ -38,31 +38,30 @@ def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
     from tustinnet.data.columns import frame_columns
 
     found = _columns(path)
-    arrays: dict[str, Array] = {}
-    for name in names:
-        arrays[name] = frame_columns(pl.DataFrame({name: found[name][0]}), path)[name]
-    return arrays
-
-
-def _columns(path: Path) -> dict[str, tuple["pl.Series", str]]:
-    """The cells and the unit of every column of all sheets, by name."""
-    import fastexcel
-
-    book = fastexcel.read_excel(path)
-    sheets: dict[str, _Sheet] = {}
-    for name in book.sheet_names:
-        sheet = _sheet(book.load_sheet(name, header_row=None, dtypes="string").to_polars())
-        if sheet is not None:
-            sheets[name] = sheet
     return {
-        (column if len(sheets) == 1 else f"{name}/{column}"): (cells, sheet.units.get(column, ""))
-        for name, sheet in sheets.items()
-        for column, cells in sheet.cells.items()
+        name: frame_columns(pl.DataFrame({name: found[name].cells}), path)[name] for name in names
     }
 
 
-def _sheet(table: "pl.DataFrame") -> _Sheet | None:
-    """The columns of a sheet below its first row that has several cells; None of an empty one."""
+def _columns(path: Path) -> dict[str, _Column]:
+    """Every column of all sheets, by name."""
+    import fastexcel
+
+    book = fastexcel.read_excel(path)
+    tables = {
+        name: book.load_sheet(name, header_row=None, dtypes="string").to_polars()
+        for name in book.sheet_names
+    }
+    sheets = {name: columns for name, table in tables.items() if (columns := _sheet(table))}
+    return {
+        (label if len(sheets) == 1 else f"{name}/{label}"): column
+        for name, sheet in sheets.items()
+        for label, column in sheet.items()
+    }
+
+
+def _sheet(table: "pl.DataFrame") -> dict[str, _Column]:
+    """The columns of a sheet below its first row that has several cells, none of an empty one."""
     import polars as pl
 
     table = table.filter(~pl.all_horizontal(pl.all().is_null()))
@@ -71,7 +70,7 @@ def _sheet(table: "pl.DataFrame") -> _Sheet | None:
         return [[(cell or "").strip() for cell in table.row(k)] for k in rows]
 
     if not len(table):
-        return None
+        return {}
     shape = find_table(cells_of(range(len(table))[-LAST_ROWS:]), _DIALECT)
     # rows of titles and remarks
     top = cells_of(range(len(table))[:50])
@@ -79,7 +78,7 @@ def _sheet(table: "pl.DataFrame") -> _Sheet | None:
     usual = min(2, table.width)
     first = next((k for k in range(first, len(top)) if sum(map(bool, top[k])) >= usual), None)
     if first is None:
-        return None
+        return {}
     rows = top[first : first + HEADER_ROWS]
     numbered = [f"column {k}" for k in range(1, table.width + 1)]
     names, units, count = numbered, {}, 0
@@ -88,14 +87,13 @@ def _sheet(table: "pl.DataFrame") -> _Sheet | None:
         names = [a or b for a, b in zip(header.names, numbered, strict=True)]
         units, count = header.units, header.rows
     table = table.slice(first + count)
-    if not len(table):
-        return None
-    cells: dict[str, pl.Series] = {}
-    for name, column in zip(names, table.iter_columns(), strict=True):
+    columns: dict[str, _Column] = {}
+    for name, cells in zip(names, table.iter_columns(), strict=True):
         # a second column of one name is called by its number, an empty one is none
-        if column.null_count() < len(column):
-            cells[name if name not in cells else f"{name}[{len(cells) + 1}]"] = column
-    return _Sheet(cells, units)
+        if cells.null_count() < len(cells):
+            label = name if name not in columns else f"{name}[{len(columns) + 1}]"
+            columns[label] = _Column(cells, units.get(label, ""))
+    return columns
 
 
 READER = Reader("fastexcel", _contents, _arrays, "excel")
