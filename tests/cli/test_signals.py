@@ -40,7 +40,7 @@ def test_a_signal_is_one_line_and_the_usual_exit_code(capsys, name, code):
     number = getattr(signal, name, None)
     if number is None:
         pytest.skip(f"no {name} here")
-    before = signal.signal(number, signal.default_int_handler)  # tests may run with it ignored
+    before = signal.signal(number, signal.default_int_handler)  # if it is ignored
     try:
         with (
             pytest.raises(SystemExit) as ended,
@@ -58,7 +58,11 @@ def test_a_signal_is_one_line_and_the_usual_exit_code(capsys, name, code):
 
 @pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
 def test_a_signal_while_the_process_ends_is_one_line(name, code):
-    late = f"import atexit, signal; atexit.register(signal.raise_signal, signal.{name})\n"
+    late = (
+        "import atexit, signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # if it is ignored
+        f"atexit.register(signal.raise_signal, signal.{name})\n"
+    )
     command = [sys.executable, "-c", late + COMMAND[-1], "--version"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (code, "interrupted\n")
