@@ -56,14 +56,12 @@ class Suspicion:
         remove: the columns without a fault of a size.
         sizes: sizes to try, of which 0 is no fault: logarithms of factors, or numbers with a unit;
             a single one of a fault without a number.
-        least: smaller sizes are no fault.
     """
 
     check: str
     columns: list[int]
     remove: Callable[[Samples, float], Samples]
     sizes: Float[np.ndarray, " s"]
-    least: float = 0.0
 
     @property
     def has_number(self) -> bool:
@@ -117,24 +115,19 @@ def list_suspicions(
     suspicions = []
     for k in range(n):
         is_input = k >= n_q
-        least = LEVELS.gain_of_input if is_input else LEVELS.gain_of_coordinate
-        gains = np.r_[_FACTORS, _UNITS]
         suspicions += [
             Suspicion("sign", [k], lambda x, _: -x, one),
-            Suspicion("gain", [k], lambda x, size: x * np.exp(size), gains, least),
+            Suspicion("gain", [k], lambda x, size: x * np.exp(size), np.r_[_FACTORS, _UNITS]),
         ]
         if is_input or n_q > 1:  # of a single coordinate nothing is late
-            suspicions.append(Suspicion("lag", [k], _delay, _LAGS, LEVELS.lag))
+            suspicions.append(Suspicion("lag", [k], _delay, _LAGS))
         if not is_input:
             turns = np.pi / 2 * np.array([-1, 1, 2] if channels.angular[k] else [])
-            sizes = np.r_[ranges[k] * _OFFSETS, turns]
-            suspicions.append(Suspicion("offset", [k], np.add, sizes, LEVELS.offset * ranges[k]))
+            suspicions.append(Suspicion("offset", [k], np.add, np.r_[ranges[k] * _OFFSETS, turns]))
     pairs = [*combinations(range(n_q), 2), *combinations(range(n_q, n), 2)]
     suspicions += [Suspicion("swap", [j, i], lambda x, _: x[:, ::-1], one) for i, j in pairs]
     if not has_times:
-        suspicions.append(
-            Suspicion("record period", [], lambda x, _: x, _FACTORS, LEVELS.period_by_motion)
-        )
+        suspicions.append(Suspicion("record period", [], lambda x, _: x, _FACTORS))
     return suspicions
 
 
@@ -235,7 +228,7 @@ def _judge(
             return model.cost(changed, model.others[r]) / max(share, 1e-12)
 
         after, size = suspicion.best_size(relative_cost, LEVELS.promising * before)
-        if after > LEVELS.drop * before or abs(size) < suspicion.least:
+        if after > LEVELS.drop * before:
             return None
         changed = undone(suspicion, size)
         # energetic motion leaves more, whatever is right about its record
@@ -274,7 +267,7 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         key = f"exchange `column` with that of {channels[1].name}"
         values.update(channels=[c.name for c in channels])
     elif check == "gain":
-        is_usual = np.abs(_USUAL_GAINS - abs(size)).min() < LEVELS.gain_of_coordinate
+        is_usual = np.abs(_USUAL_GAINS - abs(size)).min() < LEVELS.usual_gain
         values.update(gain=1 / factor, may_be_machine=not is_usual)
         key, mend = (_gain_key(view, name, factor) if is_usual else ""), _of_other_machine(e)
     elif check == "offset":

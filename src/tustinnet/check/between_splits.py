@@ -163,6 +163,3 @@ def _extend(
     after = int(np.searchsorted(edges, back + 1))
     first, stop = int(edges[after - 1]), int(edges[after]) - 1
     return stop - first, back - first
-
-
-CHECKS = (overlapping_rows, copies)

@@ -4,9 +4,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from tustinnet.check import between_splits, excitation, in_record
+from tustinnet.check import in_record
 from tustinnet.check.assumed import assumed_keys
 from tustinnet.check.between_records import compare_records
+from tustinnet.check.between_splits import copies, overlapping_rows
+from tustinnet.check.excitation import same_sensors, still_inputs
 from tustinnet.check.scale_of_angles import scale_of_angles
 from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
@@ -48,10 +50,11 @@ def check_views(views: Sequence[RecordView]) -> tuple[Finding, ...]:
 
 def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> Iterator[Finding]:
     """Runs the checks that need several records, or all of them."""
-    for look in between_splits.CHECKS:
-        yield from look(views)
-    excited = [f for look in excitation.CHECKS for f in look(views)]
-    yield from excited
+    yield from overlapping_rows(views)
+    yield from copies(views)
+    still = list(still_inputs(views))
+    yield from still
+    yield from same_sensors(views)
     broken = {name for f in alone if f.code in _EXPLAINS for name in f.records}
     sound = [v for v in views if v.experiment.name not in broken]
     if len(sound) < max(1, len(views) / 2):
@@ -59,6 +62,6 @@ def _check_together(views: Sequence[RecordView], alone: Sequence[Finding]) -> It
     scales = list(scale_of_angles(sound))
     yield from scales
     # without its input, or in another unit, nothing can be asked of the motion
-    if scales or any(f.code == "still input" for f in excited):
+    if scales or still:
         return
     yield from compare_records(sound)

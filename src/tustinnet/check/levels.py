@@ -63,11 +63,7 @@ class CheckLevels:
         novel_machine: the same where nothing but another machine explains the record.
         fewest_files: files that can be compared with one another.
         most_suspects: files that are looked at closely, between two faults that are found.
-        gain_of_coordinate: logarithm of a gain that is one; encoders have exact ones.
-        gain_of_input: the same of an input, which a curve of its actuator looks like.
-        lag: samples; interpolation makes as much as half of one.
-        offset: of the range of a coordinate.
-        period_by_motion: logarithm of another sampling period that the motion shows.
+        usual_gain: logarithm by which a gain is off one of a unit or of counted edges.
         same_unit: relative difference of a gain from that between two units.
         drop_by_scale: of what a model leaves, which the true scale of an angle leaves.
         least_by_scale: of the accelerations, which that scale explains beside all others.
@@ -139,11 +135,7 @@ class CheckLevels:
     novel_machine: float = 2.0
     fewest_files: int = 3
     most_suspects: int = 3
-    gain_of_coordinate: float = 0.08
-    gain_of_input: float = 0.15
-    lag: float = 0.7
-    offset: float = 0.03
-    period_by_motion: float = 0.02
+    usual_gain: float = 0.08
     same_unit: float = 0.15
     drop_by_scale: float = 0.4
     least_by_scale: float = 0.05
