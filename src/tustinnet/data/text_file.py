@@ -354,6 +354,8 @@ def _without_labels(lines: Lines) -> Lines:
 
 def _without_sections(lines: Lines) -> Lines:
     """Lines of a trace of CODESYS, which has a section for each variable, as a long table."""
+    if not any(_SECTION.fullmatch(line.strip()) for _, line in lines[:_PREAMBLE]):
+        return lines
     name, rows = "", list[tuple[int, str]]()
     for row, line in lines:
         if match := _SECTION.fullmatch(line.strip()):
@@ -405,9 +407,7 @@ def _names_in(comments: Sequence[str], dialect: Dialect, width: int) -> list[str
     Also behind a word for them and a colon, as in `# Columns: t y u`, or in a comment for each.
     """
     comment = next(filter(None, reversed(comments)), "")
-    ways = [dialect.split(comment)]
-    if announced := _COLUMNS_ARE.match(comment):
-        ways.append(re.split(r"[\s,;]+", comment[announced.end() :].strip()))
+    ways = [dialect.split(comment), _announced_names(comment)]
     if dialect.delimiter == BLANKS:
         ways.insert(1, re.split(r"\s{2,}", comment))  # names of several words
     for names in ways:
@@ -422,12 +422,16 @@ def find_names(lines: Sequence[str], width: int) -> list[str] | None:
 
     In one line, as `format: t angle u`, or one each, as `2: angle [rad]` or `| 2 | angle | rad |`.
     """
-    for line in lines:
-        announced = _COLUMNS_ARE.match(line)
-        names = re.split(r"[\s,;]+", line[announced.end() :].strip()) if announced else []
+    for names in map(_announced_names, lines):
         if len(names) == width > 1 and len({*names}) == width:
             return names
     return _numbered_names([_row_in_text(line) for line in lines], width)
+
+
+def _announced_names(line: str) -> list[str]:
+    """The names behind a word for them and a colon; empty without one."""
+    announced = _COLUMNS_ARE.match(line)
+    return re.split(r"[\s,;]+", line[announced.end() :].strip()) if announced else []
 
 
 def _row_in_text(line: str) -> str:

@@ -74,7 +74,7 @@ def find_described(above: Sequence[Sequence[str]], table: Table) -> Header | Non
 
 @dataclass(frozen=True)
 class _Described:
-    """What rows say of columns, by their first words in lower case."""
+    """Descriptions of columns, a row each, by their first words in lower case."""
 
     rows: dict[str, Sequence[str]]
 

@@ -100,7 +100,7 @@ def make_linearised_step(
 
 
 def _compile(equations: Equations, change: Callable[..., Any]) -> Callable[..., Any]:
-    """What `change` makes of the step of a discrete model, compiled: of state and inputs."""
+    """The step of a discrete model by its state and inputs, as `change` changes it, compiled."""
     none = jnp.zeros(0)
     function = change(lambda x, u: equations.function(x, u, none, none))
     shapes = np.zeros(equations.n_x), np.zeros(equations.n_u)

@@ -309,12 +309,6 @@ class EvidenceTable:
         kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
         are_alike = [[a == b and a[0] in ("position", "velocity") for a in kinds] for b in kinds]
         self.is_copy = (factors != 0) | (find_other_units(records) & are_alike)
-        # joints may move as one, and no torque repeats another one, but for pairs of motors
-        is_input = np.array([self.says(i, "input") for i in range(len(self.names))])
-        plain = [[w for w in r.words if not w.isdigit()] for r in self.readings]
-        is_other = [[a != b for a in plain] for b in plain]
-        is_multiple = (np.abs(np.abs(factors) - 1) > WEIGHTS.circle) | is_other
-        is_multiple &= (factors != 0) & is_input
         self.slope = _slope_points(slopes, self.readings)
         self.slope[factors != 0] = -WEIGHTS.no_slope  # what repeats a column is not its rate
         self.blocks = find_blocks(self.names, self.slope, factors != 0)
@@ -326,7 +320,7 @@ class EvidenceTable:
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
             are_apart[np.ix_(three, three)] = True
-        self.family = find_families(self.readings, are_apart, is_multiple)
+        self.family = find_families(self.readings, are_apart, self._find_multiples(factors))
         for block in self.blocks:
             for column in block.values():
                 self.family[column] = min(block.values())
@@ -343,7 +337,8 @@ class EvidenceTable:
         self._add_quaternions(records)
         self._add_errors(records, sums)
         self._add_copies()
-        self._add_rates(records)
+        self._add_nameless(records)
+        self._add_commanded_rates()
         self._add_tool()
         self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
@@ -459,11 +454,22 @@ class EvidenceTable:
                 text = "of the tool, as numbered joints are there"
                 self.own[i].append(Evidence("other", w.useless, text))
 
-    def _add_rates(self, records: Sequence[Table]) -> None:
-        """Evidence on derivatives of set points, which drive nothing, and on what is no derivative.
+    def _find_multiples(self, factors: Pairs) -> Bool[np.ndarray, "c c"]:
+        """Marks inputs that repeat one another, by the factors of columns that do.
 
-        Numbers without a name are no acceleration where they are the slope of nothing, and the less
-        an input the more records there are in which they rest.
+        Joints may move as one, and no torque repeats another one, but for pairs of motors.
+        """
+        is_input = np.array([self.says(i, "input") for i in range(len(self.names))])
+        plain = [[w for w in r.words if not w.isdigit()] for r in self.readings]
+        is_other = np.array([[a != b for a in plain] for b in plain])
+        is_scaled = np.abs(np.abs(factors) - 1) > WEIGHTS.circle
+        return (factors != 0) & is_input & (is_scaled | is_other)
+
+    def _add_nameless(self, records: Sequence[Table]) -> None:
+        """Evidence against numbers without a name as accelerations or inputs.
+
+        They are no acceleration where they are the slope of nothing, and the less an input the more
+        records there are in which they rest.
         """
         rests = np.mean([np.ptp(record, axis=0) == 0 for record in records], axis=0)
         for i, reading in enumerate(self.readings):
@@ -471,6 +477,9 @@ class EvidenceTable:
                 self.own[i].append(Evidence("input", -WEIGHTS.held * float(rests[i]), ""))
             if not reading.quantities and (self.slope[:, i] <= 0).all():
                 self.own[i].append(Evidence("acceleration", -WEIGHTS.no_slope, ""))
+
+    def _add_commanded_rates(self) -> None:
+        """Evidence on derivatives of set points, which drive nothing."""
         commands = np.array([r.qualifier == "command" for r in self.readings])
         columns = range(len(self.names))
         rates = [self.says(j, "velocity") or self.says(j, "acceleration") for j in columns]

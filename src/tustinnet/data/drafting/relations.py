@@ -215,7 +215,7 @@ def find_copies(
 
 @np.errstate(all="ignore")  # constants repeat nothing
 def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
-    """Whether columns are one angle or its rate in two units, as two filters see it.
+    """Marks pairs of columns that are one angle or its rate in two units, as two filters see it.
 
     Args:
         records: the columns of each record.
