@@ -431,6 +431,17 @@ def test_near_assignments_are_a_question_whose_answer_holds(tmp_path: Path) -> N
     assert "as you say" in answered.text
 
 
+@pytest.mark.parametrize("name", ["sway_angle_second_derivative", "sway_angle_ddot"])
+def test_a_second_derivative_is_no_position(name: str) -> None:
+    assert "position" not in read_name(name).quantities
+    assert read_name(name).quantity == "acceleration"
+
+
+def test_a_derivative_is_the_velocity_of_the_position_in_its_name() -> None:
+    assert [*read_name("trolley_position_first_derivative").quantities] == ["velocity"]
+    assert "position" in read_name("tacho position").quantities
+
+
 def test_clear_columns_are_no_question(tmp_path: Path) -> None:
     u = levels(11)
     x, v = moved_by(u)
@@ -475,7 +486,8 @@ def test_an_output_y_is_no_length_and_y_beside_x_is(tmp_path: Path) -> None:
     plane = draft(
         tmp_path, {"x": 0.1 * moved_by(levels(18))[0], "y": 0.1 * x, "u": u}
     ).choice.coordinates
-    assert [(c.kind, c.doubts) for c in plane] == [("linear", ())] * 2
+    assert [c.kind for c in plane] == ["linear"] * 2
+    assert not any("if it is an angle" in doubt for c in plane for doubt in c.doubts)
 
 
 def test_loads_in_the_names_of_files_have_a_line(tmp_path: Path) -> None:

@@ -337,13 +337,13 @@ class Assignment:
             partner = t.names[other]
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
-        says_something = t.readings[i].quantities or role == _OTHER
+        is_used = int(self.uses(self.roles)[i]) in (_POSITION, _INPUT)
         return Verdict(
             ROLES[role],
             tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),
             ROLES[self.rivals[family]],
             self.margins[family],
-            WEIGHTS.near if says_something else WEIGHTS.near_of_numbers,
+            WEIGHTS.near_of_used if is_used else WEIGHTS.near,
             partner,
         )
 

@@ -35,7 +35,7 @@ INPUTS: tuple[Quantity, ...] = (
 )
 
 _LETTERS = str.maketrans({pair[0]: pair[2:] for pair in LETTERS.split()})
-_SURE_UNITS: tuple[Quantity, ...] = ("velocity", "acceleration")
+_RATES: tuple[Quantity, ...] = ("velocity", "acceleration")
 _STATED = 3.0  # weight of a word that says a quantity, whatever else is in the name
 _DECISIVE = 8.0  # of one that no other word or unit changes: `position error [mm]`, `battery [V]`
 _ACCENTS = re.compile("[\u0300-\u036f]")
@@ -177,7 +177,7 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         unit_quantity = rate  # `x_dot_cm` has the unit of its position, per second
         unit += "/s" if rate == "velocity" else "/s^2"
     if unit_quantity is not None:
-        surely = in_brackets or unit_quantity in _SURE_UNITS
+        surely = in_brackets or unit_quantity in _RATES
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
     qualifiers: list[Qualifier] = [mark for mark, texts in QUALIFIERS.items() if texts & {*words}]
@@ -227,12 +227,13 @@ def _read_quantities(
             order = len(symbol["before"]) or _ORDERS.get(symbol["behind"], 1)
             surely = symbol["before"] or symbol["behind"] in ("dot", "ddot", "punkt")
             add("velocity" if order == 1 else "acceleration", 3.5 if surely else 1.5, text)
-    if quantities.get("velocity", 0.0) >= 3 and quantities.get("position") == 3.0:
-        quantities["velocity"] += 0.5  # `theta_dot`, `angle rate`: it is of that position
     if {"d", "dt"} <= {*words} or (words[:1] == ["d"] and "position" in quantities):
         add("velocity", 3.5, "d/dt")
     if {("dot", "dot"), ("d", "dot"), ("second", "derivative")} & {*pairwise(words)}:
         add("acceleration", 4.0, "dot dot")
+        quantities.pop("velocity", None)
+    if word.get("velocity") != "tacho" and any(quantities.get(q, 0.0) >= _STATED for q in _RATES):
+        quantities.pop("position", None)  # `theta_dot`, `angle rate`: it is of that position
     return quantities, word
 
 
@@ -243,7 +244,7 @@ def _stated_rate(
 
     `tacho_meters` is the way that a tachometer has counted.
     """
-    rate = max(_SURE_UNITS, key=lambda q: quantities.get(q, 0.0))
+    rate = max(_RATES, key=lambda q: quantities.get(q, 0.0))
     symbol = _SYMBOL.fullmatch(word.get(rate, ""))
     may_be_way = (symbol and symbol["before"]) or word.get(rate) == "tacho"
     is_stated = quantities.get(rate, 0.0) >= _STATED and not may_be_way
