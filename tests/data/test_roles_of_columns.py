@@ -437,6 +437,12 @@ def test_a_second_derivative_is_no_position(name: str) -> None:
     assert read_name(name).quantity == "acceleration"
 
 
+@pytest.mark.parametrize(("name", "quantity"), [("u_roll", "control"), ("e_pitch", "error")])
+def test_a_letter_before_an_axis_says_the_quantity(name: str, quantity: str) -> None:
+    assert quantity in read_name(name).quantities
+    assert "position" not in read_name(name).quantities
+
+
 def test_a_derivative_is_the_velocity_of_the_position_in_its_name() -> None:
     assert [*read_name("trolley_position_first_derivative").quantities] == ["velocity"]
     assert "position" in read_name("tacho position").quantities

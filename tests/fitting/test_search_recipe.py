@@ -44,7 +44,7 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "cutoff": None,
         "candidates": (),
         "tolerance": 1e-5,
-        "iterations": 50,
+        "iterations": 200,
         "substeps": None,
         "horizon": None,
         "robust": "none",

@@ -205,7 +205,7 @@ class SearchRecipe(Declaration):
     cutoff: float | None = Field(default=None, gt=0, le=1e6)
     candidates: tuple[str, ...] = ()
     tolerance: float = Field(default=1e-5, gt=0, le=1)
-    iterations: Count = 50
+    iterations: Count = 200
     horizon: Horizon | None = None
     substeps: int | None = Field(default=None, gt=0, le=MOST_SUBSTEPS)
     refine: str = "none"

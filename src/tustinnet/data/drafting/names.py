@@ -76,6 +76,8 @@ _UNITS_AS_NAMES = {
 """Columns that are called by their unit alone."""
 _DRIVEN = {"pos", "position", "vel", "velocity"}
 """What a drive controls, as it calls them."""
+_ABOUT_AXES = [["u"], ["e"], ["f"], ["i"], ["w"], ["v"], ["a"]]
+"""Letters before an axis, as `u_roll`, which say the quantity."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
 _SYMBOL = re.compile(
@@ -167,8 +169,10 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
         words, unit, unit_quantity = _take_ending(words)
     quantities, word = _read_quantities(words)
     positions = {w for w in words if w in STRONG["position"]}
-    if any(quantities.get(q, 0.0) >= _STATED for q in INPUTS) and positions and positions <= AXES:
-        # `yaw_torque`, `ctrl.roll`: where an input acts; sensors of other positions give voltages
+    is_input = any(quantities.get(q, 0.0) >= _STATED for q in INPUTS)
+    is_about = is_input or words[:1] in _ABOUT_AXES
+    if is_about and positions and positions <= AXES:
+        # `yaw_torque`, `e_roll`: where an input acts; sensors of other positions give voltages
         del quantities["position"], word["position"]
     pairs = {*pairwise(words)}
     if {"action", "actions"} & {*words}:  # of robot learning: what was commanded
