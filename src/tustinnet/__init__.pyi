@@ -32,6 +32,7 @@ from .families.hybrid import HybridModel as HybridModel
 from .families.tustin_net import TustinNet as TustinNet
 from .fits.fit import fit_many as fit_many
 from .fits.fit import identify as identify
+from .fits.run import save as save
 from .fitting.inverse_dynamics.of_model import inverse_dynamics as inverse_dynamics
 from .fitting.inverse_dynamics.record_forces import RecordForces as RecordForces
 from .fitting.listener import Listener as Listener
@@ -76,7 +77,6 @@ from .store.derived_models import save_committee as save_committee
 from .store.exported import export_model as export_model
 from .store.header import read_header as read_header
 from .store.model_file import load_model as load_model
-from .store.model_file import save as save
 from .store.robot_files import write_robot as write_robot
 from .systems.loading import load_system as load_system
 from .systems.robots import load_robot as load_robot

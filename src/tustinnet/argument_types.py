@@ -52,7 +52,10 @@ def _find_misfit(
     for name, hint in _hints(function).items():
         if name in given and not _fits(given[name], hint):
             found = type(given[name]).__name__.replace("NoneType", "None")
-            return InputError(f"{function.__name__}, {name}", found, " or ".join(_words(hint)))
+            model = getattr(given[name], "model", None)
+            remedy = "" if model is None or not _fits(model, hint) else "give its `model`"
+            place, expected = f"{function.__name__}, {name}", " or ".join(_words(hint))
+            return InputError(place, found, expected, remedy)
     return None
 
 

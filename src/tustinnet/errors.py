@@ -137,6 +137,8 @@ def require_text(text: str, where: object) -> None:
     Raises:
         InputError: another text.
     """
+    if not isinstance(text, str):
+        raise InputError(where, f"the name {text!r}", "text")
     unprinted = next((c for c in text if unicodedata.category(c) in _UNPRINTED), None)
     if unprinted is not None:
         raise InputError(where, f"'{text}' holds the character {unprinted!a}", "printable text")

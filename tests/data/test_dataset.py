@@ -252,3 +252,27 @@ def test_groups_stay_with_a_record_and_are_checked():
         tn.from_arrays(
             np.sin(np.arange(50.0)), dt=0.01, coordinates={"a": "linear"}, groups={"x": "a/b"}
         )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"split": "trian"}, "a split 'trian'; expected train, validation, test or None"),
+        ({"groups": "x"}, "groups of 'x'"),
+    ],
+)
+def test_fields_of_a_record_that_cannot_be_are_refused(changes, message):
+    with pytest.raises(tn.InputError, match=message):
+        tn.from_arrays(np.zeros(9), dt=0.1, coordinates={"x": "linear"}, **changes)
+
+
+def test_positions_that_are_complex_are_refused():
+    with pytest.raises(tn.InputError, match="not numbers"):
+        tn.from_arrays(np.zeros(9) + 1j, dt=0.1, coordinates={"x": "linear"})
+
+
+def test_irregular_times_of_arrays_are_noted():
+    t = np.cumsum(np.random.default_rng(0).uniform(0.06, 0.14, 50))
+    record = tn.from_arrays(np.zeros(50), t=t, dt=0.1, coordinates={"x": "linear"})
+    assert "irregular times kept as recorded" in record.notes[-1]
+    assert tn.from_arrays(np.zeros(9), dt=0.1, coordinates={"x": "linear"}).notes == ()

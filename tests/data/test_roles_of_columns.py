@@ -798,3 +798,33 @@ def test_a_copy_is_known_by_the_cells_that_both_have() -> None:
     assert find_copy([x], [holes]) == pytest.approx(2)
     assert find_copy([x], [np.full(300, np.nan)]) == 0
     assert find_copy([x], [np.cos(np.arange(300.0))]) == 0
+
+
+def test_an_answer_on_a_unit_leaves_what_a_name_says(tmp_path: Path) -> None:
+    first, second = levels(5), levels(6)
+    x, y = moved_by(first)[0], moved_by(second)[0]
+    columns = {"x_mm": 100 * x, "y_mm": 100 * y, "u_soll": first, "u_other_mV": 1e3 * second}
+    draft(tmp_path, columns)
+    made = tn.draft(tmp_path, {"unit u_soll": "%", "role u_soll": "input"})
+    assert {i.column: i.unit for i in made.choice.inputs} == {"u_soll": "%", "u_other_mV": "mV"}
+
+
+def test_a_letter_behind_a_unit_is_none(tmp_path: Path) -> None:
+    assert read_name("Ink_M").unit == ""
+    assert read_name("rail_m").unit == "m"
+
+
+@pytest.mark.parametrize(
+    ("answers", "message"),
+    [
+        ({"unit ang": "deg"}, "an answer to 'unit ang'"),
+        ({"role one": "inptu"}, "a role 'inptu'"),
+        ({"unit phi_rad": "blah"}, "blah"),
+    ],
+)
+def test_answers_that_say_nothing_are_refused(
+    answers: dict[str, str], message: str, tmp_path: Path
+) -> None:
+    twins(tmp_path)
+    with pytest.raises(tn.InputError, match=message):
+        tn.draft(tmp_path, answers)

@@ -35,6 +35,13 @@ def test_the_better_of_both_predictors_is_the_reference():
     assert rising.mean_by_unit == {"m": pytest.approx(0.0, abs=1e-9)}
 
 
+def test_a_reference_needs_no_timing_of_inputs():
+    late = tn.Input("u", "V", "unknown", delay=None)
+    q, inputs = np.linspace(0, 1, 50), [late]
+    e = tn.from_arrays(q, np.zeros(50), dt=0.01, coordinates={"x": "linear"}, inputs=inputs)
+    assert find_reference([e], None).mean == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_record_is_followed_until_a_coordinate_is_far_off():
     t = 0.01 * np.arange(401)
     records = [record(np.sin(3 * t)), record(np.sin(3 * t), "b")]

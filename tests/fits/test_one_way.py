@@ -79,9 +79,14 @@ def test_the_command_and_python_train_the_same_bits(tmp_path, tiny_recipe):
     with pytest.raises(SystemExit) as ended:
         run([str(a) for a in ("fit", folder, *options)])
     assert not ended.value.code
-    tn.save(by_python.model, tmp_path / "python.safetensors")
+    tn.save(by_python, tmp_path / "python.safetensors")
+    paths = (tmp_path / "python.safetensors", tmp_path / "out" / "model.safetensors")
     by_file = [
-        tn.free_run(tn.load_model(path), tn.load(folder)["fall3"], "derived-6")
-        for path in (tmp_path / "python.safetensors", tmp_path / "out" / "model.safetensors")
+        tn.free_run(tn.load_model(path), tn.load(folder)["fall3"], "derived-6") for path in paths
     ]
     assert np.array_equal(by_file[0], by_file[1])
+    mine, of_command = (tn.read_header(path) for path in paths)
+    assert mine.keys() == of_command.keys()
+    for key in ("scores", "findings", "range", "data"):
+        assert mine[key] == of_command[key]
+    assert any("delay" in finding["text"] for finding in mine["findings"])

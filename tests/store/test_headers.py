@@ -125,7 +125,7 @@ CHANGES: dict[str, list[tuple[str, Any]]] = {
         ("identification.estimates.0.more", 1),
         ("identification.correlation", [[1.0]]),
         ("identification.correlation.0.0", 7.0),
-        ("identification.findings", "none"),
+        ("findings", "none"),
         ("identification.downweighted", [{"record": "fall1"}]),
         ("identification.fixed", []),
         ("identification.refined", {"values": [1.0]}),

@@ -7,7 +7,13 @@ from tustinnet.check.scale_of_angles import find_scale_of_angles
 from tustinnet.check.view import RecordView
 from tustinnet.data.card import Card
 from tustinnet.data.declaration import declare, parse_toml
-from tustinnet.data.drafting.draft import Draft, draft_examined, examine_logs
+from tustinnet.data.drafting.draft import (
+    ANSWERED,
+    PERIOD,
+    Draft,
+    draft_examined,
+    examine_logs,
+)
 from tustinnet.data.drafting.files import list_logs
 from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.loading import load_folder
@@ -36,11 +42,17 @@ def draft(
         `columns`, and `questions` says what was assumed.
 
     Raises:
-        InputError: there are no logs, or none has a column that could be a position.
+        InputError: there are no logs, or none has a column that could be a position; an answer to
+            no question, or one that a card cannot have.
     """
     folder, files = list_logs([Path(logs)])
     made = draft_files(folder, files, answers, system=system)
     made.require_readable(folder)
+    keys = {PERIOD, *(f"{what} {c.name}" for what in ANSWERED for c in made.columns)}
+    if unknown := [key for key in answers or {} if key not in keys]:
+        expected = ", ".join([f"'{what} COLUMN'" for what in ANSWERED])
+        raise InputError("answers", f"an answer to '{unknown[0]}'", f"{expected}, '{PERIOD}'")
+    declare(parse_toml(made.text), Card, "answers" if answers else folder)
     return made
 
 

@@ -271,9 +271,14 @@ def _print_run(run: "runs.Run", data: str) -> None:
     identification = run.best.result.identification
     if identification is None:
         terminal.print_tables(fit_tables.members_table(run), fit_tables.training_table(run))
-        for result in (member.result for member in run.members):
+        results = [member.result for member in run.members]
+        common = [f for f in results[0].findings if all(f in r.findings for r in results)]
+        for finding in common:
+            terminal.echo(f"* {finding}")
+        for result in results:
             for finding in result.findings:
-                terminal.echo(f"* {result.member.name}: {finding}")
+                if finding not in common:
+                    terminal.echo(f"* {result.member.name}: {finding}")
     else:
         terminal.print_tables(
             fit_tables.parameter_table(identification),

@@ -73,9 +73,10 @@ def _fit_lines(header: dict[str, Any]) -> Lines:
 
 def _identification_lines(header: dict[str, Any]) -> Lines:
     """Lines on parameters with their errors, the outcome and the findings."""
+    findings = [("finding", finding["text"]) for finding in header.get("findings", ())]
     identification = header.get("identification")
     if identification is None:
-        return []
+        return findings
     lines = [("parameters", "")]
     refined = (identification.get("refined") or {}).get("values", {})
     for e in identification["estimates"]:
@@ -88,7 +89,7 @@ def _identification_lines(header: dict[str, Any]) -> Lines:
     lines += [("", f"{name} {value:.4g}, fixed") for name, value in fixed]
     if "outcome" in identification:
         lines.append(("outcome", identification["outcome"]))
-    return lines + [("finding", finding["text"]) for finding in identification.get("findings", ())]
+    return lines + findings
 
 
 def _score_lines(header: dict[str, Any]) -> Lines:

@@ -28,7 +28,9 @@ from tustinnet.channels import (
     PDLoop,
 )
 from tustinnet.data.declaration import Declaration, Name, Sentence, Text
+from tustinnet.data.experiment import SplitName
 from tustinnet.data.units import TIME, convert, convert_to_si
+from tustinnet.signals.resampling import JITTER
 
 _MOST_COLUMNS = 10**6
 _SMALLEST_FACTOR = 1e-15  # of inputs: their squares are numbers
@@ -65,7 +67,6 @@ def _nonzero(factor: float) -> float:
     return factor
 
 
-SplitName = Literal["train", "validation", "test"]
 ColumnKey = Annotated[StrictInt | StrictStr, AfterValidator(_column)]  # a number counts from 1
 Amount = Annotated[float, Field(ge=-1e15, le=1e15)]
 Scale = Annotated[Amount, AfterValidator(_nonzero)]
@@ -359,7 +360,7 @@ class TimeCard(Declaration):
 
     column: ColumnKey
     unit: Literal["s", "ms", "us", "ns"] = "s"
-    tolerance: float = Field(default=0.05, ge=0, le=1e3)
+    tolerance: float = Field(default=JITTER, ge=0, le=1e3)
     irregular: Literal["refuse", "resample", "keep"] = "refuse"
     assumed: tuple[Literal["unit"], ...] = ()
 

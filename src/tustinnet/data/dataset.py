@@ -13,7 +13,7 @@ from tustinnet.channels import Channels, Coordinate, HasChannels, Input, Kind
 from tustinnet.data.experiment import Experiment, begin_near_zero, unwrap_angles
 from tustinnet.errors import InputError, require_text
 from tustinnet.shown import Plotted
-from tustinnet.signals.resampling import wraps_within_turn
+from tustinnet.signals import resampling
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class DataSet(HasChannels, Plotted):
         require_text(self.name, "data set")
         if not self.experiments:
             raise InputError(self.name, "no experiments", "at least one")
+        if other := [e for e in self.experiments if not isinstance(e, Experiment)]:
+            raise InputError(self.name, f"experiments of {other[0]!r}", "records")
         first, names = self.experiments[0], set()
         for experiment in self.experiments:
             if experiment.name in names:
@@ -177,6 +179,9 @@ def from_arrays(
         fields = ", ".join(RecordFields.__annotations__)
         raise TypeError(f"from_arrays takes no '{unknown[0]}'; of a record it takes {fields}")
     name, t, v = record.get("name", "experiment"), record.get("t"), record.get("v")
+    groups = record.get("groups", {})
+    if not isinstance(groups, Mapping):
+        raise InputError(name, f"groups of {groups!r}", 'a mapping, as {"payload": "1kg"}')
     if isinstance(coordinates, Mapping):
         coordinates = [Coordinate(c, kind) for c, kind in coordinates.items()]
     if isinstance(inputs, Mapping):
@@ -193,7 +198,7 @@ def from_arrays(
         for j, c in enumerate(channels.coordinates[: positions.shape[1]])
         if c.kind == "angular"
     }
-    wrapped = [j for j in angles if wraps_within_turn(positions[:, j])]
+    wrapped = [j for j in angles if resampling.wraps_within_turn(positions[:, j])]
     positions, notes = unwrap_angles(positions, angles)
     times = np.arange(n) * dt if t is None else np.asarray(t, dtype=float)
     median = float(np.median(np.diff(times))) if n > 1 else dt
@@ -209,16 +214,25 @@ def from_arrays(
         v_measured=v is not None and record.get("v_measured", True),
         channels=channels,
         split=record.get("split"),
-        groups=tuple(record.get("groups", {}).items()),
-        notes=notes,
+        groups=tuple(groups.items()),
+        notes=(*notes, *_describe_times(times, dt)),
     )
     return begin_near_zero(experiment, wrapped)
 
 
+def _describe_times(t: Float[np.ndarray, " n"], dt: float) -> tuple[str, ...]:
+    """A note where timestamps [s] are irregular beyond jitter, which fits know nothing of."""
+    if len(t) < 2 or (times := resampling.regularity(t, dt)).worst <= resampling.JITTER * dt:
+        return ()
+    worst = resampling.describe_worst(t, times)
+    return (f"irregular times kept as recorded: {worst}; `resample` brings them onto a grid",)
+
+
 def _matrix(values: ArrayLike, name: str) -> Float[np.ndarray, "n c"]:
     try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
+        with warnings.catch_warnings(action="error"):  # of imaginary parts that would be lost
+            array = np.array(values, dtype=float)
+    except (TypeError, ValueError, np.exceptions.ComplexWarning) as error:
         raise InputError(
             name, f"values that are not numbers ({error})", "arrays of floats"
         ) from None

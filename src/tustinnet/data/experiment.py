@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,6 +17,7 @@ from tustinnet.signals.excitation import HALF, DeclaredHold, Excitation, excitat
 from tustinnet.signals.outliers import white_noise
 from tustinnet.wording import counted
 
+SplitName = Literal["train", "validation", "test"]
 VelocitySource = Literal["auto", "file", "stencil", "savgol", "kalman", "wiener", "trapezoidal"]
 
 LARGEST = 1e100  # of a position, input or velocity; squares of larger ones overflow
@@ -126,6 +127,9 @@ class Experiment(HasChannels, Plotted):
 
     def __post_init__(self) -> None:
         require_name(self.name, "record")
+        if self.split not in (None, *get_args(SplitName)):
+            expected = f"{', '.join(get_args(SplitName))} or None"
+            raise InputError(self.name, f"a split {self.split!r}", expected)
         object.__setattr__(self, "groups", tuple(sorted(dict(self.groups).items())))
         for pair in self.groups:
             for text in pair:
@@ -221,6 +225,8 @@ class Experiment(HasChannels, Plotted):
 
     def __getitem__(self, samples: slice) -> "Experiment":
         """A part of the record, with its timestamps, period, `k_bar` and first row."""
+        if not isinstance(samples, slice):
+            raise InputError(self.name, f"sample {samples!r}", "a range of samples, as [3:10]")
         start, stop, stride = samples.indices(len(self))
         if stride < 1:
             raise InputError(self.name, f"slice with step {stride}", "a positive step")

@@ -515,10 +515,7 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
     if times.worst <= card.tolerance * dt:
         note = f"jitter {times.jitter:.2g} s (worst {times.worst:.2g} s) accepted"
         return replace(record, notes=(*record.notes, note))
-    worst = (
-        f"interval of {t[times.worst_row] - t[times.worst_row - 1]:.4g} s before sample "
-        f"{times.worst_row} (usually {times.median_dt:.4g} s)"
-    )
+    worst = resampling.describe_worst(t, times)
     ratio = max(times.median_dt / dt, 1e-300)
     if card.irregular != "resample" and abs(ratio - 1) > card.tolerance:
         power = round(np.log10(ratio) / 3)

@@ -72,6 +72,8 @@ def coordinate_rmse_ahead(
     longest = max(len(e) for e in experiments) - evaluated.warm_up
     if not 1 <= horizon < longest:
         raise InputError("horizon", f"{horizon} steps", f"1 to {longest - 1}")
+    if every < 1:
+        raise InputError("every", f"{every}", "1 or more samples")
     for e in experiments:
         require_fit(model, e)
     squares = np.zeros((horizon, model.channels.n_q))

@@ -1,7 +1,7 @@
 """The reference of free runs: the trivial predictors that any model has to beat."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -80,6 +80,10 @@ def find_reference(records: Sequence[Experiment], horizon: float | None) -> Refe
         horizon: how long a free run lasts at most [s], None for whole records.
     """
     channels, start = records[0].channels, default_start(records)
+    # no input moves them, whatever is known of when it acts
+    holds = ["zero-order" if i.hold == "unknown" else i.hold for i in channels.inputs]
+    inputs = [replace(i, hold=h, delay=0.0) for i, h in zip(channels.inputs, holds, strict=True)]
+    channels = replace(channels, inputs=tuple(inputs))
     references = [
         Reference(
             moves,

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
+from tustinnet.errors import InputError
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
 from tustinnet.simulate.along import states_along
@@ -75,8 +76,9 @@ def free_run(
     Args:
         model: the model.
         experiments: records of any lengths, a data set of them, or one.
-        start: where the free runs start, as `start_states` takes it; by default as
-            `default_start` has it.
+        start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
+            By default a warm-up or `model-20` where internal states ask for it, else `file` where
+            all records store velocities, else `derived-6`, or `model-20` of fast swings.
         horizon: how long a free run lasts at most [s]; the state is estimated anew at the
             beginning of every such segment. None for whole records.
 
@@ -127,8 +129,9 @@ def evaluate(
     Args:
         model: the model.
         experiments: records of any lengths, a data set of them, or one.
-        start: where the free runs start, as `start_states` takes it; by default as
-            `default_start` has it.
+        start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
+            By default a warm-up or `model-20` where internal states ask for it, else `file` where
+            all records store velocities, else `derived-6`, or `model-20` of fast swings.
         horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
             all its segments. None for whole records.
 
@@ -140,6 +143,8 @@ def evaluate(
         InputError: see `free_run`.
     """
     experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
+    if not experiments:
+        raise InputError("evaluate", "no records", "at least one")
     rule, scores = _find_start(start, experiments, model), []
     samples = horizon_samples(horizon, experiments, rule)
     runs = free_run(model, experiments, rule, horizon=horizon)

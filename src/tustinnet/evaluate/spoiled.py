@@ -129,7 +129,7 @@ def find_spoiled(model: Model, records: Sequence[Experiment]) -> tuple[SpoiledPa
     """
     try:
         with np.errstate(all="ignore"):
-            return tuple(find_by_model(model, records))
+            return tuple(find_by_model(model, [e.with_timing(model.inputs) for e in records]))
     except (InputError, np.linalg.LinAlgError, FloatingPointError, ValueError):
         return ()
 

@@ -105,4 +105,4 @@ def fit_request(request: FitRequest, listener: Listener) -> list[FitResult]:
         listener: functions that are called while they go on.
     """
     prepared = prepare(request, listener)
-    return prepared.with_findings(fit_task(prepared.task, listener))
+    return prepared.complete(fit_task(prepared.task, listener))

@@ -53,16 +53,17 @@ class PreparedFit:
     task: Task
     records: PreparedRecords
 
-    def with_findings(self, results: Sequence[FitResult]) -> list[FitResult]:
-        """Results whose identifications also say what was found out about the inputs."""
-        timing = self.records.timing
+    def complete(self, results: Sequence[FitResult]) -> list[FitResult]:
+        """Results that also have their records, and what was found out about the inputs."""
+        timing, roles, data = self.records.timing, self.task.folds[0].roles, self.records.data.name
         completed = []
         for result in results:
-            own = result.identification
+            own, findings = result.identification, (*result.findings, *timing)
             if own is not None:
-                own = replace(own, findings=(*timing, *own.findings))
-                result = replace(result, findings=own.findings, identification=own)
-            completed.append(result)
+                own = replace(own, findings=findings)
+            completed.append(
+                replace(result, findings=findings, identification=own, roles=roles, data=data)
+            )
         return completed
 
 

@@ -29,15 +29,15 @@ from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FitResult, Identification, data_header
 from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Task
-from tustinnet.models.contract import require_float64
+from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.written_equations import equations_header
 from tustinnet.simulate.horizon import effective_horizon
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
+from tustinnet.store import model_file
 from tustinnet.store.files import lock_folder, to_json, write_into
 from tustinnet.store.header import ORIGIN
 from tustinnet.store.kept_system import require_copy_fits, system_header, write_system_copy
-from tustinnet.store.model_file import save
 from tustinnet.store.run_folder import (
     BASE_PARAMETERS,
     MODEL,
@@ -255,7 +255,7 @@ def run_fit(
         results = fit_in_folder(
             folder, task, replace(listener, on_begin=on_begin), resume=earlier == "resume"
         )
-        fits = fit.with_findings(results)
+        fits = fit.complete(results)
         (fold,) = task.folds
         roles = fold.roles.with_long_validation(fits[0].fewest_samples)
         members = []
@@ -282,12 +282,43 @@ def run_fit(
         if system is not None:
             write_system_copy(system, folder)
         for member in run.members:
-            save(member.result.model, member.folder / MODEL, **run.header(member))
-        save(run.best.result.model, folder / MODEL, **run.header(run.best))
+            model_file.save(member.result.model, member.folder / MODEL, **run.header(member))
+        model_file.save(run.best.result.model, folder / MODEL, **run.header(run.best))
         if identification is not None and identification.base_parameters:
             write_into(folder, BASE_PARAMETERS, _base_parameters_csv(identification))
         write_into(folder, SUMMARY, to_json(run.summary()))
     return run
+
+
+def save(model: Model | FitResult, path: str | Path, **header: Any) -> None:
+    """Writes a model file, whole or not at all.
+
+    That of a fit has its recipe, records, errors and scores, as the command writes it.
+
+    Args:
+        model: the model, of any registered kind, or the result of a fit.
+        path: the file, usually ending in `.safetensors`.
+        header: further entries of the file.
+
+    Raises:
+        InputError: a model of no registered kind, or the file cannot be written; of a fit also
+            where float64 is off.
+    """
+    if isinstance(model, FitResult):
+        header = {**_header_of(model), **header}
+        model = model.model
+    model_file.save(model, path, **header)
+
+
+def _header_of(result: FitResult) -> dict[str, Any]:
+    """The header of the model file of a fit, whose validation records are scored for it."""
+    if result.roles is None:
+        return result.as_header()
+    roles = result.roles.with_long_validation(result.fewest_samples)
+    horizon = effective_horizon(result.horizon, roles.ranking)
+    scores = evaluate(result.model, roles.ranking, result.start, horizon=horizon)
+    member = MemberRun(result, tuple(scores), Path())
+    return Run((member,), result.data, roles, result.start, Path()).header(member)
 
 
 def _base_parameters_csv(identification: Identification) -> str:

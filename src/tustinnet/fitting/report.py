@@ -12,6 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.fingerprint import make_fingerprint, step_quanta
 from tustinnet.finding import Finding
 from tustinnet.fitting.recipe import Recipe
+from tustinnet.fitting.roles import Roles
 from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
@@ -273,7 +274,6 @@ class Identification(Shown):
         return {
             "system": self.system.name,
             "converged": self.converged,
-            "findings": [f.as_plain() for f in self.findings],
             "trust": self.trust,
             "condition": self.condition,
             "initial": self.initial,
@@ -314,7 +314,8 @@ class FitResult(Shown):
         sound: whether it ended as it should.
         start: where the validation free runs started.
         horizon: how long they lasted at most [s], None where they were whole records.
-        validation_rmse: mean free-run RMSE over the validation records [rad or m], or None.
+        validation_rmse: mean free-run RMSE over the validation records [rad or m]; None without
+            these, of least squares, and of inverse dynamics.
         seconds: time spent, compilation included; of fits that ran together an equal share.
         details: plain values under one key that names the way of fitting: `training` has
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
@@ -323,6 +324,8 @@ class FitResult(Shown):
         identification: the result of an identification, None of a training.
         fewest_samples: validation records of fewer samples were left out, if there were longer
             ones.
+        roles: the records; None of a fit within a selection or cross-validation.
+        data: what they are called.
     """
 
     model: Model
@@ -338,6 +341,8 @@ class FitResult(Shown):
     identification: Identification | None = None
     horizon: float | None = None
     fewest_samples: int = 0
+    roles: Roles | None = field(default=None, repr=False)
+    data: str = ""
 
     @property
     def seed(self) -> int:
@@ -374,6 +379,7 @@ class FitResult(Shown):
         }
         return {
             "recipe": self.recipe.model_dump(mode="json"),
+            "findings": [finding.as_plain() for finding in self.findings],
             **{way: {**common, **values} for way, values in self.details.items()},
         }
 

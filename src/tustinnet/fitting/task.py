@@ -224,11 +224,12 @@ def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
             "seeds", "a fit that is no training has no seeds", "a recipe whose models are trained"
         )
     rates = [m.rate for m in members]
-    if not members or not all(r > 0 for r in rates) or len(set(members)) < len(members):
+    seeds, is_possible = [m.seed for m in members], all(m.rate > 0 <= m.seed for m in members)
+    if not members or not is_possible or len(set(members)) < len(members):
         raise InputError(
             "fit",
-            f"seeds {[m.seed for m in members]}, rates {rates}",
-            "different seeds and different factors above 0",
+            f"seeds {seeds}, rates {rates}",
+            "different seeds from 0 on and different factors above 0",
         )
 
 

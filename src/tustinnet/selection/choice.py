@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from statistics import median
 from typing import Any
 
 from tustinnet.data.experiment import Experiment
@@ -37,7 +38,7 @@ from tustinnet.store.run_folder import MODEL
 
 _UNEVEN = 2.0  # times the typical error, a mean that few records make
 _VAGUE = 10.0  # times the typical error, the end of a range that says nothing
-_POOR = 0.2  # of that of the reference, an error with which a model is of little use
+_POOR = 0.2  # of the error of the reference, half of the records of a model of little use
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class Choice(Shown):
             chosen,
             *self._accuracy,
             *self._expectation,
-            *self._shortfall(mean),
+            *self._shortfall,
             self._comparison_with_next(best),
             *self._stopped_fits,
             *self._alternatives(best),
@@ -168,9 +169,13 @@ class Choice(Shown):
     def _share_of_reference(self, mean: float) -> float:
         return mean / self.reference.mean if self.reference.mean else math.inf
 
-    def _shortfall(self, mean: float) -> Iterator[Finding]:
-        """The remedy where the chosen candidate is of little use."""
-        if self._share_of_reference(mean) <= _POOR:
+    @property
+    def _shortfall(self) -> Iterator[Finding]:
+        """The remedy where the chosen candidate is of little use on half of the records."""
+        errors, reference = self._rmse, self.reference.rmse
+        both = errors.keys() & reference.keys()
+        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in both]
+        if self.follows and median(shares or [0.0]) <= _POOR:
             return
         remedies = ["look at them (inspect)"]
         remedies += [] if self.budget is None else ["give more time (`budget=`)"]

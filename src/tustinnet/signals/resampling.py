@@ -12,6 +12,7 @@ Times = Float[np.ndarray, " n"]
 
 LONGEST_INTERVAL = 2.5  # periods; a longer one is a gap: two or more samples are missing
 _TURN = 2 * np.pi * (1 + 1e-3)  # rad, with the rounding of a file
+JITTER = 0.05  # of a period, by which intervals may differ from it
 _LONGEST_GRID = 10  # times the samples of a record; a wild timestamp would need any number
 
 
@@ -45,6 +46,15 @@ def regularity(t: Times, dt: float) -> Regularity:
         worst=float(deviation.max()),
         worst_row=int(deviation.argmax()) + 1,
         gaps=tuple(int(k) for k in np.flatnonzero(~inside)),
+    )
+
+
+def describe_worst(t: Times, times: Regularity) -> str:
+    """The interval between timestamps [s] that differs most from the period, in words."""
+    row = times.worst_row
+    return (
+        f"interval of {t[row] - t[row - 1]:.4g} s before sample {row} "
+        f"(usually {times.median_dt:.4g} s)"
     )
 
 

@@ -90,7 +90,6 @@ class _Identification(Entries):
     fixed: dict[str, Number]
     trust: str
     outcome: str = ""
-    findings: list[_Finding] = Field(default_factory=list)
     residual_rmse: dict[str, Size | None] = Field(default_factory=dict)
     downweighted: list[_Stretch] = Field(default_factory=list)
     refined: _Refit | None = None
@@ -283,6 +282,7 @@ class _Header(_Sources):
     versions: dict[str, str] = Field(default_factory=dict)
     recipe: _Recipe | None = None
     training: _Training | None = None
+    findings: list[_Finding] = Field(default_factory=list)
     identification: _Identification | None = None
     range: _Range | None = None
     scores: _Scores | None = None

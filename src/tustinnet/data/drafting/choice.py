@@ -7,7 +7,7 @@ from dataclasses import replace
 from tustinnet.channels import Kind
 from tustinnet.data.drafting.assignment import NO_REASON, Verdict
 from tustinnet.data.drafting.channel_names import name_channels
-from tustinnet.data.drafting.evidence import stage_of
+from tustinnet.data.drafting.evidence import Role, stage_of
 from tustinnet.data.drafting.findings import Choice, Findings, Question
 from tustinnet.data.drafting.inputs import describe_input, describe_system_input
 from tustinnet.data.drafting.names import INPUTS
@@ -16,7 +16,13 @@ from tustinnet.data.drafting.relations import find_copy
 from tustinnet.data.drafting.system_columns import SystemChannels, match_columns
 
 _COSINE = re.compile(r"(?i)(?<![a-z])(cosinus|cosine|cos)[ _(]*|\)$")
-_ROLES = ("none", "position", "velocity", "input", "set point")
+ROLE_BY_ANSWER: dict[str, Role] = {
+    "none": "other",
+    "position": "position",
+    "velocity": "velocity",
+    "input": "input",
+    "set point": "set point",
+}
 
 
 def choose_channels(findings: Findings) -> Choice:
@@ -108,8 +114,10 @@ def _ask_for_roles(findings: Findings, choice: Choice) -> None:
     for (role, rival, margin), names in families.items():
         more = f" (and {', '.join(repr(n) for n in names[1:])})" if len(names) > 1 else ""
         text = f"what is '{names[0]}'{more}: {role}, or {rival} ({margin:.1f} points less)?"
-        assumption = str(role) if role in _ROLES else "none"
-        choice.questions.append(Question(f"role {names[0]}", text, assumption, _ROLES))
+        assumption = str(role) if role in ROLE_BY_ANSWER else "none"
+        choice.questions.append(
+            Question(f"role {names[0]}", text, assumption, tuple(ROLE_BY_ANSWER))
+        )
 
 
 def _explain_unused(

@@ -10,7 +10,11 @@ from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.columns import NUMBERED
 from tustinnet.data.drafting.assignment import Assignment, Verdict
 from tustinnet.data.drafting.card_text import write_card
-from tustinnet.data.drafting.choice import choose_channels, choose_system_channels
+from tustinnet.data.drafting.choice import (
+    ROLE_BY_ANSWER,
+    choose_channels,
+    choose_system_channels,
+)
 from tustinnet.data.drafting.evidence import EvidenceTable, Role
 from tustinnet.data.drafting.findings import (
     Choice,
@@ -44,7 +48,8 @@ from tustinnet.wording import counted
 
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST_SAMPLES = 6  # samples of a record
-_PERIOD = "period"
+PERIOD = "period"
+ANSWERED = ("role", "unit", "counts", "resolution")  # before the column in an answer's key
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
@@ -233,7 +238,7 @@ def draft_examined(
     questions = [*choice.questions]
     if not examination.period_reason:
         text = "sampling period [s]; no column of times was found"
-        questions.insert(0, Question(_PERIOD, text, str(clock.dt), is_number=True))
+        questions.insert(0, Question(PERIOD, text, str(clock.dt), is_number=True))
     logs = [_without_unused_files(log, choice) for log in examination.logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     found = find_pieces(trimmed, clock, findings.readings, notes.append)
@@ -333,8 +338,8 @@ def _find_period(
     folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_velocities: float | None
 ) -> tuple[float, str]:
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
-    if _PERIOD in answers:
-        return float(answers[_PERIOD]), "as you say"
+    if PERIOD in answers:
+        return float(answers[PERIOD]), "as you say"
     if (period := _said_period(folder, logs)) is not None:
         return period, "by the sampling rate that the files say"
     if by_velocities is not None:
@@ -475,13 +480,14 @@ def _fill(values: Values) -> Values:
 
 
 def _role(answer: str) -> Role:
-    roles: dict[str, Role] = {
-        "position": "position",
-        "velocity": "velocity",
-        "input": "input",
-        "set point": "set point",
-    }
-    return roles.get(answer, "other")
+    """The role that an answer says.
+
+    Raises:
+        InputError: it says none.
+    """
+    if answer not in ROLE_BY_ANSWER:
+        raise InputError("answers", f"a role '{answer}'", ", ".join(ROLE_BY_ANSWER))
+    return ROLE_BY_ANSWER[answer]
 
 
 def _choose_samples(pieces: Sequence[Piece]) -> list[Piece]:

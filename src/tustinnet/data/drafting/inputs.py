@@ -28,7 +28,8 @@ def describe_input(column: str, name: str, findings: Findings, choice: Choice) -
         if (other := findings.readings[n]).quantity == reading.quantity and not other.unit
     ] or [column]
     key = f"unit {same[0]}"
-    unit = findings.answers.get(key) or reading.unit
+    answers = findings.answers
+    unit = answers.get(f"unit {column}") or reading.unit or answers.get(key)
     leads = findings.verdicts[column].leads
     if not unit and leads is not None:
         followers = [c for c in choice.coordinates if c.column == leads]

@@ -366,8 +366,8 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     quantity, named_quantities = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
     if quantity in named_quantities:
         return symbol not in ("q", *ANGULAR)
-    is_motion = bool(named_quantities & {"position", "velocity", "acceleration"})
+    is_motion = bool(named_quantities & {"position", *_RATES})
     if ending == "c":  # `Tcoil_C`
         return symbol.startswith("t") and not named_quantities
     is_possible = not named_quantities if ending == "m" else quantity in INPUTS and not is_motion
-    return is_possible and len(symbol) > 1
+    return is_possible and len(symbol) > 1 and symbol not in _UNITS  # `Ink_M`

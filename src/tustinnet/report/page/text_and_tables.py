@@ -166,8 +166,7 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
             for e, point in zip(records, result.extrapolations, strict=True)
             if point is not None
         ]
-        identification = result.reported.header.get("identification") or {}
-        notes += [f"{label}: {f['text']}" for f in identification.get("findings", ())]
+        notes += [f"{label}: {f['text']}" for f in result.reported.header.get("findings", ())]
         spoiled = result.reported.header.get(SPOILED) or {}
         notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
         notes += [f"{label}: {f['text']}" for f in spoiled.get("left_out", ())]
