@@ -47,6 +47,20 @@ def test_a_notebook_shows_tables_and_a_picture(pendulum, system):
     assert {"value", "error", "unit", "lower", "upper"} <= set(frame.columns)
 
 
+def test_results_are_shown_in_a_few_lines(pendulum, folder, system):
+    result = tn.fit(pendulum, "grey", system=system)
+    score = tn.evaluate(result.model, pendulum)[0]
+    validation = tn.cross_validate(pendulum, tn.make_cross_validation_options("linear", folds=3))
+    report = tn.inspect_experiment(pendulum[0])
+    for shown in (result, result.identification, score, validation, report, tn.draft(folder)):
+        assert repr(shown).startswith(f"{type(shown).__name__}(")
+        assert len(repr(shown)) < 700
+    assert f"rmse={score.rmse:.4g}" in repr(score)
+    assert "simulated=array(300, 2)" in repr(score)
+    assert "5 scores, mean RMSE" in repr(validation)
+    assert repr(tn.Listener()) == "Listener()", "in signatures"
+
+
 def test_a_training_has_no_parameters(pendulum, tmp_path):
     (tmp_path / "small.toml").write_text(SMALL_RECIPE)
     result = tn.fit(pendulum, tmp_path / "small.toml")

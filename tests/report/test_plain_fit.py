@@ -31,6 +31,7 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
     files = [place / "model.safetensors" for place in (out, tmp_path / "python")]
     assert {model_digest(tn.load_model(file)) for file in files} == {model_digest(choice.model)}
+    assert repr(choice).startswith("Choice('network', RMSE 0.")
     frame = choice.to_frame()
     assert frame["name"].to_list() == ["network"]
     assert frame["records"].to_list() == [5]

@@ -14,6 +14,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.data.inspection import held_equilibrium, saturated_share, transient_end
 from tustinnet.data.recording import Recording
 from tustinnet.finding import Finding
+from tustinnet.shown import Brief
 from tustinnet.signals import transients
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.spectra import periodogram
@@ -74,8 +75,8 @@ class InputReport:
         return self.fast_share > 0.02
 
 
-@dataclass(frozen=True)
-class ExperimentReport:
+@dataclass(frozen=True, repr=False)
+class ExperimentReport(Brief):
     """The result of an inspection of one record.
 
     Attributes:

@@ -13,6 +13,7 @@ from tustinnet.control.controller import Controller
 from tustinnet.control.estimator import Estimator
 from tustinnet.control.sampled_plant import Plant
 from tustinnet.errors import InputError
+from tustinnet.shown import Brief
 
 Vector = Float[np.ndarray, " _"]
 End = Literal["held", "lost", "never reached", "left its limits", "diverged"]
@@ -113,8 +114,8 @@ class Outcome:
         return self.end == "held"
 
 
-@dataclass(frozen=True)
-class ClosedLoopResult:
+@dataclass(frozen=True, repr=False)
+class ClosedLoopResult(Brief):
     """A run of a closed loop; shorter than it was to be where it diverged or left its limits.
 
     Attributes:

@@ -17,6 +17,7 @@ from tustinnet.engine.engines import make_linearised_step
 from tustinnet.errors import InputError
 from tustinnet.export.source import Source, require_stepping
 from tustinnet.models.contract import Model
+from tustinnet.shown import Brief
 from tustinnet.signals.causal_velocities import low_pass_velocities, polynomial_velocities
 from tustinnet.signals.encoder import encoder_count
 from tustinnet.simulate.filtering import (
@@ -174,8 +175,8 @@ def make_filter(source: Source, noise: FilterNoise, lost_after: int = LOST_AFTER
     )
 
 
-@dataclass(frozen=True)
-class FilterConsistency:
+@dataclass(frozen=True, repr=False)
+class FilterConsistency(Brief):
     """Whether a filter's innovations are as large as it expects, and white.
 
     Attributes:

@@ -10,10 +10,11 @@ from tustinnet.control.dynamics import controlled
 from tustinnet.control.lqr import Feedback, loop_matrices
 from tustinnet.control.margins import open_loop, sensitivity, usual_frequencies
 from tustinnet.models.contract import Model
+from tustinnet.shown import Brief
 
 
-@dataclass(frozen=True)
-class LoopResponses:
+@dataclass(frozen=True, repr=False)
+class LoopResponses(Brief):
     """Responses of loops of one feedback: the first is that of the model, then those of others.
 
     Attributes:

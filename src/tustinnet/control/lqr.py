@@ -22,6 +22,7 @@ from tustinnet.control.plan import Plan
 from tustinnet.control.weights import Deviations, Weights, bryson_weights
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+from tustinnet.shown import Brief
 from tustinnet.simulate.filtering import checked_vector
 from tustinnet.simulate.range import Range
 
@@ -143,8 +144,8 @@ class AccelerationGains(NamedTuple):
     integral: float
 
 
-@dataclass(frozen=True)
-class Tracking:
+@dataclass(frozen=True, repr=False)
+class Tracking(Brief):
     """Time-varying feedback along a plan, and the feedback that holds its end.
 
     Attributes:

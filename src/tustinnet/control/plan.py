@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.errors import InputError
+from tustinnet.shown import Brief
 from tustinnet.wording import counted
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Brief):
     """States and inputs of a planned motion.
 
     Attributes:

@@ -16,11 +16,12 @@ from tustinnet.control.lqr import Feedback, Tracking
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, convert_errors
 from tustinnet.models.contract import Model, require_fit
+from tustinnet.shown import Brief
 from tustinnet.simulate.filtering import FilterNoise
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Brief):
     """A record of a machine, and what a controller makes of it.
 
     Attributes:

@@ -20,14 +20,15 @@ from tustinnet.models.contract import Model, require_float64, with_dtype
 from tustinnet.models.groups import model_for_groups
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel
+from tustinnet.shown import Brief
 from tustinnet.simulate.input_signal import initial_inputs, input_signals
 from tustinnet.simulate.simulation import simulate_runs
 
 SHRINKAGE = 0.1  # of the correlations: those of few records leave directions without any error
 
 
-@dataclass(frozen=True)
-class Proposal:
+@dataclass(frozen=True, repr=False)
+class Proposal(Brief):
     """A record that could be made.
 
     Attributes:

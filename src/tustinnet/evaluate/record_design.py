@@ -48,6 +48,7 @@ from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
 from tustinnet.models.contract import Model, require_float64
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
 from tustinnet.models.motion_limits import MotionLimits
+from tustinnet.shown import Brief
 from tustinnet.signals.fourier_series import FourierMotion, harmonics, motions_from_rest
 from tustinnet.wording import counted
 
@@ -213,8 +214,8 @@ class BaseParameter:
         return self.expected / self.file
 
 
-@dataclass(frozen=True)
-class RecordDesign:
+@dataclass(frozen=True, repr=False)
+class RecordDesign(Brief):
     """A designed record.
 
     Attributes:

@@ -12,14 +12,15 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate.scores import free_run
 from tustinnet.models.contract import Model
+from tustinnet.shown import Brief
 from tustinnet.simulate.starts import start_named
 
 LAG_CONFIDENCE = 0.99  # share of the lags of independent residuals that is inside
 _QUANTILE = NormalDist().inv_cdf((1 + LAG_CONFIDENCE) / 2)
 
 
-@dataclass(frozen=True)
-class ResidualReport:
+@dataclass(frozen=True, repr=False)
+class ResidualReport(Brief):
     """Residuals of one coordinate over several free runs.
 
     Attributes:

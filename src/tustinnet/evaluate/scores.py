@@ -12,6 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
+from tustinnet.shown import Brief
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.horizon import horizon_samples, pieces
@@ -20,8 +21,8 @@ from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.starts import Start, default_start, start_named, start_states
 
 
-@dataclass(frozen=True)
-class Score:
+@dataclass(frozen=True, repr=False)
+class Score(Brief):
     """The simulation of one record and its errors.
 
     Attributes:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from tustinnet.shown import Brief
+
 
 @dataclass(frozen=True)
 class EpochReport:
@@ -93,8 +95,8 @@ class StageResult:
     parameters: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Listener:
+@dataclass(frozen=True, repr=False)
+class Listener(Brief):
     """Functions that are called while a fit goes on; each call may be slow.
 
     Attributes:

@@ -188,7 +188,7 @@ class BaseParameterEstimate:
         return " ".join(parts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification(Shown):
     """The result of an identification.
 
@@ -302,7 +302,7 @@ class Identification(Shown):
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitResult(Shown):
     """A fitted model and how it came about.
 

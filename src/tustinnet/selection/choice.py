@@ -81,6 +81,10 @@ class Choice(Shown):
     is_cut: bool = False
     whole: Mapping[str, Score] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        mean = self.result(self.best).mean
+        return f"Choice({self.best!r}, RMSE {mean:.4g} {self.unit} on {len(self._rmse)} records)"
+
     @property
     def unit(self) -> str:
         """The unit of the RMSE."""

@@ -21,6 +21,7 @@ from tustinnet.selection.folds import FOLDS, split_into_folds
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
+from tustinnet.shown import Shown
 from tustinnet.simulate.horizon import horizon_samples
 from tustinnet.simulate.starts import default_and_fitted_starts, start_named
 from tustinnet.store.kept_system import CANDIDATES
@@ -50,7 +51,7 @@ class FoldScore:
 
 
 @dataclass(frozen=True)
-class CrossValidationResult:
+class CrossValidationResult(Shown):
     """Scores of a cross-validation.
 
     Attributes:
@@ -66,6 +67,11 @@ class CrossValidationResult:
     scores: tuple[FoldScore, ...]
     outcomes: Mapping[str, str]
     seconds: float
+
+    def __repr__(self) -> str:
+        means = [f"{values['mean']:.4g} from {start}" for start, values in self.summary().items()]
+        text = f"{len(self.scores)} scores, mean RMSE {' and '.join(means)} [{self.unit}]"
+        return f"CrossValidationResult({self.recipe!r}, {text})"
 
     def means(self, start: str) -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m]."""

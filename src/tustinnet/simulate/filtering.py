@@ -14,6 +14,7 @@ from tustinnet.engine.engines import LinearisedStep, evaluate
 from tustinnet.engine.equations import Formula
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, require_fit
+from tustinnet.shown import Brief
 from tustinnet.simulate.input_signal import input_signal
 from tustinnet.simulate.recent import keep_latest
 from tustinnet.simulate.simulation import step_equations
@@ -61,8 +62,8 @@ class FilterNoise:
         return FilterNoise(**arrays)
 
 
-@dataclass(frozen=True)
-class FilterResult:
+@dataclass(frozen=True, repr=False)
+class FilterResult(Brief):
     """Estimates of a filter along a record.
 
     Attributes:

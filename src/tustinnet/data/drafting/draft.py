@@ -44,6 +44,7 @@ from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period, period_in_name, period_in_numbers
 from tustinnet.errors import InputError
+from tustinnet.shown import Brief
 from tustinnet.wording import counted
 
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
@@ -77,8 +78,8 @@ class DraftColumn:
     margin: float = np.inf
 
 
-@dataclass(frozen=True)
-class Draft:
+@dataclass(frozen=True, repr=False)
+class Draft(Brief):
     """A drafted data card.
 
     Attributes:

@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float
 from tustinnet.channels import Coordinate
 from tustinnet.fitting.inverse_dynamics.sums import force_sizes, rest_speeds
 from tustinnet.fitting.report import ForceError
+from tustinnet.shown import Brief
 
 
-@dataclass(frozen=True)
-class RecordForces:
+@dataclass(frozen=True, repr=False)
+class RecordForces(Brief):
     """Forces along a record, filtered, at nearly independent samples.
 
     Attributes:
