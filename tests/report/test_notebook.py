@@ -2,6 +2,7 @@
 
 import matplotlib as mpl
 import numpy as np
+import polars as pl
 import pytest
 from conftest import SMALL_RECIPE
 
@@ -44,7 +45,10 @@ def test_a_notebook_shows_tables_and_a_picture(pendulum, system):
     frame = result.to_frame()
     assert result.identification is not None
     assert set(frame["name"]) == {e.name for e in result.identification.estimates}
-    assert {"value", "error", "unit", "lower", "upper"} <= set(frame.columns)
+    intervals = frame.select("interval_lower", "interval_upper").rows()
+    assert intervals == [e.interval for e in result.identification.estimates]
+    header = frame.write_csv().splitlines()[0]
+    assert header.startswith("name,unit,value,error,naive_error,lower,upper,bound,")
 
 
 def test_results_are_shown_in_a_few_lines(pendulum, folder, system):
@@ -59,14 +63,19 @@ def test_results_are_shown_in_a_few_lines(pendulum, folder, system):
     assert "simulated=array(300, 2)" in repr(score)
     assert "5 scores, mean RMSE" in repr(validation)
     assert repr(tn.Listener()) == "Listener()", "in signatures"
+    frame = validation.to_frame()
+    assert frame.columns == ["record", "fold", "seed", "start", "rmse"]
+    assert len(frame) == len(pendulum) * len(validation.summary())
+    assert "<td>&quot;fall1&quot;</td>" in validation._repr_html_()
+    assert pl.DataFrame([score]).select("experiment", "rmse").row(0) == ("fall1", score.rmse)
 
 
-def test_a_training_has_no_parameters(pendulum, tmp_path):
+def test_a_training_is_a_row(pendulum, tmp_path):
     (tmp_path / "small.toml").write_text(SMALL_RECIPE)
     result = tn.fit(pendulum, tmp_path / "small.toml")
     assert result.recipe.name in result._repr_html_()
-    with pytest.raises(tn.InputError, match="to_frame: a training"):
-        result.to_frame()
+    (row,) = result.to_frame().rows(named=True)
+    assert (row["recipe"], row["validation_rmse"]) == ("small", result.validation_rmse)
 
 
 def test_free_runs_start_where_they_usually_do(pendulum, system):

@@ -33,9 +33,10 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     assert {model_digest(tn.load_model(file)) for file in files} == {model_digest(choice.model)}
     assert repr(choice).startswith("Choice('network', RMSE 0.")
     frame = choice.to_frame()
-    assert frame["name"].to_list() == ["network"]
-    assert frame["records"].to_list() == [5]
-    assert frame["rmse"][0] > 0
+    network, reference = frame.rows(named=True)
+    assert (network["name"], network["is_chosen"], network["records"]) == ("network", True, 5)
+    assert (network["difference"], reference["difference"]) == (0, None)
+    assert 0 < network["rmse"] < reference["rmse"]
     shown = choice._repr_html_()
     # the candidate and the reference, the findings, and a heading of each table
     assert shown.count("<tr>") == 3 + 1 + len(choice.findings)

@@ -17,14 +17,14 @@ from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.finding import Finding
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.fits import parameter_table
-from tustinnet.report.selection import candidates_table
+from tustinnet.report.selection import candidates_frame, candidates_table
 from tustinnet.report.tables import Table, number
 from tustinnet.selection.choice import Choice
+from tustinnet.selection.cross_validation import CrossValidationResult
 
 _MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
 _PANEL_SIZE = (6.0, 1.3)  # inches
@@ -35,8 +35,8 @@ _PANEL_SIZE = (6.0, 1.3)  # inches
 
 @singledispatch
 def to_html(shown: Any) -> str:
-    """An object as HTML, as a notebook shows it."""
-    raise NotImplementedError(type(shown).__name__)
+    """An object as HTML, as a notebook shows it: by default its frame."""
+    return to_frame(shown)._repr_html_()
 
 
 @to_html.register
@@ -126,30 +126,33 @@ def _(shown: DataSet) -> pl.DataFrame:
 
 @to_frame.register
 def _(shown: Identification) -> pl.DataFrame:
-    return pl.DataFrame([asdict(estimate) for estimate in shown.estimates])
+    rows = [asdict(estimate) for estimate in shown.estimates]
+    for row in rows:
+        row["interval_lower"], row["interval_upper"] = row.pop("interval") or (None, None)
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 @to_frame.register
 def _(shown: FitResult) -> pl.DataFrame:
     if shown.identification is not None:
         return to_frame(shown.identification)
-    epochs = shown.detail("epochs")
-    raise InputError("to_frame", f"a training of {epochs} epochs", "an identification")
+    names = ["seed", "start", "validation_rmse", "outcome", "seconds"]
+    return pl.DataFrame([{"recipe": shown.recipe.name} | {n: getattr(shown, n) for n in names}])
+
+
+@to_frame.register
+def _(shown: CrossValidationResult) -> pl.DataFrame:
+    rows = [
+        {"record": s.record, "fold": s.fold, "seed": s.seed, "start": start, "rmse": rmse}
+        for s in shown.scores
+        for start, rmse in s.rmse.items()
+    ]
+    return pl.DataFrame(rows)
 
 
 @to_frame.register
 def _(shown: Choice) -> pl.DataFrame:
-    results = [r for r in shown.candidates.results if r.fits_by_fold]
-    scores = [mean_and_error(r.rmse().values()) for r in results]
-    return pl.DataFrame(
-        {
-            "name": [r.name for r in results],
-            "rmse": [mean for mean, _ in scores],
-            "standard_error": [error for _, error in scores],
-            "records": [len(r.rmse()) for r in results],
-            "seconds": [r.seconds for r in results],
-        }
-    )
+    return candidates_frame(shown)
 
 
 # --- pictures ---

@@ -1,9 +1,10 @@
-"""Table and figure of the candidates of a selection, and free runs of the chosen one."""
+"""Frame, table and figure of the candidates of a selection, and free runs of the chosen one."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import Score
@@ -16,57 +17,83 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def candidates_frame(choice: Choice) -> pl.DataFrame:
+    """Frame of the candidates that have scores, the best first, and of the trivial predictor.
+
+    `difference` is how much worse than the chosen one a candidate is on the records of both.
+    """
+    best, rows = choice.result(choice.best), []
+    for s in _sort_scored(choice):
+        difference, shares = paired_difference(s, best), list(s.unexplained.values())
+        row: dict[str, Any] = {"name": s.name, "is_chosen": s is best}
+        for start, names in _columns_by_start(choice).items():
+            scores = mean_and_error(s.rmse(start=start).values())
+            row |= dict(zip(names, scores if start in s.starts else (None, None), strict=True))
+        row |= {
+            "difference": difference.mean,
+            "difference_error": difference.standard_error,
+            "difference_records": difference.records,
+            "unexplained": float(np.mean(shares)) if shares else None,
+            "records": len(s.rmse()),
+            "lost": sum(not x <= s.lost for x in s.rmse().values()),
+            "folds": len(s.fits_by_fold),
+            "seconds": s.seconds,
+        }
+        rows.append(row)
+    if choice.reference.mean < math.inf:
+        mean, error = mean_and_error(choice.reference.rmse.values())
+        label = f"({choice.reference.label})"
+        rows.append({"name": label, "is_chosen": False, "rmse": mean, "standard_error": error})
+    return pl.DataFrame(rows, infer_schema_length=None)
+
+
+def _columns_by_start(choice: Choice) -> dict[str, tuple[str, str]]:
+    """Columns of mean and standard error by start; those of the start that decides come first."""
+    first, *others = choice.starts
+    more = {start: (f"rmse from {start}", f"standard_error from {start}") for start in others}
+    return {first: ("rmse", "standard_error"), **more}
+
+
 def candidates_table(choice: Choice) -> Table:
     """Table of the candidates that have scores, the best first."""
-    results = _sort_scored(choice)
-    best, starts = choice.result(choice.best), choice.starts
-    means = {
-        s.name: [
-            mean_and_error(s.rmse(start=start).values()) if start in s.starts else None
-            for start in starts
-        ]
-        for s in results
-    }
-    scale = scale_of(mean[0] for cells in means.values() for mean in cells if mean is not None)
+    candidates, starts = candidates_frame(choice).rows(named=True), _columns_by_start(choice)
+    by_forces = any(c["unexplained"] is not None for c in candidates)
+    scored = [c for c in candidates if c["records"] is not None]
+    scale = scale_of(c[mean] for c in scored for mean, _ in starts.values())
 
-    def cell(mean: float, error: float) -> str:
+    def cell(mean: float | None, error: float) -> str:
+        if mean is None:
+            return ""
         return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
 
-    def unexplained(s: CandidateResult) -> str:
-        """Mean over the coordinates of the force that is not explained, empty where not known."""
-        shares = list(s.unexplained.values())
-        return f"{100 * float(np.mean(shares)):.2g}" if shares else ""
+    def against_best(c: dict[str, Any]) -> str:
+        if c["is_chosen"] or c["difference"] is None:
+            return ""
+        sign = "+" if c["difference"] >= 0 else ""
+        shared, most = c["difference_records"], max(c["records"], candidates[0]["records"])
+        on_fewer = f" (on {shared})" if shared < most else ""
+        return sign + cell(c["difference"], c["difference_error"]) + on_fewer
 
-    lost = {s.name: sum(not x <= s.lost for x in s.rmse().values()) for s in results}
-    rows, by_forces = [], any(s.unexplained for s in results)
-    for s in results:
-        difference, count = paired_difference(s, best), len(s.rmse())
-        against = ""
-        if s is not best:
-            sign = "+" if difference.mean >= 0 else ""
-            against = sign + cell(difference.mean, difference.standard_error)
-            if difference.records < max(count, len(best.rmse())):
-                against += f" (on {difference.records})"
-        rows.append(
-            [
-                s.name,
-                *["" if mean is None else cell(*mean) for mean in means[s.name]],
-                against,
-                *[unexplained(s)] * by_forces,
-                f"{count}, {lost[s.name]} lost" if lost[s.name] else str(count),
-                str(len(s.fits_by_fold)),
-                f"{s.seconds:.0f}",
-            ]
-        )
-    if choice.reference.mean < math.inf:
-        mean = cell(*mean_and_error(choice.reference.rmse.values()))
-        empty = [""] * (len(rows[0]) - 2 - len(starts))
-        rows.append([f"({choice.reference.label})", mean, *[""] * (len(starts) - 1), *empty, ""])
+    def text(value: float | None, factor: float = 1, digits: str = "d") -> str:
+        return "" if value is None else f"{factor * value:{digits}}"
+
+    rows = [
+        [
+            c["name"],
+            *[cell(c[mean], c[error]) for mean, error in starts.values()],
+            against_best(c),
+            *[text(c["unexplained"], 100, ".2g")] * by_forces,
+            text(c["records"]) + (f", {c['lost']} lost" if c["lost"] else ""),
+            text(c["folds"]),
+            text(c["seconds"], 1, ".0f"),
+        ]
+        for c in candidates
+    ]
     unit = choice.unit
     columns = [
         "candidate",
         *[f"RMSE [{unit}], {start}" for start in starts],
-        f"worse than {best.name} by",
+        f"worse than {choice.best} by",
         *["unexplained force [%]"] * by_forces,
         "records",
         "folds",
@@ -74,7 +101,7 @@ def candidates_table(choice: Choice) -> Table:
     ]
     title = "free runs of records that a model was not fitted to, mean ± standard error"
     title += norm_words(unit)
-    if any(lost.values()):
+    if any(c["lost"] for c in candidates):
         title += "; a lost one is further off than records move, and is compared as just that far"
     return Table(columns, rows, title=title)
 
