@@ -68,6 +68,8 @@ class Plotted(Shown):
     def plot(self, axes: Any = None) -> Any:
         """Draws it, a panel for each coordinate, and one for the inputs.
 
+        Of a data set the first 5 records are drawn.
+
         Args:
             axes: axes of matplotlib to draw into, one a panel; by default those of a new figure.
 

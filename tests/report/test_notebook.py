@@ -1,6 +1,9 @@
 """What notebooks show of records and results."""
 
+from dataclasses import replace
+
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import polars as pl
 import pytest
@@ -9,6 +12,12 @@ from conftest import SMALL_RECIPE
 import tustinnet as tn
 
 mpl.use("agg")
+
+
+@pytest.fixture(autouse=True)
+def _no_open_figures():
+    yield
+    plt.close("all")
 
 
 def test_records_are_frames(pendulum):
@@ -31,8 +40,27 @@ def test_records_are_drawn_into_axes_of_ones_own(pendulum):
     assert axes[0].get_ylabel() == "angle [rad]"
     assert axes[1].get_ylabel() == "torque [N m]"
     assert len(pendulum.plot()[0].lines) == len(pendulum)
+    assert axes[0].get_title() == ""
+    more = tn.DataSet("more", (*pendulum, *(replace(e, name=f"{e.name}b") for e in pendulum)))
+    assert more.plot()[0].get_title() == "the first 5 of 10 records"
+    assert f"{more[0].name}, the first of 10 records</figcaption>" in more._repr_html_()
     with pytest.raises(tn.InputError, match="2 axes, one a panel"):
         pendulum[0].plot(axes[:1])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_inputs_of_a_record_are_told_apart(count):
+    q, u = np.zeros((50, 1)), np.ones((50, 2))
+    inputs, e = {"lift": "N", "turn": "N m"}, []
+    for name in ("one", "two")[:count]:
+        record = tn.from_arrays(q, u, dt=0.1, coordinates={"x": "linear"}, inputs=inputs, name=name)
+        e.append(record)
+    panel = tn.DataSet("machine", tuple(e)).plot()[-1]
+    assert panel.get_ylabel() == "inputs"
+    labels = [text.get_text() for text in panel.get_legend().get_texts()]
+    assert labels == ["lift [N]", "turn [N m]"]
+    looks = {(line.get_color(), line.get_linestyle()) for line in panel.lines}
+    assert len(looks) == 2 * count
 
 
 def test_a_notebook_shows_tables_and_a_picture(pendulum, system):

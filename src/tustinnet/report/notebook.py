@@ -4,6 +4,7 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import singledispatch
+from html import escape
 from io import BytesIO
 from typing import Any
 
@@ -27,6 +28,7 @@ from tustinnet.selection.choice import Choice
 from tustinnet.selection.cross_validation import CrossValidationResult
 
 _MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
+_STYLES = ("-", "--", ":", "-.")  # of the inputs of a record among others
 _PANEL_SIZE = (6.0, 1.3)  # inches
 
 
@@ -46,7 +48,9 @@ def _(shown: Experiment) -> str:
 
 @to_html.register
 def _(shown: DataSet) -> str:
-    return _record_table(list(shown), shown.name).html() + _picture(shown[0])
+    caption = f"{shown[0].name}, the first of {len(shown)} records"
+    figure = f"<figure>{_picture(shown[0])}<figcaption>{escape(caption)}</figcaption></figure>"
+    return _record_table(list(shown), shown.name).html() + figure
 
 
 @to_html.register
@@ -93,7 +97,7 @@ def _picture(e: Experiment) -> str:
         buffer = BytesIO()
         FigureCanvasAgg(figure).print_png(buffer)
     content = b64encode(buffer.getvalue()).decode()
-    return f'<img alt="the record {e.name!r}" src="data:image/png;base64,{content}">'
+    return f'<img alt="the record {escape(e.name)}" src="data:image/png;base64,{content}">'
 
 
 # --- frames ---
@@ -171,7 +175,10 @@ def _(shown: Experiment, axes: Any = None) -> np.ndarray:
 
 @plot.register
 def _(shown: DataSet, axes: Any = None) -> np.ndarray:
-    return _draw(list(shown)[:_MOST_DRAWN], axes)
+    panels = _draw(list(shown)[:_MOST_DRAWN], axes)
+    if len(shown) > _MOST_DRAWN:
+        panels[0].set_title(f"the first {_MOST_DRAWN} of {len(shown)} records", fontsize=9)
+    return panels
 
 
 def _draw(records: Sequence[Experiment], axes: Any) -> np.ndarray:
@@ -181,19 +188,22 @@ def _draw(records: Sequence[Experiment], axes: Any) -> np.ndarray:
     panels = np.atleast_1d(np.asarray(_make_panels(count) if axes is None else axes, object))
     if panels.shape != (count,):
         raise InputError("plot", f"axes of shape {panels.shape}", f"{count} axes, one a panel")
-    several = len(records) > 1
+    several, inputs = len(records) > 1, [f"{i.name} [{i.unit}]" for i in channels.inputs]
     for k, e in enumerate(records):
         t = e.t - e.t[0]
         for j, c in enumerate(channels.coordinates):
-            colour = COLOURS[k % len(COLOURS)] if several else MEASURED
+            colour = COLOURS[k] if several else MEASURED
             plot_line(panels[j], t, e.q[:, j], color=colour, label=e.name)
             panels[j].set_ylabel(f"{c.name} [{c.unit}]")
-        for j, i in enumerate(channels.inputs):
-            colour = COLOURS[k % len(COLOURS)] if several else (INPUT, *COLOURS)[j % 6]
-            plot_line(panels[-1], t, e.u[:, j], color=colour, label=i.name, linewidth=0.7)
-    if channels.inputs:
-        names = ", ".join(f"{i.name} [{i.unit}]" for i in channels.inputs)
-        panels[-1].set_ylabel(names)
+        for j, name in enumerate(inputs):
+            colour = COLOURS[k] if several else (INPUT, *COLOURS)[j % 6]
+            style = _STYLES[j % len(_STYLES)] if several else "-"
+            label = "_" if k else name  # a style is once in the legend
+            plot_line(panels[-1], t, e.u[:, j], color=colour, ls=style, label=label, lw=0.7)
+    if len(inputs) > 1:
+        panels[-1].legend(fontsize=7)
+    if inputs:
+        panels[-1].set_ylabel("inputs" if len(inputs) > 1 else inputs[0])
     panels[-1].set_xlabel("time [s]")
     if several:
         panels[0].legend(fontsize=7)
