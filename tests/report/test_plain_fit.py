@@ -61,6 +61,31 @@ def test_the_budget_is_that_of_the_command(budget, limit, pendulum, monkeypatch,
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_notebook_shows_the_last_line(pendulum, monkeypatch, capsys):
+    shown: list[str] = []
+
+    class Handle:
+        def display(self, content, raw):
+            assert raw
+            shown.append(content["text/plain"])
+
+        def update(self, content, raw):
+            shown.pop()
+            self.display(content, raw)
+
+    def select(data, folder, options, reporter):
+        for line in ("first", "last"):
+            reporter.on_message(line)
+
+    monkeypatch.setattr("IPython.display.DisplayHandle", Handle)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as kernels set it
+    monkeypatch.setattr("tustinnet.report.plain_fit.select_model", select)
+    tn.fit(pendulum)
+    assert shown == ["last"]
+    assert capsys.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [

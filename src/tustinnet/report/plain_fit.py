@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import overload
+from typing import Any, overload
 
 from rich.console import Console
 
@@ -67,7 +68,8 @@ def fit(
 
     Holds and delays of inputs that the records do not declare are searched for first. Without a
     recipe and without `physics`, `select_model` tries the usual plan, as the command `fit` does.
-    Its progress is printed, and Ctrl-C ends with the best model so far, twice at once.
+    Its progress is printed, in notebooks as one line that changes, and Ctrl-C ends with the best
+    model so far, twice at once.
 
     Args:
         data: records; with a recipe those of the splits `train` and, if free runs are to choose,
@@ -110,12 +112,33 @@ def fit(
 
 
 def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bool) -> Choice:
-    """Chooses a model, and prints its progress on standard error unless quiet."""
+    """Chooses a model, and prints its progress unless quiet.
+
+    That is on standard error, or in a notebook an output of the cell that changes.
+    """
     if quiet:
         return select_model(data, folder, options)
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    style: Any = {"highlight": False, "soft_wrap": True, "markup": False}
+    console = Console(stderr=True, **style)
+    if console.is_jupyter:
+        console = Console(file=_LastLine(), force_jupyter=False, force_terminal=False, **style)
     with FitProgress(console) as progress:
         return select_model(data, folder, options, reporter=make_reporter(progress, console.print))
+
+
+class _LastLine(StringIO):
+    """An output of a notebook's cell that shows the last line written."""
+
+    def __init__(self) -> None:
+        from IPython.display import DisplayHandle  # notebooks have it, terminals need not
+
+        super().__init__()
+        self._output = DisplayHandle()
+        self._output.display({"text/plain": ""}, raw=True)
+
+    def write(self, text: str) -> int:
+        self._output.update({"text/plain": text.rstrip()}, raw=True)
+        return len(text)
 
 
 def make_reporter(progress: FitProgress, on_message: Callable[[str], None]) -> Reporter:
