@@ -255,6 +255,22 @@ def test_a_velocity_column_that_no_fit_uses_is_no_severe_finding() -> None:
     assert [f.severity for f in found if f.code == "velocity"] == ["warning"]
 
 
+def test_a_command_beyond_its_limits_is_clipped_as_the_mend_says(tmp_path: Path) -> None:
+    table = np.column_stack([swing(), 3 * np.sin(np.arange(len(swing())) / 20)])
+    np.savetxt(tmp_path / "r.csv", table, "%.8g", ",", header="q,u", comments="")
+    card = 'name = "a"\ndt = 0.01\n[[coordinates]]\nname = "q"\nkind = "angular"\ncolumn = "q"\n'
+    card += '[[inputs]]\nname = "u"\ncolumn = "u"\nunit = "V"\nlimits = [-2, 2]\n'
+    (tmp_path / "dataset.toml").write_text(card)
+    (beyond,) = [f for f in check_folder(tmp_path) if f.code == "limits"]
+    (tmp_path / "dataset.toml").write_text(card + beyond.mend.rpartition(": ")[2] + "\n")
+    assert not [f for f in check_folder(tmp_path) if f.code == "limits"]
+    (record,) = tn.load(tmp_path)
+    assert np.ptp(record.u) == 4.0
+    (tmp_path / "dataset.toml").write_text(card.replace("limits = [-2, 2]", "clip = true"))
+    with pytest.raises(tn.InputError, match="`clip` without `limits`"):
+        tn.load(tmp_path)
+
+
 def test_a_part_of_a_file_has_no_sign_of_its_own() -> None:
     whole = np.sin(np.arange(500) * DT)
     parts = [

@@ -206,6 +206,14 @@ def noted(notes: dict[int, str]) -> str:
     return "angle,note\n" + "".join(rows)
 
 
+def test_a_row_that_a_lost_power_left_is_a_damaged_row(tmp_path: Path) -> None:
+    rows = [b"%d,%d" % (k, k * k) for k in range(99)]
+    rows[40] = b"4,1\0\0\xff"
+    (tmp_path / "log.csv").write_bytes(b"a,b\n" + b"\n".join(rows))
+    with pytest.raises(InputError, match=r"row 42, b: the text"):
+        numbers(read_columns(tmp_path / "log.csv"))
+
+
 @pytest.mark.parametrize(
     ("content", "header", "message"),
     [

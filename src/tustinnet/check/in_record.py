@@ -496,10 +496,9 @@ def inputs(view: RecordView) -> Iterator[Finding]:
         beyond = np.maximum(low - u, u - high)
         is_beyond = beyond > LEVELS.beyond_limits * (high - low)
         if is_beyond.any():
-            wide = f"limits = [{min(low, u.min()):.4g}, {max(high, u.max()):.4g}]"
             yield view.finding(
                 "limits",
-                input_line(i.name, wide),
+                input_line(i.name, "clip = true"),
                 i.name,
                 view.seconds(int(np.argmax(is_beyond))),
                 beyond=beyond.max(),

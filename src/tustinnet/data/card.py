@@ -214,12 +214,14 @@ class InputColumn(NamedTuple):
         column: name or number.
         factor: units of the input in one unit of the column.
         offset: reading of the column where the input is 0.
+        ends: range that values are clipped to, in units of the input.
     """
 
     input: Input
     column: ColumnKey
     factor: float
     offset: float
+    ends: tuple[float, float] = (-np.inf, np.inf)
 
 
 class InputCard(Declaration):
@@ -234,6 +236,8 @@ class InputCard(Declaration):
             one; elsewhere it is then that of the model, or `zero-order`.
         delay: time from a logged sample to its effect [s], or `unknown`: `fit` finds it, also
             where there is no such key.
+        clip: whether values beyond `limits` are taken for these, as of a command that was logged
+            before its amplifier limited it.
         assumed: keys of this table that nothing in the logs says; the check reminds of them.
     """
 
@@ -246,25 +250,30 @@ class InputCard(Declaration):
     hold: Hold = "zero-order"
     limits: Limits | None = None
     delay: Delay | Literal["unknown"] = 0.0
+    clip: bool = False
     assumed: tuple[Literal["unit", "scale"], ...] = ()
 
     @model_validator(mode="after")
-    def _check_assumed(self) -> "InputCard":
+    def _check_keys(self) -> "InputCard":
         _require_assumed(self, self.assumed)
+        if self.clip and self.limits is None:
+            raise ValueError("`clip` without `limits`; give both")
         return self
 
     def input_columns(self) -> list[InputColumn]:
         """Its column; none where it has none."""
         if self.column is None:
             return []
-        return [InputColumn(self.input(), self.column, self.sign * self.scale, self.offset)]
+        ends = self.limits if self.clip and self.limits else (-np.inf, np.inf)
+        factor = self.sign * self.scale
+        return [InputColumn(self.input(), self.column, factor, self.offset, ends)]
 
     def input(self) -> Input:
         """The input as records have it."""
         delay = None if self.delay == "unknown" else self.delay
         hold = self.hold if "hold" in self.model_fields_set else None
         is_declared = delay is not None and "delay" in self.model_fields_set
-        own = self.model_dump(exclude={"column", "scale", "sign", "offset", "assumed"})
+        own = self.model_dump(exclude={"column", "scale", "sign", "offset", "clip", "assumed"})
         own |= {"hold": hold, "delay": delay, "is_delay_declared": is_declared}
         return Input(**own)
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from tustinnet.channels import LONGEST_DT, SHORTEST_DT
 from tustinnet.data.alignment import align_columns
-from tustinnet.data.card import Card, ColumnKey, FileCard, JoinCard, TimeCard
+from tustinnet.data.card import Card, ColumnKey, FileCard, InputColumn, JoinCard, TimeCard
 from tustinnet.data.card_files import list_record_files, require_inside
 from tustinnet.data.columns import Column, Columns, are_numbers, find_column, frame_columns
 from tustinnet.data.dataset import DataSet
@@ -390,8 +390,7 @@ def _read_record(
         if c.sine is not None:
             q[:, j] = np.arctan2(reader.read_matrix([c.sine], like=q)[:, 0], q[:, j])
     u, outputs = (
-        (reader.read_matrix([i.column for i in columns], like=q) - [i.offset for i in columns])
-        * [i.factor for i in columns]
+        _read_inputs(reader, columns, q)
         for columns in (card.input_columns(), card.output_columns())
     )
     q = (q - [c.offset for c in card.coordinates]) * [c.sign * c.factor() for c in card.coordinates]
@@ -506,6 +505,15 @@ def _no_period(reader: _ColumnReader) -> InputError:
     return InputError(
         reader.where, "no sampling period in the card", "`dt` or a time column", remedy
     )
+
+
+def _read_inputs(
+    reader: _ColumnReader, columns: Sequence[InputColumn], q: Float[np.ndarray, "n n_q"]
+) -> Float[np.ndarray, "n n_u"]:
+    """Inputs by their columns, as many samples as of the positions."""
+    values = reader.read_matrix([i.column for i in columns], like=q)
+    u = (values - [i.offset for i in columns]) * [i.factor for i in columns]
+    return np.clip(u, *np.array([i.ends for i in columns]).reshape(-1, 2).T)
 
 
 def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> Experiment:

@@ -175,10 +175,12 @@ def decode(path: Path, encoding: str | None) -> tuple[str, str]:
         text = content.decode(wide, "replace").removeprefix("\ufeff")
         if "\0" not in text and "\ufffd" not in text:
             return text, "in UTF-16"
-    if b"\0" in content or wide is not None:
+    # a few of them are damaged rows, as of a log that lost power
+    if content.count(0) > len(content) // 100 or wide is not None:
         raise InputError(
             path, "not a text file in UTF-8", "rows of numbers as text", "save it as UTF-8"
         )
+    content = content.replace(b"\0", b"?")
     try:
         return content.decode("utf-8-sig"), ""
     except UnicodeDecodeError:
