@@ -9,6 +9,7 @@ parameters of its own do, the file is of another machine, or of one with another
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -305,7 +306,10 @@ def _gain_key(view: RecordView, name: str, factor: float) -> str:
 
 def _of_other_machine(e: Experiment) -> str:
     """The line of the card by which a record has parameters of its own."""
-    return file_line(e, card_entry(e, 0, len(e), {"machine": "other"}))
+    if PurePath(e.source).stem == e.name:
+        return file_line(e, card_entry(e, 0, len(e), {"machine": "other"}))
+    # a part of a file keeps what its entry says
+    return f'in the entry of {e.name}: groups = {{ "machine" = "other" }}'
 
 
 def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -> Iterator[Finding]:

@@ -112,7 +112,8 @@ CHECK = {
         size="{milliseconds:.4g} ms against {declared:.4g} ms; " + _LEFT,
     ),
     "other machine": warning(
-        "the record is of another machine, payload or friction",
+        "the record is of another machine, payload or friction, or an input acted otherwise than "
+        "logged, as beyond the limits of its amplifier",
         size="the model of the others leaves {of_others:.3g} times the usual residual, one of its "
         "own {of_own:.3g} times",
     ),
