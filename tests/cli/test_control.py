@@ -280,7 +280,13 @@ def test_the_exported_loop_compiles_and_ends_at_the_goal(held):
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (("--at", "elbow=0", *LIMITS), "elbow"),
+        (("--at", "elbow=0"), "--at: no 'elbow' among the coordinates"),
+        (
+            ("--at", "angle=0", "--at", "angle=1", *LIMITS),
+            "'angle=0, angle=1'; expected NAME=VALUE",
+        ),
+        (("--at", "angle=0", "--to", "angle=1", "--to", "elbow=2", *LIMITS), "--to: no 'elbow'"),
+        (("--at", "angle=0", "--limits", "torque=-6:6,force=-6:6"), "force"),
         (("--at", "angle"), "--at"),
         (("--at", "angle=30mm", *LIMITS), "'mm' is not a unit of a quantity in rad"),
         (("--at", "angle=180rad", *LIMITS), "far outside of the recorded motion; expected about -"),

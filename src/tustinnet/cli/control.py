@@ -54,11 +54,12 @@ def control(
         Path | None, typer.Option(metavar="DIR", help="Folder for the controller.")
     ] = None,
     at: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="NAME=VALUE,..",
             help="Positions to hold, e.g. alpha=0, alpha=90deg; a number alone is in the unit of "
-            "the data card's column. With --to, positions where the motion begins.",
+            "the data card's column. With --to, positions where the motion begins. May be "
+            "repeated.",
         ),
     ] = None,
     swing_up: Annotated[
@@ -68,9 +69,10 @@ def control(
         ),
     ] = False,
     to: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar="NAME=VALUE,..", help="Plan a motion from --at to these positions; hold these."
+            metavar="NAME=VALUE,..",
+            help="Plan a motion from --at to these positions; hold these. May be repeated.",
         ),
     ] = None,
     follow: Annotated[
@@ -84,7 +86,7 @@ def control(
     limits: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=LOW:HIGH",
+            metavar="NAME=LOW:HIGH,..",
             help="Limits of an input, instead of the data card's. May be repeated.",
         ),
     ] = None,
@@ -107,7 +109,7 @@ def control(
     weight: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=VALUE",
+            metavar="NAME=VALUE,..",
             help="Acceptable deviation of a state, an input or integral_NAME, e.g. theta=0.1rad: "
             "smaller is stricter. May be repeated. Default: half of the recorded range.",
         ),
@@ -137,16 +139,17 @@ def control(
     within: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=LOW:HIGH",
+            metavar="NAME=LOW:HIGH,..",
             help="Limits of a position or velocity that a motion keeps, and --mpc. May be "
             "repeated.",
         ),
     ] = None,
     safe: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="NAME=VALUE,..",
-            help="Inputs while the sensors of positions cannot be used. Default: 0.",
+            help="Inputs while the sensors of positions cannot be used. May be repeated. "
+            "Default: 0.",
         ),
     ] = None,
     replay: Annotated[
@@ -247,7 +250,7 @@ def control(
         input_limits,
         values.read_limits("--within", within),
         trust_beyond,
-        values.read_point("--safe", safe),
+        values.read("--safe", safe),
         reference,
         observer,
         mpc,
@@ -346,8 +349,8 @@ def _refuse_beside_mpc(mpc: int | None, integral: Sequence[str] | None, *, obser
 
 def _refuse_others(
     follow: Path | None,
-    at: str | None,
-    to: str | None,
+    at: Sequence[str] | None,
+    to: Sequence[str] | None,
     seconds: float | None,
     within: Sequence[str] | None,
     mpc: int | None,

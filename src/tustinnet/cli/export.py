@@ -19,18 +19,18 @@ from tustinnet.wording import join_words
 def export(
     model: options.Model,
     to: Annotated[
-        str,
+        list[str],
         typer.Option(
             metavar="TARGET,..",
             autocompletion=completion.target,
-            help=f"{join_words(TARGETS.places, 'or')}; several, separated by commas, or all "
-            "that fit any model. Several targets get a folder each.",
+            help=f"{join_words(TARGETS.places, 'or')}; several, separated by commas or "
+            "repeated, or all that fit any model. Several targets get a folder each.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     group: options.Group = None,
     at: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="NAME=VALUE,..",
             help="For mat: operating point of the linearisation, e.g. alpha=0.1. Default: 0.",
@@ -47,10 +47,10 @@ def export(
         raise InputError(out, f"the folder of {system}, which the command reads", "another folder")
     loaded = load_model(model, system)
     values = OptionReader(loaded.channels, tn.read_header(model))
-    point = values.read_point("--at", at)
+    point = values.read("--at", at)
     exports = tn.export_model(
         loaded,
-        exported.find_targets(to, point),
+        exported.find_targets(",".join(to), point),
         out,
         file=model,
         groups=groups,

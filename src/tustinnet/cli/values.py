@@ -6,6 +6,7 @@ from typing import Any
 
 import tustinnet as tn
 from tustinnet.cli import terminal
+from tustinnet.control import dynamics
 from tustinnet.data import quantities
 from tustinnet.errors import InputError
 from tustinnet.simulate import range as training_ranges
@@ -19,6 +20,11 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, str]:
     if len(texts) < len(parts) or not all(name and value for name, value in texts.items()):
         raise InputError(option, f"'{', '.join(pairs or ())}'", "NAME=VALUE, each name once")
     return texts
+
+
+def _parse_texts(option: str, texts: Sequence[str] | None) -> dict[str, str]:
+    """Texts by name, of an option that is repeated or lists several, separated by commas."""
+    return parse_pairs(option, [pair for text in texts or () for pair in text.split(",")])
 
 
 class OptionReader:
@@ -35,29 +41,34 @@ class OptionReader:
         columns = file_header.columns_in_header(header or {})
         self.values = quantities.ValueReader(channels, columns, terminal.messages().print)
 
-    def read(self, option: str, pairs: Sequence[str] | None) -> dict[str, float]:
+    def read(self, option: str, texts: Sequence[str] | None) -> dict[str, float]:
         """Values by name, each written as `NAME=VALUE` with or without a unit."""
-        read = self.values.read(option, parse_pairs(option, pairs))
+        read = self.values.read(option, _parse_texts(option, texts))
         return {name: value for name, (value,) in read.items()}
 
-    def read_limits(self, option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
+    def read_limits(self, option: str, texts: Sequence[str] | None) -> dict[str, Any]:
         """Lower and upper limits by name, each written as `NAME=LOW:HIGH`."""
-        return self.values.read(option, parse_pairs(option, pairs), 2)
+        return self.values.read(option, _parse_texts(option, texts), 2)
 
     def read_point(
-        self, option: str, text: str | None, training_range: "training_ranges.Range | None" = None
+        self,
+        option: str,
+        texts: Sequence[str] | None,
+        training_range: "training_ranges.Range | None" = None,
     ) -> dict[str, float]:
-        """Values by name, written as `NAME=VALUE,..`; raises an error far from the records.
+        """Positions by name; raises an error for other names, or far from the records.
 
         That is by more than the recorded span or, of an angle, half a turn: all its directions are
         within that of a recorded one.
 
         Args:
             option: the option.
-            text: its value, None without the option.
+            texts: its values, None without the option.
             training_range: range of the training records; None to take any positions.
         """
-        point = self.read(option, text and text.split(","))
+        names = [c.name for c in self._coordinates]
+        dynamics.require_known(_parse_texts(option, texts), names, option, "coordinates")
+        point = self.read(option, texts)
         ends = () if training_range is None else training_range.states
         for c, (low, high) in zip(self._coordinates, ends, strict=False):
             reach = max(high - low, math.pi if c.kind == "angular" else 0.0)
