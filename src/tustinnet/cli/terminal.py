@@ -21,6 +21,7 @@ from tustinnet.systems import files as system_files
 
 _DELAY = 0.05  # seconds until a signal is sent again
 _LONGEST_QUESTION = 400  # characters
+_BROKEN_PIPE = 141  # 128 and the number of SIGPIPE: exit code of a program that has no reader
 
 
 def echo(text: str) -> None:
@@ -183,6 +184,8 @@ def shorten_warnings() -> None:
 class _Output:
     """Standard output; where it cannot be written, the command ends with one line.
 
+    Where its reader has ended, as `head` does, the command ends without a line, as Unix tools do.
+
     Args:
         stream: the standard output of the process.
     """
@@ -204,6 +207,9 @@ class _Output:
     def _attempt(self, act: Callable[..., Any], *arguments: str) -> Any:
         try:
             return act(*arguments)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python would try once more at its end
+            raise SystemExit(_BROKEN_PIPE) from None
         except OSError as error:
             raise InputError(
                 "standard output", f"cannot be written ({error.strerror})", "one that takes all"
