@@ -129,5 +129,5 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
     refused(*asked, "--horizon", "inf", names="horizon 1 s, as the model was calibrated")
     code, told, err = tustinnet(capsys, *asked)
     assert code == 0
-    assert "over segments of 1 s" in told
+    assert "restarted every 1 s" in told
     assert "segments of 1 s as in the model's file (--horizon)" in err

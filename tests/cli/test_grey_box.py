@@ -289,7 +289,7 @@ def test_a_horizon_is_told_with_scores(count, run_folder, folder, capsys):
     asked = ("evaluate", *models, folder, "--split", "validation")
     code, out, _ = tustinnet(capsys, *asked, "--horizon", 1.2)
     assert code == 0
-    assert "start 'derived-6', over segments of 1.2 s" in out
+    assert "start 'derived-6', restarted every 1.2 s" in out
     told = json.loads(tustinnet(capsys, *asked, "--horizon", 1.2, "--json")[1])
     assert told["horizon"] == 1.2
     assert json.loads(tustinnet(capsys, *asked, "--json")[1])["horizon"] is None

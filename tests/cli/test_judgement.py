@@ -111,7 +111,7 @@ def test_start_and_horizon_are_those_of_the_file_unless_told_otherwise(
     code, _, err = tustinnet(capsys, "report", file, folder, "--out", page)
     assert code == 0
     assert "segments of 1 s as in the model's file" in err
-    assert "over segments of 1 s" in page.read_text(encoding="utf-8")
+    assert "restarted every 1 s" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.thorough

@@ -45,7 +45,9 @@ def test_a_run_is_reported_as_its_options_say(run_folder, folder, tmp_path, caps
     refused(*command, names="add --overwrite")
     again = (*command, "--horizon", 1, "--start", "derived-8", "--overwrite")
     assert tustinnet(capsys, *again)[0] == 0
-    assert "over segments of 1 s" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "Each run restarts every 1 s" in text
+    assert re.search(r"restarted every 1 s, it is off by .* Without restarts, it is off by ", text)
     assert numbers_in(page)["records"][0]["runs"][0]["rmse"] < told["records"][0]["runs"][0]["rmse"]
 
 

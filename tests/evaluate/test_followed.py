@@ -52,13 +52,13 @@ def test_a_record_is_followed_until_a_coordinate_is_far_off():
     expected = [0.01 * (np.argmax(off) - 1)] * 2
     assert seconds_followed(records, whole) == pytest.approx(expected)
     assert describe_followed(records, whole).text.startswith(
-        "follows whole records for 0.12 s in the "
+        "follows whole records without a restart for 0.12 s in the "
     )
     true = [
         replace(s, simulated=np.hstack([e.q, e.q])) for e, s in zip(records, whole, strict=True)
     ]
     assert seconds_followed(records, true) == pytest.approx([4.0, 4.0])
-    assert describe_followed(records, true).text.startswith("follows 2 whole records to the end: ")
+    assert describe_followed(records, true).text.startswith("follows 2 whole records to the end")
     # a start that is off for a moment does not count for more than its part of the record
     for score in true:
         score.simulated[:20, 0] += 0.5

@@ -59,6 +59,7 @@ def _describe_accuracy(run: Run) -> str:
         shares = f"{percent.min():.2g} to {percent.max():.2g} %, most of {worst}'s,"
     diverged = f"; {len(scores) - len(finite)} diverge" if len(finite) < len(scores) else ""
     recipe = run.best.result.recipe
+    restarted = horizon_words(scores[0].horizon)
     remark = ""
     if not run.roles.validation:
         remark = (
@@ -68,8 +69,8 @@ def _describe_accuracy(run: Run) -> str:
     elif isinstance(recipe, TrainingRecipe) and any(s.keep != "last" for s in recipe.stages):
         remark = ". This is slightly optimistic: the kept weights were chosen by these records"
     return (
-        f"free runs{horizon_words(scores[0].horizon)} of {len(finite)} {run.judging_split} "
-        f"record{'s' if len(finite) > 1 else ''} are off by "
+        f"free runs of {len(finite)} {run.judging_split} "
+        f"record{'s' if len(finite) > 1 else ''}{restarted and f'{restarted},'} are off by "
         f"{amounts(mean_rmse_by_unit(finite, channels))} (mean RMSE): {shares} "
         f"standard deviation; {reference.label} is off by {amounts(reference.mean_by_unit)}"
         f"{diverged}{'' if run.follows else f'; it follows them no better than {reference.label}'}"

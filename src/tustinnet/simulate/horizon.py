@@ -76,7 +76,7 @@ def effective_horizon(horizon: float | None, experiments: Sequence[Experiment]) 
 
 def horizon_words(horizon: float | None) -> str:
     """The horizon as titles say it behind a comma; an empty text for whole records."""
-    return "" if horizon is None else f", over segments of {horizon:g} s"
+    return "" if horizon is None else f", restarted every {horizon:.3g} s"
 
 
 def _fewest_samples(start: Start) -> int:

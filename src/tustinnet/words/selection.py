@@ -7,12 +7,13 @@ _DIFFERENCE = "by {difference:.2g} [[± {error:.2g} ]]{unit} on {records:record}
 SELECTION = {
     # --- how good ---
     "follows to the end": note(
-        "follows {records:whole record} to the end: no coordinate's RMS error reaches "
-        "{limit:percent} of its standard deviation"
+        "follows {records:whole record} to the end without a restart: no coordinate's RMS error "
+        "reaches {limit:percent} of its standard deviation"
     ),
     "follows for": note(
-        "follows whole records for {seconds:.2g} s in the median, until a coordinate's RMS error "
-        "so far is {limit:percent} of its standard deviation; {to_the_end} of {records} to the end"
+        "follows whole records without a restart for {seconds:.2g} s in the median, until a "
+        "coordinate's RMS error so far is {limit:percent} of its standard deviation; {to_the_end} "
+        "of {records} to the end"
     ),
     "chosen": note("chosen: {name}, {made}"),
     "records diverge": warning("free runs of some records diverge", "set `horizon` in the plan"),

@@ -29,6 +29,7 @@ class ModelResult:
     Attributes:
         reported: the model.
         scores: scores of the free runs.
+        whole: scores of those of whole records, without a restart.
         range: range of its training data, None where that is unknown.
         extrapolations: where each free run leaves that range, None where it stays inside.
         ahead: RMSE by steps ahead over the coordinates of each unit, empty where no record is long
@@ -44,6 +45,7 @@ class ModelResult:
 
     reported: ReportedModel
     scores: Sequence[Score]
+    whole: Sequence[Score]
     range: Range | None
     extrapolations: Sequence[ExtrapolationPoint | None]
     ahead: Float[np.ndarray, "horizon n_units"]
@@ -71,6 +73,7 @@ def compute_model_result(
     """
     model, header, notes = reported.model, reported.header, []
     scores = reported.scores or evaluate(model, records, start, horizon=horizon)
+    whole = scores if horizon is None else evaluate(model, records, start)
     runs = [score.simulated for score in scores]
     training_range = Range.from_header(dict(header), model) if header else None
     extrapolations = [
@@ -113,6 +116,7 @@ def compute_model_result(
     return ModelResult(
         reported,
         scores,
+        whole,
         training_range,
         extrapolations,
         ahead,

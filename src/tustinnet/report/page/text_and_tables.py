@@ -116,7 +116,18 @@ def describe_accuracy(
         f"Simulated from its start alone{horizon_words(scores[0].horizon)}, "
         f"it is off by {mean} "
         f"{'on average over' if scores[1:] else 'on'} {record_text}{spread}."
+        f"{_describe_whole(result, channels)}"
     )
+
+
+def _describe_whole(result: ModelResult, channels: Channels) -> str:
+    """Sentence on free runs of whole records where those that are shown restart; else empty."""
+    if result.scores[0].horizon is None:
+        return ""
+    diverging = [s for s in result.whole if not np.isfinite(s.rmse)]
+    if diverging:
+        return f" Without restarts, it diverges on {len(diverging)} of {len(result.whole)}."
+    return f" Without restarts, it is off by {amounts(mean_rmse_by_unit(result.whole, channels))}."
 
 
 def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment]) -> str:
@@ -135,8 +146,9 @@ def describe_fold_scores(reported: ReportedModel, records: Sequence[Experiment])
     if " and " in (unit or ""):
         size += " (norm over all coordinates)"
     return (
-        "On records that they were not fitted to, models made in the same way are off by "
-        f"{size} on average ({counted(len(count or ()), 'record')}, on folds)."
+        f"On records that they were not fitted to{horizon_words(scores.get('horizon'))}, models "
+        f"made in the same way are off by {size} on average "
+        f"({counted(len(count or ()), 'record')}, on folds)."
     )
 
 

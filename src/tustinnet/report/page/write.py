@@ -183,6 +183,7 @@ def _make_context(
         "records": [e.name for e in records],
         "channels": channels,
         "start": start,
+        "horizon": first.scores[0].horizon,
         "scores": comparison_table(records, scores, start),
         "by_coordinate": text.coordinates_table(results, channels),
         "parameters": [group for groups in parameters for group in groups],
