@@ -228,6 +228,8 @@ def test_no_input_and_what_is_dropped_are_told_in_a_line(tmp_path: Path, capsys)
 def test_a_folder_of_nothing_but_pictures_has_no_logs(tmp_path: Path, capsys) -> None:
     for name in ("a.png", "b.jpg"):
         (tmp_path / name).write_bytes(b"\x89PNG\r\n")
-    code, out, err = tustinnet(capsys, "init", tmp_path, "--yes")
-    assert (code, out, err.count("\n")) == (1, "", 1)
-    assert "no logs" in err
+    fit = ("fit", tmp_path, "--out", tmp_path / "run")
+    for command in (("init", tmp_path, "--yes"), fit, (*fit, "--system", "qube-servo2")):
+        code, out, err = tustinnet(capsys, *command)
+        assert (code, out, err.count("\n")) == (1, "", 1)
+        assert "no logs" in err
