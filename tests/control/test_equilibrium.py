@@ -61,6 +61,18 @@ def test_a_fitted_model_has_its_equilibrium_beside_the_position():
         find_equilibrium(model, {"alpha": 0.0}, tolerance=0.01)
 
 
+def test_an_input_inside_its_dead_zone_is_named():
+    class Sticky(LinearMachine):
+        def step(self, x, u):
+            return super().step(x, u - jnp.clip(u, -0.5, 0.5))
+
+    whole = double_integrator()
+    model = Sticky(whole.a, whole.b, whole.channels)
+    point = find_equilibrium(model, {"s": 0.0})
+    with pytest.raises(tn.InputError, match="gain of force at 0 N is 0, as inside a dead zone"):
+        tn.control.lqr(model, point.x, point.u)
+
+
 def test_an_unobservable_mode_is_named_by_its_state():
     # an internal state that nothing shows
     class Hidden(LinearMachine):

@@ -19,6 +19,7 @@ from tustinnet.control.dynamics import (
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.linearise import value_and_jacobian
+from tustinnet.wording import join_words
 
 _TURNS = np.pi / 4 * np.arange(-4, 5)  # rad, where other equilibria are searched for
 _ON_CIRCLE = 1e-4  # 1/s, rates of growth or decay that count as none
@@ -300,10 +301,8 @@ def find_modes(
         Hautus (1969), Controllability and observability conditions of linear autonomous systems.
     """
     n_x = system.n_x
-    a, b = system.tangent(x, u, speeds)
-    # every command of the past is that of now
-    b = (b + a[:, n_x:].reshape(len(a), -1, system.n_u).sum(axis=1))[:n_x]
-    a, units = scipy.linalg.matrix_balance(a[:n_x, :n_x], permute=False, separate=True)
+    a, b = _tangent_of_held_inputs(system, x, u, speeds)
+    a, units = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     scale = units[0]
     b = b / scale[:, None]
     c = np.eye(n_x)[system.model.channels.position] * scale
@@ -334,6 +333,19 @@ def find_modes(
     return tuple(modes)
 
 
+def _tangent_of_held_inputs(
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    speeds: Float[np.ndarray, " n_q"] | None,
+) -> tuple[Float[np.ndarray, "n_x n_x"], Float[np.ndarray, "n_x n_u"]]:
+    """The linear model of the step, where every command of the past is that of now."""
+    n_x = system.n_x
+    a, b = system.tangent(x, u, speeds)
+    b = b + a[:, n_x:].reshape(len(a), -1, system.n_u).sum(axis=1)
+    return a[:n_x, :n_x], b[:n_x]
+
+
 def _smallest(matrix: Complex[np.ndarray, "n m"] | Float[np.ndarray, "n m"]) -> float:
     """The smallest singular value, which is 0 where the rank is not full."""
     return float(np.linalg.svd(matrix, compute_uv=False)[-1])
@@ -361,10 +373,25 @@ def require_stabilisable(
     """Raises where a mode that does not decay cannot be moved by the inputs.
 
     Raises:
-        InputError: such a mode, by its coordinates and its eigenvalue.
+        InputError: such a mode, by its coordinates and its eigenvalue, or inputs without effect.
     """
     for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
+            _, b = _tangent_of_held_inputs(system, x, u, speeds)
+            idle = [
+                f"{i.name} at {value:.4g} {i.unit}".rstrip()
+                for i, value, effect in zip(system.model.channels.inputs, u, b.T, strict=True)
+                if not effect.any()
+            ]
+            if idle:
+                raise InputError(
+                    "lqr",
+                    f"the gain of {join_words(idle)} is 0, as inside a dead zone: linear feedback "
+                    f"cannot move {mode.states[0]}, which does not come back by itself",
+                    "inputs that act at the equilibrium",
+                    "fit a model without the dead zone and add its width to the commands, or hold "
+                    "a point whose inputs are beyond it",
+                )
             raise InputError(
                 "lqr",
                 f"{mode} is not controllable from the inputs and does not decay",
