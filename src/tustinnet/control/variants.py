@@ -83,10 +83,13 @@ def make_variants(
         has_records: whether the noise was found by records, which allow its disturbances then.
     """
     generator = np.random.default_rng(seed)
+    about = "the model through its encoders"
     if options.counts is None:
         rounding = np.sqrt(12) * np.asarray(noise.measured, np.float64)
         resolution = model.channels.resolution
         options = replace(options, counts=np.where(resolution > 0, resolution, rounding))
+        if not resolution.all():  # of some encoder no count is known
+            about = "the model, with rounding as the filter expects"
     counts = np.asarray(options.counts, np.float64)
     family = family_of(model)
     members = () if family is EULER_LAGRANGE else family.alternatives(model, dict(header or {}))
@@ -102,7 +105,7 @@ def make_variants(
         several = [SteppedModel(one) for one in models]
         return plants(lambda i: ModelPlant(several[i % len(several)], options=options))
 
-    kinds = [VariantKind(NOMINAL, "the model through its encoders", same(options))]
+    kinds = [VariantKind(NOMINAL, about, same(options))]
     if len(members) > 1:
         about = "the members of the committee, in turn"
         kinds.append(VariantKind("members", about, in_turn(members), allowed=True))

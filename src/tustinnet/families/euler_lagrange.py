@@ -137,14 +137,13 @@ class EulerLagrangeFamily(IdentifiedFamily):
                 f"add `system=` {file} (in Python: load_model(path, system=...))",
             )
         channels = Channels.from_header(header)
-        if system is not None:
-            plant = channels.plant
-            loaded = load_system(system).plant.for_channels(plant.coordinates, plant.inputs, where)
-        elif made := _made_for_records(name):
+        if system is None and (made := _made_for_records(name)):
             terms = [Parameter(*fields) for fields in header["terms"]]
             loaded = made.restore(channels.coordinates, channels.inputs, terms)
         else:
-            loaded = load_system(name)
+            plant = channels.plant
+            loaded = load_system(name if system is None else system).plant
+            loaded = loaded.for_channels(plant.coordinates, plant.inputs, where)
         if loaded.name != name:
             raise InputError(
                 where, f"the system '{loaded.name}'", f"'{name}', which the model is of"

@@ -259,7 +259,8 @@ class LagrangianSystem:
     ) -> "LagrangianSystem":
         """The system with coordinates and inputs in the order of records.
 
-        Only a system with a `source` can be rearranged; another one is returned as it is.
+        Only a system with a `source` can be rearranged. Encoder counts and limits of inputs that
+        the system does not declare are those of the records.
 
         Args:
             coordinates: coordinates of the records.
@@ -269,14 +270,15 @@ class LagrangianSystem:
         Raises:
             InputError: coordinates or inputs that the source does not know, or some are missing.
         """
-        if self.source is None:
-            return self
-        return self.source.for_channels(coordinates, inputs, where)
+        arranged = self
+        if self.source is not None:
+            arranged = self.source.for_channels(coordinates, inputs, where)
+        return arranged._completed_by(coordinates, inputs)
 
     def for_records(self, records: Sequence[Experiment], where: object) -> "LagrangianSystem":
         """The system with coordinates and inputs of records, and ranges by their motion.
 
-        Only a system with a `source` is adapted; another one is returned as it is.
+        Only a system with a `source` gets ranges; for the rest see `for_channels`.
 
         Args:
             records: records of one kind, at least one.
@@ -285,7 +287,19 @@ class LagrangianSystem:
         Raises:
             InputError: see `for_channels`.
         """
-        return self if self.source is None else self.source.for_records(records, where)
+        arranged = self if self.source is None else self.source.for_records(records, where)
+        return arranged._completed_by(records[0].coordinates, records[0].inputs)
+
+    def _completed_by(
+        self, coordinates: Sequence[Coordinate], inputs: Sequence[Input]
+    ) -> "LagrangianSystem":
+        """The system with encoder counts and limits that only these coordinates and inputs have."""
+        given = (*coordinates, *inputs)
+        if [c.name for c in given] != [c.name for c in (*self.coordinates, *self.inputs)]:
+            return self
+        recorded = Channels(tuple(coordinates), tuple(inputs))
+        own, added = Channels(self.coordinates, self.inputs).completed_by([recorded])
+        return replace(self, coordinates=own.coordinates, inputs=own.inputs) if added else self
 
     def model(self, values: Values) -> "LagrangianModel":
         """The equations of motion with the values of all parameters, by name.
