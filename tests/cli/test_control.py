@@ -117,6 +117,8 @@ def test_what_fails_on_another_plant_is_not_written(model, system, tmp_path, cap
     code, text, messages = tustinnet(capsys, *told, "--force", "--json", "--out", out)
     assert code == 0, messages
     assert json.loads(text)["problem"]
+    readme = (out / "README.md").read_text()
+    assert "- its test on other plants failed (meets the goal in 0 of 2 runs" in readme
     assert (out / "controller.c").is_file()
 
 

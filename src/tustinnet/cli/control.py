@@ -280,7 +280,9 @@ def control(
         trial = trials.try_design(
             design, header, plants=plants, count=starts, candidates=candidates
         )
-        is_refused = bool(trial.robustness.problem) and not force
+        problem = trial.robustness.problem
+        is_refused = bool(problem) and not force
+        result = f"failed ({problem}), and was written all the same" if problem else "passed"
         export = (
             None
             if is_refused
@@ -292,6 +294,7 @@ def control(
                 deviations=design.deviations,
                 within=design.task.within,
                 file=model,
+                remarks=[f"its test on other plants {result}: {trial.robustness.sentence}"],
                 overwrite=overwrite,
             )
         )
@@ -313,7 +316,7 @@ def control(
             remedies += [] if is_physical else ["fit equations of motion (the recipe mechanism)"]
             raise InputError(
                 "the controller",
-                f"{trial.robustness.problem}; nothing was written",
+                f"{problem}; nothing was written",
                 "one that holds more than its model",
                 f"{', or '.join(remedies)}; --force writes it all the same",
             )

@@ -1,6 +1,6 @@
 """Writing a controller as a folder: C, gains, and scripts of solvers, compared with Python."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,6 +61,7 @@ def export_controller(
     file: str | Path | None = None,
     groups: Mapping[str, str] | None = None,
     lost_after: int = LOST_AFTER,
+    remarks: Sequence[str] = (),
     overwrite: bool = False,
 ) -> ControllerExport:
     """Writes a controller with its estimator and model as C, as gains, and as scripts of solvers.
@@ -83,6 +84,7 @@ def export_controller(
         groups: for models with values by group: which to take, as `{"payload": "1kg"}`.
         lost_after: samples in a row that the estimator cannot use, after which the inputs are the
             safe ones of the controller (`Feedback.safe`) until as many were used.
+        remarks: what else those who use it have to know, for README.md.
         overwrite: whether an export that is there may be replaced.
 
     Returns:
@@ -144,7 +146,7 @@ def export_controller(
         JSON: controller_json(gains, source.channels),
         MAT: controller_mat(gains, source.channels),
         **scripts,
-        "README.md": make_readme(controller, source, tuple(scripts), notes),
+        "README.md": make_readme(controller, source, tuple(scripts), [*remarks, *notes]),
     }
     checked = {
         "steps": check.steps,
