@@ -178,7 +178,8 @@ class Calibration:
                 "`band=`",
                 f"start '{start}'{_over(horizon)}",
                 f"'{self.start}'{_over(self.horizon)}, as the model was calibrated",
-                "name these, or calibrate anew",
+                "omit `start=` and `horizon=`, or calibrate the model for these (tn.calibrate): "
+                "errors grow with the length of runs",
             )
 
     def as_header(self) -> dict[str, Any]:
