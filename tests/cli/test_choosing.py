@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ from conftest import SYSTEM
 from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
-from tustinnet.cli.select import print_choice, read_options
+from tustinnet.cli.select import print_choice, print_next_steps, read_options
 from tustinnet.finding import make_finding
 from tustinnet.report.tables import Table
 
@@ -77,6 +78,23 @@ def test_notes_are_printed_once(monkeypatch, capsys, quiet):
     )
     print_choice(choice, quiet=quiet)  # without `quiet` they were printed while it was made
     assert ("* left out, too late: b" in capsys.readouterr().out) == quiet
+
+
+@pytest.mark.parametrize("error", [0.5, 133.0])
+def test_only_a_model_that_is_of_use_is_exported(capsys, error):
+    result = SimpleNamespace(rmse=lambda: {"a": error})
+    data = SimpleNamespace(channels=SimpleNamespace(inputs=("u",)))
+    choice: Any = SimpleNamespace(
+        best="m",
+        follows=True,  # as it is but for one record
+        result=lambda name: result,
+        reference=SimpleNamespace(mean=1.0),
+        context=SimpleNamespace(folder=Path("run"), data=data),
+    )
+    print_next_steps(choice, "logs")
+    printed = capsys.readouterr().out
+    assert ("export" in printed, "control" in printed) == (error < 1, error < 1)
+    assert "evaluate" in printed
 
 
 @pytest.mark.parametrize(

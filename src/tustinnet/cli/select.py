@@ -3,6 +3,7 @@
 import math
 import re
 import time
+from statistics import fmean
 
 import tustinnet as tn
 from tustinnet.cli import about, terminal
@@ -109,14 +110,27 @@ def select(
         )
     if not fit_options.json:
         print_files(choice, page or "")
-        steps = about.next_steps(
-            folder / run_folder.MODEL,
-            report.data_words,
-            follows=choice.follows,
-            has_inputs=bool(choice.context.data.channels.inputs),
-        )
-        terminal.echo(f"next: {steps}")
+        print_next_steps(choice, report.data_words)
     require_report(page)
+
+
+def print_next_steps(choice: "choices.Choice", data: str) -> None:
+    """Prints commands to go on with; those that use the model only where it is of use.
+
+    Args:
+        choice: the choice.
+        data: the records as the user named them, in words of a shell.
+    """
+    context = choice.context
+    # candidates are compared without the size of errors of lost records, which counts here
+    mean = fmean(choice.result(choice.best).rmse().values())
+    steps = about.next_steps(
+        context.folder / run_folder.MODEL,
+        data,
+        follows=choice.follows and mean < choice.reference.mean,
+        has_inputs=bool(context.data.channels.inputs),
+    )
+    terminal.echo(f"next: {steps}")
 
 
 def draw_choice(choice: "choices.Choice") -> None:
