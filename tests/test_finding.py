@@ -49,6 +49,7 @@ def test_a_finding_is_written_as_json_with_those_that_are_its_parts():
         ("{n:record}", {"n": 1}, "1 record"),
         ("{n:whole record}", {"n": 2}, "2 whole records"),
         ("{share:percent}, {share:percent.4g}", {"share": 0.12345}, "12 %, 12.35 %"),
+        ("{share:percent}, {more:percent.3g}", {"share": 7.6, "more": 12.34}, "760 %, 1234 %"),
         ("{shares:percent}", {"shares": {"a": 0.1, "b": 0.023}}, "a 10 %, b 2.3 %"),
         ("{names}", {"names": ["a", "b", "c"]}, "a, b, c"),
         ("{names:quoted and}", {"names": ["a", "b", "c"]}, "'a', 'b' and 'c'"),

@@ -14,6 +14,8 @@ def join_words(words: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {end}" if first else end
 
 
-def percent(share: float) -> str:
-    """Hundredths of a share, two digits of a small one."""
-    return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.0f}"
+def percent(share: float, digits: int = 2) -> str:
+    """Hundredths of a share: so many digits of a small one, whole numbers up to 9999."""
+    value = 100 * share
+    is_whole = 10**digits - 1 < value < 9999.5
+    return f"{value:.0f}" if is_whole else f"{value:.{digits}g}"

@@ -19,6 +19,7 @@ from tustinnet.report.drawing import COLOURS, INPUT, LONG_LINE, MEASURED, figure
 from tustinnet.report.page.signals import bounded
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
+from tustinnet.wording import percent
 
 _DASHES = ("-.", "--", ":", (0, (6, 1, 1, 1, 1, 1)), "--")
 _LEGEND_WIDTH = 118  # characters of a legend that fit below a figure, 7 of a column for its line
@@ -203,7 +204,7 @@ def forces_figure(forces: RecordForces) -> Figure:
             for label, values, colour in lines:
                 plot_line(axes, t, values[:, k], color=colour, label=label)
             axes.set_ylabel(f"{error.coordinate} [{error.unit}]")
-            axes.set_title(f"missing {100 * error.share:.3g} %", loc="right")
+            axes.set_title(f"missing {percent(error.share, 3)} %", loc="right")
         title = f"{forces.record}: forces up to {forces.cutoff:.3g} Hz"
         panels[0].set_title(title, loc="left")
         panels[-1].set_xlabel("time [s]")

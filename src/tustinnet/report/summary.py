@@ -10,7 +10,7 @@ from tustinnet.fitting.recipe import TrainingRecipe
 from tustinnet.report.progress import duration
 from tustinnet.report.tables import amounts
 from tustinnet.simulate.horizon import horizon_words
-from tustinnet.wording import counted
+from tustinnet.wording import counted, percent
 
 
 def fit_summary(run: Run) -> tuple[str, ...]:
@@ -49,14 +49,14 @@ def _describe_accuracy(run: Run) -> str:
     if not finite:
         return f"all free runs of {counted(len(scores), 'record')} diverge"
     reference = run.reference
-    percent = 100 * np.mean([s.nrmse for s in finite], axis=0)
+    nrmse = np.mean([s.nrmse for s in finite], axis=0)
     shares = ", ".join(
-        f"{share:.2g} % of {c.name}'s"
-        for c, share in zip(channels.coordinates, percent, strict=True)
+        f"{percent(share)} % of {c.name}'s"
+        for c, share in zip(channels.coordinates, nrmse, strict=True)
     )
-    if len(percent) > 3:  # no room for all: the largest says what is wrong
-        worst = channels.coordinates[int(np.argmax(percent))].name
-        shares = f"{percent.min():.2g} to {percent.max():.2g} %, most of {worst}'s,"
+    if len(nrmse) > 3:  # no room for all: the largest says what is wrong
+        worst = channels.coordinates[int(np.argmax(nrmse))].name
+        shares = f"{percent(nrmse.min())} to {percent(nrmse.max())} %, most of {worst}'s,"
     diverged = f"; {len(scores) - len(finite)} diverge" if len(finite) < len(scores) else ""
     recipe = run.best.result.recipe
     restarted = horizon_words(scores[0].horizon)

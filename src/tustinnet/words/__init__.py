@@ -41,8 +41,8 @@ class _Formatter(string.Formatter):
         if value is True:  # it only says that its part is there
             return ""
         if format_spec.startswith(_PERCENT):
-            digits = format_spec.removeprefix(_PERCENT)
-            return f"{format(100 * value, digits) if digits else percent(float(value))} %"
+            digits = format_spec.removeprefix(_PERCENT).strip(".g")
+            return f"{percent(float(value), int(digits or 2))} %"
         if isinstance(value, int) and len(format_spec) > 1 and format_spec[:1].isalpha():
             return counted(value, format_spec)
         return super().format_field(value, format_spec)

@@ -32,7 +32,7 @@ from tustinnet.report.tables import Table, amounts, number, numbers
 from tustinnet.selection.jobs import LEFT_OUT
 from tustinnet.simulate.horizon import horizon_words
 from tustinnet.store.header import find_fitted, records_in_header
-from tustinnet.wording import counted, join_words
+from tustinnet.wording import counted, join_words, percent
 
 _CHECKSUM_DIGITS = 12  # of a checksum
 
@@ -94,7 +94,7 @@ def describe_accuracy(
         mean = amounts(mean_rmse_by_unit(scores, channels))
         worst = max(scores, key=lambda s: s.mean_nrmse)
         best = min(scores, key=lambda s: s.mean_nrmse)
-        low, high = (f"{100 * s.mean_nrmse:.2g} %" for s in (best, worst))
+        low, high = (f"{percent(s.mean_nrmse)} %" for s in (best, worst))
         measure = " of the motion's standard deviation"
     spread = ""
     if scores[1:]:
