@@ -76,7 +76,8 @@ def tustinnet(
     """From logs of a mechanical system to a model that simulates it.
 
     Exit codes: 0 success, 1 failure (one line says why), 2 wrong usage, 129, 130 or 143 stopped by
-    SIGHUP, Ctrl-C or SIGTERM (a line says whether the model is there).
+    SIGHUP, Ctrl-C or SIGTERM (a line says whether the model is there), 141 no reader of the output.
+    fit without a recipe ends with its best model and 0 at the first Ctrl-C, with 130 at the second.
     """
     if verbose and not version:
         raise InputError("--verbose", "not applicable without --version", "--version --verbose")
