@@ -44,6 +44,6 @@ def test_bands_are_of_other_parameters():
     np.testing.assert_allclose(np.abs(found.loops[2, -700] / found.loops[0, -700]), 0.5, atol=0.02)
     assert not np.allclose(found.steps[2], found.steps[0], atol=0.05)
     figure = frequency_figure(found, model.channels)
-    assert [axes.get_title() for axes in figure.axes][-1] == "after a step of its goal by 1"
+    assert [axes.get_title() for axes in figure.axes][-1] == "a coordinate after a step of its goal"
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels == ["force", "sensitivity"]

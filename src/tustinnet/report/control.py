@@ -182,14 +182,21 @@ def frequency_figure(responses: LoopResponses, channels: Channels) -> Figure:
         _banded(gain, hertz, _decibel(responses.sensitivity), MEASURED, "sensitivity")
         for j, c in enumerate(channels.coordinates):
             rows = responses.steps[:, :, j]
-            _banded(steps, responses.times, rows, COLOURS[j % len(COLOURS)], c.name)
+            _banded(
+                steps, responses.times, rows, COLOURS[j % len(COLOURS)], f"{c.name} by its goal"
+            )
         shown = responses.steps[0]
         nyquist.plot([-1], [0], "+", color=MEASURED)
         nyquist.set(xlim=(-3, 1), ylim=(-2, 2), title="Nyquist plot of the loop, and -1")
         gain.set(title="gain of the loop, and its sensitivity [dB]", ylim=(-40, 40), xscale="log")
         phase.set(title="phase of the loop [deg]", xlabel="frequency [Hz]", xscale="log")
         ends = shown.min() - 0.2, shown.max() + 0.2
-        steps.set(title="after a step of its goal by 1", xlabel="time [s]", ylim=ends)
+        steps.set(
+            title="a coordinate after a step of its goal",
+            xlabel="time [s]",
+            ylabel="share of the step",
+        )
+        steps.set_ylim(*ends)
         gain.legend(fontsize=7.5)
         steps.legend(fontsize=7.5)
         return figure

@@ -277,7 +277,8 @@ def _ahead_table(errors: Float[np.ndarray, "horizon n_q"], channels: Channels) -
         [str(k), f"{k * channels.dt:g}", *[number(x, 4) for x in by_unit[k - 1]]] for k in shown
     ]
     columns = ["k", "horizon [s]", *[f"RMSE [{unit}]" for unit in channels.units]]
-    return Table(columns, rows, title="k steps ahead")
+    title = "k steps ahead, from the position and velocity of the record at every sample"
+    return Table(columns, rows, title=title)
 
 
 def _forces_table(along: Sequence[RecordForces]) -> Table:
