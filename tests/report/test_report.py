@@ -51,15 +51,29 @@ def test_units_in_brackets_are_printed_as_they_are():
         assert text in out.getvalue()
 
 
-def test_a_table_that_is_too_wide_for_a_terminal_is_a_block_for_each_row():
-    table = Table(["record", "a long heading", ""], [["one", "1", "x"], ["two", "2", ""]], "t")
-    told = {}
-    for width, is_terminal in ((12, True), (80, True), (12, False)):
-        table.print(Console(file=(out := io.StringIO()), width=width, force_terminal=is_terminal))
-        told[width, is_terminal] = out.getvalue()
-    blocks = "t\nrecord one\n  a long heading  1\n                  x\nrecord two\n"
-    assert told[12, True].startswith(blocks)
-    assert "record one" not in told[80, True] + told[12, False]
+def test_a_table_that_is_too_wide_is_printed_in_parts():
+    rows = [["one", "q", "1", "x"], ["one", "u", "2", ""]]
+    table = Table(["record", "channel", "a long heading", "b"], rows, "t")
+    printed = {}
+    for width in (34, 80, None):
+        table.print(Console(file=(out := io.StringIO()), width=12), width)
+        lines = [line.split() for line in out.getvalue().splitlines()]
+        printed[width] = [line for line in lines if line and "─" not in line[0]]
+    whole = [
+        ["t"],
+        ["record", "channel", "a", "long", "heading", "b"],
+        *map(str.split, ["one q 1 x", "one u 2"]),
+    ]
+    assert printed[80] == printed[None] == whole
+    # without the row that has nothing in the second part
+    assert printed[34] == [
+        ["t"],
+        ["record", "channel", "a", "long", "heading"],
+        ["one", "q", "1"],
+        ["one", "u", "2"],
+        ["record", "channel", "b"],
+        ["one", "q", "x"],
+    ]
 
 
 @pytest.mark.thorough

@@ -1,13 +1,12 @@
 """Consoles of Rich: of messages, and of tables of results."""
 
+import os
 from typing import Any
 
 from rich.console import Console
 
 from tustinnet.cli.options import with_options
 from tustinnet.report.tables import Table
-
-_PIPED_WIDTH = 200  # columns of a table that goes into a file or a pipe
 
 
 class Messages(Console):
@@ -23,9 +22,8 @@ class Messages(Console):
 
 
 def print_tables(*tables: Table) -> None:
-    """Prints results as tables on standard output."""
+    """Prints results as tables on standard output; in a file or a pipe they may be of any width."""
     console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_PIPED_WIDTH)
+    width = console.width if console.is_terminal or "COLUMNS" in os.environ else None
     for table in tables:
-        table.print(console)
+        table.print(console, width)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 from rich.box import SIMPLE_HEAD
@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+_GAP = 3  # blanks between columns; a table has one before and one behind them
 _LATEX = {"&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$"}
 
 
@@ -27,38 +28,48 @@ class Table:
     rows: Sequence[Sequence[str]]
     title: str = ""
 
-    def print(self, console: Console) -> None:
-        """Prints the table; on a terminal that is too narrow a block of lines for each row."""
-        rich_table = RichTable(
-            title=Text(self.title) if self.title else None,
-            title_justify="left",
-            title_style="bold",
-            box=SIMPLE_HEAD,
-            pad_edge=False,
-            padding=(0, 1),
-        )
-        for i, column in enumerate(self.columns):
-            rich_table.add_column(Text(column), justify="left" if i == 0 else "right", no_wrap=True)
-        for row in self.rows:
-            rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
-        # a table must not be cut to the console's width, beyond which no width of a print goes
-        # wider than any table, which takes no more than it needs
-        width, console.width = console.width, 10_000
-        is_wide = console.is_terminal and console.measure(rich_table).maximum > width
-        shown = Text(self._blocks()) if is_wide else rich_table
-        console.print(shown, crop=False, soft_wrap=True)
-        console.width = width
+    def print(self, console: Console, width: int | None = None) -> None:
+        """Prints the table; one that is wider than `width` in parts, below each other."""
+        # beyond the console's width no print goes; a table takes no more than it needs
+        own_width, console.width = console.width, 10_000
+        for part in [self] if width is None else self._parts(width):
+            rich_table = RichTable(
+                title=Text(part.title) if part.title else None,
+                title_justify="left",
+                title_style="bold",
+                box=SIMPLE_HEAD,
+                pad_edge=False,
+                padding=(0, 1),
+            )
+            for i, column in enumerate(part.columns):
+                justify = "left" if i == 0 else "right"
+                rich_table.add_column(Text(column), justify=justify, no_wrap=True)
+            for row in part.rows:
+                rich_table.add_row(*map(Text, row))  # Text: a unit in brackets is not markup
+            console.print(rich_table, crop=False, soft_wrap=True)
+        console.width = own_width
 
-    def _blocks(self) -> str:
-        """A block of lines for each row, empty cells left out."""
-        _, *columns = self.columns
-        width = max(map(len, columns), default=0)
-        lines = [self.title] if self.title else []
-        for name, *cells in self.rows:
-            lines += [f"{self.columns[0]} {name}".strip()]
-            pairs = zip(columns, cells, strict=True)
-            lines += [f"  {column:{width}}  {cell}" for column, cell in pairs if cell]
-        return "\n".join(lines) + "\n"
+    def _parts(self, width: int) -> list["Table"]:
+        """Tables with some of the columns each, behind the first ones, which tell rows apart."""
+        lines = [self.columns, *self.rows]
+        sizes = [_GAP + max(map(len, cells)) for cells in zip(*lines, strict=True)]
+        counts = range(1, len(sizes))
+        first = next((n for n in counts if len({(*row[:n],) for row in lines}) == len(lines)), 1)
+        room = width + 1 - sum(sizes[:first])
+        parts: list[list[int]] = [[]]
+        for i in range(first, len(sizes)):
+            if parts[-1] and sum(sizes[j] for j in [*parts[-1], i]) > room:
+                parts.append([])
+            parts[-1].append(i)
+        tables = [self._part(first, part) for part in parts] if len(parts) > 1 else [self]
+        return [replace(table, title="") if i else table for i, table in enumerate(tables)]
+
+    def _part(self, first: int, chosen: Sequence[int]) -> "Table":
+        """A table of the first and of the chosen columns, without rows that have none of these."""
+        columns = [*range(first), *chosen]
+        rows = [row for row in self.rows if any(row[i] for i in chosen)]
+        pick = [[line[i] for i in columns] for line in (self.columns, *rows)]
+        return Table(pick[0], pick[1:], self.title)
 
     def markdown(self) -> str:
         """The table in Markdown."""
