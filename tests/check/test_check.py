@@ -102,6 +102,16 @@ def test_a_reversal_at_a_dead_band_is_no_jump(rate: float) -> None:
     assert not {"jump", "counter", "frozen sensor"} & {f.code for f in check([e])}
 
 
+def test_a_joint_that_sticks_where_it_turns_has_no_frozen_sensor() -> None:
+    # slower before than after, as friction and gravity have it
+    steps = [*range(-9, -1), *[-1] * 9, *[0] * 14, 1, 1, *[2] * 9, *range(3, 9)]
+    once = np.cumsum(steps)
+    q = np.tile(np.concatenate([once, np.linspace(once[-1], 0, 200)]), 3)
+    late = np.random.default_rng(0).uniform(-0.1, 0.1, len(q))
+    e = arm(np.round(q) * COUNT, t=DT * (np.arange(len(q)) + late)).resample(DT)
+    assert "frozen sensor" not in {f.code for f in check([e])}
+
+
 def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
     flicker = np.cumsum(np.random.default_rng(1).uniform(size=800) < 0.02) % 2
     q = np.stack([swing(), COUNT * flicker], axis=1)

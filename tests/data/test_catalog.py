@@ -135,7 +135,7 @@ def test_a_folder_of_a_published_data_set_needs_no_card(
 
 
 def test_a_folder_without_a_card_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    told = r"no dataset\.toml.*docs/reference/data\.md.*`card=` FILE"
+    told = r"no logs and no dataset\.toml.*add-a-reader\.md.*`card=` FILE"
     with pytest.raises(tn.InputError, match=told):
         tn.load(tmp_path)
     (tmp_path / "read me.pdf").touch()

@@ -276,6 +276,7 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     missed, expected = q[last + margin + 1] - q[last], (before + after) / 2 * (length + margin)
     catches_up = (
         (length >= LEVELS.frozen + 2 * margin)
+        & (before * after > 0)  # else it turns
         & (np.abs(missed) > np.maximum(least, 3 * faster))
         & (np.abs(expected) > least)
         & (np.abs(missed - expected) < 0.6 * np.abs(missed) + least)

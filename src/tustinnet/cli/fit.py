@@ -20,7 +20,7 @@ from tustinnet.cli.models import (
     require_readable_robot,
     require_system_of_card,
 )
-from tustinnet.cli.records import load_records_to_fit, print_still_coordinates, require_logs
+from tustinnet.cli.records import load_records_to_fit, print_still_coordinates
 from tustinnet.cli.select import read_options, select
 from tustinnet.cli.verb import refuse_options
 from tustinnet.data import catalog
@@ -122,7 +122,6 @@ def fit(
         )
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")
-    require_logs(data, card)
     require_system_of_card(found_system, data, card)
     if card is None and catalog.lacks_card(data):
         card = draft_into_run(Path(data), out, keeps=resume, overwrite=overwrite)

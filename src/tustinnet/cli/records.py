@@ -10,18 +10,10 @@ from tustinnet.cli.completion import ALL
 from tustinnet.cli.files import list_input_files, require_apart
 from tustinnet.cli.findings import assumed_lines, spoiled_lines, warning_lines
 from tustinnet.data import catalog, inspection, loading
-from tustinnet.data.drafting import files as log_files
 from tustinnet.simulate.start_names import DERIVED, parse_start
 from tustinnet.store import files as disk
 from tustinnet.store import run_folder
 from tustinnet.wording import counted
-
-
-def require_logs(data: str, card: Path | None) -> None:
-    """Raises for a folder with neither a data card nor logs, of which one could be drafted."""
-    folder = Path(data)
-    if card is None and folder.is_dir() and not (folder / catalog.CARD_NAME).is_file():
-        log_files.list_logs([folder])
 
 
 def load_records_to_fit(data: str, card: Path | None, out: Path) -> "tn.DataSet":

@@ -114,14 +114,18 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
         if entry.is_in(path):
             return path, entry.card()
     logs = (file for pattern in ("*", "*/*") for file in sorted(path.glob(pattern)))
-    remedy = "write one (docs/reference/data.md shows how)"
-    if any(is_log(file) for file in logs):
-        remedy = f"`tustinnet init {shlex.quote(str(path))}` writes one"
+    if not any(is_log(file) for file in logs):
+        raise InputError(
+            path,
+            f"no logs and no {CARD_NAME}",
+            "files of columns, such as .csv, .parquet or .mat",
+            "check the folder (other formats: docs/how-to/add-a-reader.md), or give `card=` FILE",
+        )
     raise InputError(
         path,
         f"no {CARD_NAME} and no data set of the catalog in this folder",
         "a data card that says what the columns mean",
-        f"{remedy}, or give `card=` FILE",
+        f"`tustinnet init {shlex.quote(str(path))}` writes one, or give `card=` FILE",
     )
 
 
