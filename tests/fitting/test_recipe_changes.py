@@ -204,3 +204,7 @@ def test_a_mapping_is_as_moderate_as_a_file():
         tn.read_recipe({**SMALL, "model": deep})
     with pytest.raises(tn.InputError, match="more than 64 bits"):
         tn.read_recipe({**SMALL, "velocity": 10**5000})
+
+
+def test_a_single_change_needs_no_list():
+    assert tn.read_recipe("grey", "search.iterations=7").search.iterations == 7  # pyright: ignore[reportAttributeAccessIssue]

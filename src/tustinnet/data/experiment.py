@@ -429,6 +429,9 @@ class Experiment(HasChannels, Plotted):
                 the stored ones where they were measured and are not padded with zero rows, else
                 the stencil.
         """
+        if source not in get_args(VelocitySource):
+            sources = ", ".join(get_args(VelocitySource))
+            raise InputError(self.name, f"velocities by '{source}'", f"one of {sources}")
         if source == "auto":
             usable = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
             source = "file" if usable else "stencil"

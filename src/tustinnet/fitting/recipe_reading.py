@@ -23,18 +23,20 @@ def is_published(recipe: Recipe) -> bool:
 
 
 def read_recipe(
-    which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] = ()
+    which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] | str = ()
 ) -> Recipe:
     """A packaged recipe by name, or a recipe from a TOML file or a mapping.
 
     Args:
         which: the recipe.
-        changes: `KEY=VALUE`, the key with dots between tables, as `stages.0.epochs=20` or, in
-            all stages, `stages.*.epochs=20`; the value as TOML has it, text also without quotes.
+        changes: one or several of `KEY=VALUE`, the key with dots between tables, as
+            `stages.0.epochs=20` or, in all stages, `stages.*.epochs=20`; the value as TOML has it,
+            text also without quotes.
 
     Raises:
         InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
     """
+    changes = [changes] if isinstance(changes, str) else changes
     keys = [change.partition("=")[0].strip() for change in changes]
     for i, key in enumerate(keys):
         if key in keys[:i]:

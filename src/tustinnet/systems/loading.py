@@ -45,9 +45,9 @@ def load_system(which: AnySystem) -> LagrangianSystem:
     joints that are locked and inputs that are currents.
 
     Args:
-        which: a name (`qube-servo2`, `qube-servo2-naive`, `qube-servo2-memory`,
-            `qube-servo2-rubbing`, `qube-servo2-turned`), or a file, as `arm.py`,
-            `arm.urdf` or `robot.xml`; a system is returned as it is.
+        which: a name, as `qube-servo2`, `cart-pole` or `crane` (all of them in
+            docs/reference/systems.md and library.md), or a file, as `arm.py`, `arm.urdf` or
+            `robot.xml`; a system is returned as it is.
 
     Raises:
         InputError: no such name or file, a file that fails or has no `SYSTEM`, a system that is
