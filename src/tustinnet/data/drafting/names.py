@@ -363,6 +363,8 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if len(ending) > 1:
         return ending not in _NO_ENDINGS
     symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
+    if symbol in _UNITS:
+        return False  # `Ink_M`, counts of a motor
     quantity, named_quantities = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
     if quantity in named_quantities:
         return symbol not in ("q", *ANGULAR)
@@ -370,4 +372,4 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     if ending == "c":  # `Tcoil_C`
         return symbol.startswith("t") and not named_quantities
     is_possible = not named_quantities if ending == "m" else quantity in INPUTS and not is_motion
-    return is_possible and len(symbol) > 1 and symbol not in _UNITS  # `Ink_M`
+    return is_possible and len(symbol) > 1

@@ -32,8 +32,8 @@ _STRONG: dict[Quantity, str] = {
     "task lfd messpunkt",
     "position": "pos position positions angle angles winkel enc encoder encoders theta phi psi "
     "lage weg hub drehwinkel auslenkung deflection displacement height hoehe pitch roll yaw "
-    "stellung poti potentiometer pot resolver geber drehgeber qpos elongation stroke azimuth "
-    "elevation posicion hoek lage tilt heading",
+    "stellung poti potentiometer pot resolver geber drehgeber ink inkremente qpos elongation "
+    "stroke azimuth elevation posicion hoek lage tilt heading",
     "velocity": "vel velo velocity velocities speed omega tacho dot qdot "
     "geschwindigkeit geschw drehzahl winkelgeschwindigkeit qvel rate punkt drehrate spd erpm "
     "derivative ableitung",
