@@ -40,6 +40,23 @@ def test_the_equation_of_a_pendulum_is_that_of_the_textbook() -> None:
     assert written._repr_latex_().startswith(r"$$\begin{aligned} \ddot{\theta} &= -40")
 
 
+def test_equations_are_those_of_the_first_group_or_of_the_record_s() -> None:
+    channels = (tn.Coordinate("theta", "angular"),), (tn.Input("torque", "N m"),)
+    system = tn.LagrangianSystem(
+        "wheel",
+        *channels,
+        (tn.Parameter("inertia", "kg m^2", 1.0, 0.1, 9.0, per="load"),),
+        kinetic=lambda q, v, p: p["inertia"] * v[0] ** 2 / 2,
+        input_map=lambda q, v, u, p: u,
+    )
+    values = {"inertia[full]": 2.0, "inertia[none]": 0.5}
+    model = system.model({name: jnp.asarray(x) for name, x in values.items()})
+    assert tn.equations_of_motion(model).text == ("theta'' = 0.5 torque",)
+    assert equations_header(model) == {"equations": ("theta'' = 0.5 torque",)}
+    other = model.for_groups({"load": "none"}, "here")
+    assert tn.equations_of_motion(other).text == ("theta'' = 2 torque",)
+
+
 def evaluate(text: str, numbers: dict[str, float]) -> float:
     """The value of one side of an equation in plain text."""
     factor = r"(?<=[\w')|]) (?=[\w(|])"  # a blank between factors is a product

@@ -48,7 +48,8 @@ def equations_of_motion(model: Model | ContinuousModel) -> EquationsOfMotion:
     of one acceleration is divided by a constant inertia. Positions are in rad or m.
 
     Args:
-        model: a model with equations of motion, of a group where values differ by groups.
+        model: a model with equations of motion. Where values differ by groups and it is the model
+            of none, those of the first group count.
 
     Raises:
         InputError: a model without equations of motion, or whose equations are too long to read.
@@ -57,7 +58,9 @@ def equations_of_motion(model: Model | ContinuousModel) -> EquationsOfMotion:
     if equations is None:
         raise InputError("equations", "a model without equations of motion", "one with them")
     system = equations.system.plant
-    equations = system.model({p.name: equations.values[p.name] for p in system.parameters})
+    by_group = {p.name: [*p.by_group(equations.values).values()][:1] for p in system.grouped}
+    values = {name: x for name, first in by_group.items() for x in first} | equations.values
+    equations = system.model({p.name: values[p.name] for p in system.parameters})
     coordinates = [_symbol_name(name) for name in system.coordinate_names]
     if (n := len(coordinates)) > _MOST_COORDINATES:
         raise _too_long(f"{n} coordinates")
@@ -103,7 +106,7 @@ def equations_header(model: Model | ContinuousModel) -> dict[str, tuple[str, ...
     """The entry of a model file's header with the equations; none where they cannot be read."""
     try:
         return {"equations": equations_of_motion(model).text}
-    except InputError:
+    except Exception:  # of any kind: they only describe the model, and no fit is lost by them
         return {}
 
 
