@@ -97,6 +97,13 @@ def test_fit_takes_the_file_and_keeps_a_copy(logs, tmp_path, capsys):
     for own, fitted in zip(json.loads(out)["forces"], held_out, strict=True):
         assert own.keys() == fitted.keys()
         assert own["missing"] == pytest.approx(fitted["missing"], rel=1e-3)
+    # records without any of training are compared up to the frequency of the fit, too
+    aside = tmp_path / "aside.toml"
+    aside.write_text(CARD.partition("train =")[0] + 'test = ["run2.csv"]\n')
+    code, out, err = tustinnet(
+        capsys, "evaluate", run / "model.safetensors", logs, "--card", aside, "--forces", "--json"
+    )
+    assert [e["cutoff"] for e in json.loads(out)["forces"]] == [e["cutoff"] for e in held_out]
     assert tn.load_model(run / "model.safetensors").coordinates[0].name == "pole"
     page = (run / "report.html").read_text()
     assert "Missing forces" in page

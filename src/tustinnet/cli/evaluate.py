@@ -33,7 +33,7 @@ from tustinnet.report import evaluation as evaluation_report
 from tustinnet.report import figures as result_figures
 from tustinnet.report import residuals as residual_report
 from tustinnet.report.page import reported_model
-from tustinnet.store import model_file
+from tustinnet.store import header, model_file
 from tustinnet.systems import files as system_files
 
 _AHEAD_FIGURE, _RESIDUAL_FIGURE = "ahead", "residuals"
@@ -263,7 +263,11 @@ def _evaluate_one(
         ahead=None
         if ahead is None
         else predictions_ahead.coordinate_rmse_ahead(model, records, ahead),
-        along=model_forces.forces_of_records(model, records, training=training) if forces else [],
+        along=model_forces.forces_of_records(
+            model, records, header.cutoff_in_header(tn.read_header(path)), training=training
+        )
+        if forces
+        else [],
         residuals=[]
         if lags is None
         else residual_tests.residual_reports(model, records, start, lags, horizon=runs.horizon),

@@ -82,6 +82,12 @@ class _Refit(Entries):
     values: dict[str, Number] = Field(default_factory=dict)
 
 
+class _ForceError(Entries):
+    """The missing force at a coordinate, see `fitting.report.ForceError`."""
+
+    cutoff: Positive
+
+
 class _Identification(Entries):
     """An identification, see `fitting.report.Identification.as_plain`."""
 
@@ -92,6 +98,7 @@ class _Identification(Entries):
     outcome: str = ""
     residual_rmse: dict[str, Size | None] = Field(default_factory=dict)
     downweighted: list[_Stretch] = Field(default_factory=list)
+    force_errors: list[_ForceError] = Field(default_factory=list)
     refined: _Refit | None = None
 
     @model_validator(mode="after")
@@ -319,6 +326,12 @@ def judgement_in_header(header: Mapping[str, Any]) -> Judgement | None:
     if "start" not in scores:
         return None
     return Judgement(**{key: scores[key] for key in Judgement.model_fields if key in scores})
+
+
+def cutoff_in_header(header: Mapping[str, Any]) -> float | None:
+    """The frequency up to which the fit of a file's model compared forces [Hz]; None for none."""
+    errors = header.get("identification", {}).get("force_errors", ())
+    return next((e["cutoff"] for e in errors), None)
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

@@ -38,9 +38,10 @@ def inverse_dynamics(
         model: a model with equations of motion.
         record: a record, of any split.
         cutoff: frequency up to which forces are compared [Hz]; by default that up to which the
-            equations of motion can explain forces that they were not fitted to. Numbers of other
-            frequencies are others.
-        training: records by which least squares, as a reference, has its parameters.
+            equations of motion can explain forces that they were not fitted to, along the training
+            records if there are any, else along this one. Numbers of other frequencies are others.
+        training: records by which least squares, as a reference, has its parameters; those of a fit
+            lead to the cut-off frequency of the fit.
 
     Raises:
         InputError: a model without equations of motion, or one whose forces do not follow from a
