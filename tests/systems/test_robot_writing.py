@@ -217,6 +217,14 @@ def test_a_group_of_records_is_written_by_itself(tmp_path):
     tn.export_model(discrete, "urdf", tmp_path / "none", groups={"payload": "none"})
     exported = tn.load_system(tmp_path / "none" / "robot.urdf").nominal()
     assert exported["spindle.mass"] == pytest.approx(values["spindle.mass"])
+    # its file asks for the system with these groups, not for the file of the robot alone
+    tn.save(discrete, tmp_path / "m.safetensors")
+    line = r"SYSTEM = tn\.load_robot\('scara.urdf', per=\{'spindle': 'payload'\}\)"
+    for given in (None, ROBOTS / "scara.urdf"):
+        with pytest.raises(
+            tn.InputError, match=rf"a Python file with {line}; add `?(system=|--sys)"
+        ):
+            tn.load_model(tmp_path / "m.safetensors", given)
 
 
 def test_what_cannot_be_written_is_one_line(tmp_path):

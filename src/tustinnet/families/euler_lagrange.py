@@ -41,6 +41,7 @@ from tustinnet.registry import SYSTEMS
 from tustinnet.simulate.recent import keep_latest
 from tustinnet.systems.files import SystemTemplate
 from tustinnet.systems.loading import load_system
+from tustinnet.systems.robot_options import RobotOptions
 
 _VALUES = "values"  # the name of the array of the parameters' values
 _PROBED = "probed"  # the name of the array of derivatives at the probes
@@ -54,10 +55,14 @@ class EulerLagrangeHyper(IdentifiedHyper):
 
 
 class SystemEntries(Entries):
-    """The system of a grey box: its name, and the name of the file that defines it."""
+    """The system of a grey box: its name, and the name of the file that defines it.
+
+    `call` is the line of a Python file that loads a robot's file with options.
+    """
 
     name: str
     file: str
+    call: str = ""
 
 
 # the first fields of `Parameter`
@@ -99,7 +104,7 @@ class EulerLagrangeFamily(IdentifiedFamily):
         by_record = {p.name for p in system.grouped if p.by_group(equations.values)}
         names = sorted(set(equations.values) - by_record)
         header: Header = {
-            "system": {"name": system.name, "file": _file_name(system)},
+            "system": _describe_system(system),
             "parameters": names,
             "substeps": model.substeps,
         }
@@ -129,13 +134,8 @@ class EulerLagrangeFamily(IdentifiedFamily):
         """The model of the packaged system, or of the one given, with the file's values."""
         name = header["system"]["name"]
         if system is None and name not in SYSTEMS:
-            file = header["system"]["file"] or "FILE.py"
-            raise InputError(
-                where,
-                f"a model of the system '{name}', which the package does not have",
-                f"its file ({file})",
-                f"add `system=` {file} (in Python: load_model(path, system=...))",
-            )
+            problem = f"a model of the system '{name}', which the package does not have"
+            raise _other_system_error(where, problem, header)
         channels = Channels.from_header(header)
         if system is None and (made := _made_for_records(name)):
             terms = [Parameter(*fields) for fields in header["terms"]]
@@ -166,9 +166,9 @@ class EulerLagrangeFamily(IdentifiedFamily):
         ]
         per = {p.name: p.per for p in loaded.grouped} if model.groups else {}
         if sorted(expected) != header["parameters"] or per != header.get("per", {}):
-            raise InputError(
-                where, "parameters that the system does not have", "those of the system"
-            )
+            others = [f"'{n}'" for n in header["parameters"] if n not in expected][:3]
+            problem = f"parameters that the system does not have {', '.join(others)}".rstrip()
+            raise _other_system_error(where, problem, header)
         _require_same(model, arrays[_PROBED], where)
         return discretise(model, header["dt"], header["substeps"], inputs=channels.inputs)
 
@@ -296,6 +296,24 @@ def _describe_parameters(system: LagrangianSystem, names: Iterable[str]) -> list
     """The parameters that were added to a system, as a file keeps them."""
     parameters = [system.parameter(name) for name in names]
     return [[p.name, p.unit, p.nominal, p.lower, p.upper, p.fixed] for p in parameters]
+
+
+def _describe_system(system: LagrangianSystem) -> dict[str, str]:
+    """The entries of a system in a header, see `SystemEntries`."""
+    entries, source = {"name": system.name, "file": _file_name(system)}, system.source
+    has_options = source and source.call() != RobotOptions().call(source.path.name, {})
+    return entries | ({"call": source.call()} if source and has_options else {})
+
+
+def _other_system_error(where: Path, problem: str, header: Header) -> InputError:
+    """The error of a model that needs another system than the one given, or one at all."""
+    system = header["system"]
+    file, call = system["file"] or "FILE.py", system.get("call")
+    expected = f"a Python file with {call}" if call else f"its file ({file})"
+    remedy = f"add `system=` {'FILE.py' if call else file}"
+    return InputError(
+        where, problem, expected, f"{remedy} (in Python: load_model(path, system=...))"
+    )
 
 
 def _file_name(system: LagrangianSystem) -> str:
