@@ -11,6 +11,7 @@ from robot_twins import true_values
 
 import tustinnet as tn
 from tustinnet.export import robot
+from tustinnet.models.added import parse_forces, with_forces
 
 mujoco = import_module("mujoco")  # no types are known
 
@@ -150,7 +151,8 @@ def test_an_export_says_what_the_same_torques_do_without_an_armature(tmp_path):
     discrete = tn.discretise(made, 0.005, 2, inputs=system.inputs)
     (urdf,), (mjcf,) = (tn.export_model(discrete, to, tmp_path / to) for to in ("urdf", "mjcf"))
     *_, note = urdf.notes
-    assert f"cannot hold {joint}.armature: left out; the same torques give {joint}" in note
+    size = 100 * nominal["lower.mass"]
+    assert f"hold {joint}.armature ({size:.3g} kg m^2): left out; the same torques give" in note
     assert note.endswith("`to=` mjcf holds armatures")
     assert mjcf.checked.difference < 1e-9
     assert not any("cannot hold" in note for note in mjcf.notes)
@@ -192,7 +194,29 @@ def test_what_options_add_is_left_out_and_said(tmp_path):
     system = tn.load_robot(robot, elastic={joint: 50.0}, friction=["stribeck"])
     model, _ = moved(system)
     lacking = tn.write_robot(model, tmp_path / "new.urdf")
-    assert {f"{joint}.gear_stiffness", f"{joint}.gear_damping", f"{joint}.breakaway"} <= {*lacking}
+    assert {f"{joint}.gear_stiffness", f"{joint}.gear_damping"} <= {*lacking}
+    assert f"{joint}.breakaway" not in lacking, "it is a friction of the joint"
+
+
+@pytest.mark.parametrize("target", ["urdf", "mjcf"])
+def test_dry_friction_that_was_added_is_friction_of_the_joint(target, tmp_path):
+    plain = tn.load_system(ROBOTS / "double_pendulum.urdf")
+    joint = plain.coordinates[0].name
+    names = (f"curve:{joint}", f"slip:{joint}")
+    brought = {k: x for f in parse_forces(plain, names) for k, x in f.brought.items()}
+    assert f"{joint}.curve_1" not in brought, "the Coulomb friction of the robot"
+    new = tuple(tn.Parameter(name, "N m", 0.0, 0.0, 9.0) for name in brought)
+    system = with_forces(plain, names, new)
+    values = dict.fromkeys(brought, 0.0) | {f"{joint}.slip_travel": 1e-3}
+    values |= {f"{joint}.slip_2": 1.5, f"{joint}.curve_2": 0.5, f"{joint}.coulomb": 0.0}
+    model = system.model({k: jnp.asarray(x) for k, x in (system.nominal() | values).items()})
+    discrete = tn.discretise(model, 0.005, inputs=system.inputs)
+    (export,) = tn.export_model(discrete, target, tmp_path)
+    written = tn.load_system(next(tmp_path.glob("robot.*"))).nominal()
+    assert written[f"{joint}.coulomb"] == pytest.approx(2.0, rel=0.03)
+    (note,) = [note for note in export.notes if "slip" in note]
+    assert "curve and slip in the file as" in note
+    assert "N m of Coulomb" in note
 
 
 def test_a_group_of_records_is_written_by_itself(tmp_path):

@@ -256,7 +256,7 @@ def test_friction_by_a_recipe_is_that_of_the_robots_option():
     assert by_recipe.dissipation is not None
     found, expected = by_recipe.dissipation(q, v, values), by_option.dissipation(q, v, values)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-    told = "'curve:shoulder' brings 'shoulder.curve_1', which the system 'scara' has already"
+    told = "'curve:shoulder' brings 'shoulder.curve_2', which the system 'scara' has already"
     with pytest.raises(InputError, match=told):
         with_forces(by_option, ("curve",), new)
     # behind an elastic gear the Coulomb friction is the motor's

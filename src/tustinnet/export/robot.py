@@ -60,16 +60,18 @@ class RobotTarget(Target):
 
     def notes(self, source: Source) -> tuple[str, ...]:
         """Remarks on what the file does not hold."""
-        _, file = self._robot(source)
+        equations, file = self._robot(source)
         _, lacking = self._written(source)
-        notes = []
+        values, notes = self._plain_values(source)
+        units = {p.name: p.unit for p in equations.system.parameters}
+        sizes = [f"{n} ({values[n]:.3g} {units[n.partition('[')[0]]})" for n in lacking]
         if file.path.suffix not in self.endings:
             notes.append(f"shapes and largest speeds of {file.path.name} are not in the file")
         if lacking:
             has_armature = any(name.endswith(".armature") for name in lacking)
             better = "; `to=` mjcf holds armatures" if has_armature else ""
             notes.append(
-                f"{self.description} cannot hold {', '.join(lacking)}: left out"
+                f"{self.description} cannot hold {', '.join(sizes)}: left out"
                 f"{self._describe_effect(source, lacking)}{better}"
             )
         if not isinstance(source.model, Discretised):
@@ -125,9 +127,14 @@ class RobotTarget(Target):
 
     def _written(self, source: Source) -> tuple[str, tuple[str, ...]]:
         """The text of the file, and names of parameters that it cannot hold."""
-        equations, file = self._robot(source)
-        values = {name: float(x) for name, x in equations.values.items()}
+        _, file = self._robot(source)
+        values, _ = self._plain_values(source)
         return file.with_values(values, self.endings[0])
+
+    def _plain_values(self, source: Source) -> tuple[dict[str, float], list[str]]:
+        """The values with the frictions that a file can hold, and remarks on these."""
+        equations, file = self._robot(source)
+        return file.plain_values({name: float(x) for name, x in equations.values.items()})
 
     def _held(self, source: Source) -> tuple[LagrangianSystem, dict[str, float]]:
         """The robot without what options and recipes add, and the values that the file can hold."""
@@ -138,8 +145,9 @@ class RobotTarget(Target):
         system = plain.for_channels(plant.coordinates, plant.inputs, file.path)
         # files have torques and forces as inputs, of whatever motor
         unheld = {name for name in lacking if not name.endswith(".motor_constant")}
+        known, _ = self._plain_values(source)
         values = {
-            name: x if name in unheld else float(equations.values.get(name, x))
+            name: x if name in unheld else known.get(name, x)
             for name, x in system.nominal().items()
         }
         return system, values

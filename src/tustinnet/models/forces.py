@@ -503,6 +503,17 @@ class Law:
     is_at_input: bool = False
     is_linear: bool = True
 
+    def steady_force(self, v: Value, values: Sequence[Value]) -> Any:
+        """Force against a motion of constant speed [N m or N].
+
+        Args:
+            v: velocities [rad/s or m/s].
+            values: values of its parameters.
+
+        Returns:
+            The force; None where it depends on more than the speed.
+        """
+
 
 @dataclass(frozen=True, kw_only=True)
 class Friction(Law):
@@ -516,6 +527,11 @@ class Friction(Law):
 
     force: Callable[..., Any]
     needs_load: bool = False
+
+    def steady_force(self, v: Value, values: Sequence[Value]) -> Any:
+        """See `Law.steady_force`."""
+        depends = self.needs_load or self.needs_limited_travel
+        return None if depends else self.force(0.0, v, *values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -547,6 +563,13 @@ class ForceWithMemory(Law):
     force: Callable[..., Any]
     states: int | None = None
     settle: Callable[..., Any] | None = None
+
+    def steady_force(self, v: Value, values: Sequence[Value]) -> Any:
+        """See `Law.steady_force`."""
+        if self.settle is None:
+            return None
+        z = self.settle(jnp.inf * jnp.sign(jnp.asarray(v))[..., None], *values)
+        return -self.force(v, z.T, *values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -753,7 +776,12 @@ _LAWS: tuple[Law, ...] = (
         name="curve",
         help="friction that grows with the speed and ever less so, the sum of `a_i tanh(v / w_i)` "
         f"with `w_i` = {', '.join(f'{x:g}' for x in CURVE_SPEEDS)} times w",
-        parameters=(*_CURVE_WEIGHTS, _SMOOTH_SPEED),
+        # its narrowest term is a Coulomb friction
+        parameters=(
+            replace(_CURVE_WEIGHTS[0], own=OWN_LEVEL, is_level=True),
+            *_CURVE_WEIGHTS[1:],
+            _OWN_SMOOTH_SPEED,
+        ),
         force=lambda q, v, *values: friction_curve(v, values[:-1], values[-1]),
     ),
     Friction(

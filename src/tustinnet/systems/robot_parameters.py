@@ -5,16 +5,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.added import PlacedForce, place_force
 from tustinnet.models.chains import CENTER, DIAGONAL, INERTIAL
-from tustinnet.models.forces import LARGEST_LOAD_SHARE, LAWS, Law
+from tustinnet.models.forces import CURVE_SPEEDS, LARGEST_LOAD_SHARE, LAWS, Law
 from tustinnet.models.parameters import Parameter
 from tustinnet.systems.robot_channels import RobotChannels
 from tustinnet.systems.robot_tree import felt
+from tustinnet.wording import join_words
 
 _MASS = 5.0  # factor by which a mass or a spread may differ from the file's
 _SHARE = 0.3  # of a value or a size: the standard deviation of what a file says
@@ -233,8 +235,7 @@ def _of_joint(channels: RobotChannels, k: int, motion: RecordedMotion | None) ->
     if "load" in options.friction:
         parameters.append(_weak(f"{name}.load_friction", "1", 0.0, LARGEST_LOAD_SHARE))
     if "curve" in options.friction:
-        *weights, slowest = _place(LAWS["curve"], name, k).brought
-        parameters.append(_near(slowest, units.speed, width, 100.0, fixed=True))
+        weights = _place(LAWS["curve"], name, k).brought
         parameters += [Parameter(w, units.force, 0.0, 0.0, effort) for w in weights]
     if (stiffness := options.elastic.get(name)) is not None:
         damping = _LIGHTLY * float(np.sqrt(stiffness * motor_inertia.nominal))
@@ -257,6 +258,54 @@ def _of_joint(channels: RobotChannels, k: int, motion: RecordedMotion | None) ->
         if j.stiffness
     ]
     return parameters
+
+
+def plain_friction(
+    channels: RobotChannels, values: Mapping[str, float]
+) -> tuple[dict[str, float], list[str]]:
+    """The friction of each joint as a file has it, and remarks on what is not just so.
+
+    Frictions beside the viscous and the Coulomb one that follow from the speed alone, or settle in
+    steady motion, are brought to the nearest of these two over the speeds of a friction curve.
+
+    Args:
+        channels: the bodies, coordinates and inputs of the robot.
+        values: values of all parameters by name, those of further forces included.
+
+    Returns:
+        The values without those of such frictions, the remarks.
+    """
+    import scipy.optimize  # takes half a second
+
+    plain, remarks = dict(values), []
+    for k, name in enumerate(channels.tree.free):
+        own = {f"{name}.{kind}": 0.0 for kind in ("viscous", "coulomb", "coulomb_speed")}
+        speeds = CURVE_SPEEDS[-1] * values[f"{name}.coulomb_speed"] * np.linspace(0.01, 1.0, 100)
+        total, laws = np.zeros(len(speeds)), []
+        for law in LAWS.values():
+            force = _place(law, name, k)
+            if law.is_at_input or not values.keys() - own.keys() >= (brought := {*force.brought}):
+                continue
+            given = force.values(values)
+            forward, backward = (
+                law.steady_force(jnp.asarray(sign * speeds), given) for sign in (1.0, -1.0)
+            )
+            if forward is None or not np.allclose(forward, -np.asarray(backward)):
+                continue
+            total, laws = total + np.asarray(forward), [*laws, law.name]
+            plain = {n: x for n, x in plain.items() if n not in brought}
+        if not total.any():
+            continue
+        columns = np.stack([speeds, np.ones(len(speeds))], axis=1)
+        (viscous, dry), _ = scipy.optimize.nnls(columns, total)
+        plain[f"{name}.viscous"] += viscous
+        plain[f"{name}.coulomb"] += dry
+        off, unit = np.abs(columns @ [viscous, dry] - total).max(), channels.tree.joints[name].units
+        remarks.append(
+            f"{name}: {join_words(laws)} in the file as {dry:.3g} {unit.force} of Coulomb and "
+            f"{viscous:.3g} {unit.damping} of viscous friction, up to {off:.2g} {unit.force} off"
+        )
+    return plain, remarks
 
 
 def _behind_gear(armature: Parameter) -> Parameter:

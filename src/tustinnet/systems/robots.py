@@ -25,6 +25,7 @@ from tustinnet.systems.robot_parameters import (
     RecordedMotion,
     make_parameters,
     place_frictions,
+    plain_friction,
     recorded_motion,
 )
 from tustinnet.systems.robot_reading import ROBOT_ENDINGS, read_robot
@@ -159,10 +160,16 @@ class RobotFile(ChannelSource):
         """The line of a system file that loads this robot as it is used, with more options."""
         return self.options.call(self.path.name, more)
 
+    def plain_values(self, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
+        """The values with the frictions that a file can hold, see `plain_friction`."""
+        return plain_friction(self._channels(), values)
+
     def with_values(
         self, values: Mapping[str, float], ending: str = ""
     ) -> tuple[str, tuple[str, ...]]:
         """The file's text with values of parameters in it, and the names of those that it lacks.
+
+        Further frictions are in it as the nearest viscous and Coulomb ones.
 
         Args:
             values: the parameters of the system by name. Where some have a value for each group of
@@ -173,9 +180,9 @@ class RobotFile(ChannelSource):
         Raises:
             InputError: a file whose inertias do not count.
         """
-        text, written = write_values(
-            self.text, self._channels(), values, ending or self.path.suffix
-        )
+        channels = self._channels()
+        values, _ = plain_friction(channels, values)
+        text, written = write_values(self.text, channels, values, ending or self.path.suffix)
         # what options of `load_robot` add is not in the file, whatever its value
         plain = RobotFile(self.text, self.path, RobotOptions(locked=self.options.locked))
         nominal = plain.load().nominal()
