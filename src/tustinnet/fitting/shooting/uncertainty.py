@@ -204,7 +204,7 @@ def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> Float[np.nd
     finite = without_overflow(errors)
     before = np.concatenate([x[:-1] for x in finite])
     after = np.concatenate([x[1:] for x in finite])
-    power = np.sum(before**2, axis=0)
+    power = np.linalg.norm(before, axis=0) * np.linalg.norm(after, axis=0)
     return np.divide(
         np.sum(before * after, axis=0), power, out=np.zeros_like(power), where=power > 0
     )
