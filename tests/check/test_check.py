@@ -57,6 +57,26 @@ def test_clean_logs_have_no_severe_finding_and_no_warning(machine: str, tmp_path
     assert serious(check_folder(logs_of(machine).write(tmp_path / "logs"))) == []
 
 
+def test_counts_that_are_off_by_the_factor_of_a_unit_name_the_unit(tmp_path: Path) -> None:
+    """Radians that a card has in degrees; the counts of the encoder are right."""
+    q = COUNT * np.round(swing() / COUNT)
+    np.savetxt(tmp_path / "a.csv", q, header="arm", comments="")
+    card = """name = "arm"
+dt = 0.01
+[[coordinates]]
+name = "arm"
+column = "arm"
+kind = "angular"
+unit = "deg"
+counts_per_revolution = 4096
+[splits]
+train = ["a.csv"]
+"""
+    (tmp_path / "dataset.toml").write_text(card)
+    (found,) = [f for f in check_folder(tmp_path) if f.code == "encoder count"]
+    assert found.mend == 'under [[coordinates]] arm: unit = "rad"'
+
+
 # --- what is no fault ---
 
 

@@ -21,6 +21,7 @@ from tustinnet.check.card_lines import (
     file_line,
     input_line,
     top_line,
+    unit_key,
     without_record,
 )
 from tustinnet.check.levels import LEVELS
@@ -298,9 +299,8 @@ def _gain_key(view: RecordView, name: str, factor: float) -> str:
             return f"counts_per_revolution = {block.counts_per_revolution / factor:.6g}"
         if block.unit == "counts":
             return f"resolution = {factor * (block.resolution or 1.0):.6g}"
-        for unit, other in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
-            if abs(factor / other - 1) < LEVELS.same_unit and block.kind == "angular":
-                return f'unit = "{unit}"'
+        if unit := unit_key(block, factor):
+            return unit
     return f"scale = {factor * (block.scale if block else 1.0):.4g}"
 
 

@@ -2,6 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from tustinnet.check.levels import LEVELS
+from tustinnet.data.card import CoordinateCard
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import FEWEST_SAMPLES, card_entry
 
@@ -21,6 +25,14 @@ def time_line(entry: str) -> str:
 def coordinate_line(name: str, entry: str) -> str:
     """A line in the block of a coordinate."""
     return f"under [[coordinates]] {name}: {entry}"
+
+
+def unit_key(block: CoordinateCard, factor: float) -> str:
+    """The unit of an angle as a key that changes its samples by a factor; "" where none does."""
+    for unit, other in (("deg", np.pi / 180), ("rad", 180 / np.pi)):
+        if block.kind == "angular" and abs(factor / other - 1) < LEVELS.same_unit:
+            return f'unit = "{unit}"'
+    return ""
 
 
 def input_line(name: str, entry: str) -> str:

@@ -17,6 +17,7 @@ from tustinnet.check.card_lines import (
     input_line,
     time_line,
     top_line,
+    unit_key,
 )
 from tustinnet.check.levels import LEVELS
 from tustinnet.check.view import RecordView
@@ -322,7 +323,9 @@ def encoder(view: RecordView) -> Iterator[Finding]:
             continue
         block, key = view.coordinate_card(j), f"resolution = {count:.5g}"
         if block is not None and block.counts_per_revolution is not None:
-            key = f"counts_per_revolution = {2 * np.pi / count:.6g}"
+            # counts that are off by the factor of a unit are not what is wrong
+            unit = unit_key(block, c.resolution / count)
+            key = unit or f"counts_per_revolution = {2 * np.pi / count:.6g}"
         yield view.finding(
             "encoder count",
             coordinate_line(c.name, key),

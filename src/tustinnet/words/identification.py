@@ -232,11 +232,11 @@ IDENTIFICATION = {
     "forces by factor": warning(
         "the forces of {joints:quoted and} explain the motion as {factor:.3g} times what the "
         "columns say: {cause}" + _FALLS,
-        "`scale` in the card",
+        "`scale` in the card, times {factor:.3g}",
     ),
-    "position in degrees": warning(
-        "the position of {joints:quoted and} explains the motion as degrees" + _FALLS,
-        'unit = "deg" in the card',
+    "position in other unit": warning(
+        "the position of {joints:quoted and} explains the motion as {unit}" + _FALLS,
+        'unit = "{key}" in the card',
     ),
     "columns exchanged": warning(
         "the {what} of {joints:quoted and} are probably exchanged" + _FALLS,
@@ -244,7 +244,7 @@ IDENTIFICATION = {
     ),
     "column sign reversed": warning(
         "the sign of {what:or-of} of {joints:quoted and} is probably reversed" + _FALLS,
-        "sign = -1 in the card",
+        "sign = -1 in the card, or without it where it is there already",
     ),
     "forces missing": warning(
         "most of the force at {joints} is missing",

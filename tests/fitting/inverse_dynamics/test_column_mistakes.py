@@ -88,6 +88,7 @@ CASES = {
         "the sign of the forces of '{0}' and '{1}' is probably reversed",
     ),
     "degrees": (((1, 57.3), (1, 1), (0, 1), (0, 1)), "of '{1}' explains the motion as degrees"),
+    "radians": (((1 / 57.3, 1), (1, 1), (0, 1), (0, 1)), "of '{0}' explains the motion as radians"),
     "exchanged torques": (
         ((1, 1), (1, 1), (0, 1), (1, 0)),
         "the forces of '{0}' and '{1}' are probably exchanged",

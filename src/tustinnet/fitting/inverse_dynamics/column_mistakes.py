@@ -30,7 +30,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 # codes of the findings that name what would mend the columns
 COLUMN_MISTAKES = {
     "forces by factor",
-    "position in degrees",
+    "position in other unit",
     "columns exchanged",
     "column sign reversed",
 }
@@ -55,7 +55,7 @@ class _Change(NamedTuple):
     """A change of the columns that would mend a mistake.
 
     Attributes:
-        kind: `gain`, `gains`, `signs`, `degrees`, `positions`, `forces`, `both`: what is changed.
+        kind: `gain`, `gains`, `signs`, `units`, `positions`, `forces`, `both`: what is changed.
         joints: indices of the joints whose columns are changed.
         factors: factors of the position columns, (n,).
         order: of each joint the index of its position column, (n,).
@@ -282,11 +282,17 @@ class _Comparison:
         for i, j in itertools.combinations(driven, 2):
             turned = current.columns * (signs[i] * signs[j])[:, None]
             yield current._replace(kind="signs", joints=(i, j), columns=turned)
-        is_wide = [k for k in range(self.n) if self.kinds[k] == "angular" and self.spans[k] > _TURN]
-        for joints in {(k,) for k in is_wide} | ({(*is_wide,)} if is_wide else set()):
-            factors = current.factors.copy()
-            factors[[*joints]] *= np.radians(1.0)
-            yield current._replace(kind="degrees", joints=joints, factors=factors)
+        spans = np.where(np.array(self.kinds) == "angular", self.spans * current.factors, np.nan)
+        # of an angle that moves by more than a turn, or by so little that it would in degrees
+        for factor, fits in (
+            (np.radians(1.0), spans > _TURN),
+            (np.degrees(1.0), np.degrees(spans) < _TURN),
+        ):
+            others = np.flatnonzero(fits).tolist()
+            for joints in {(k,) for k in others} | ({(*others,)} if others else set()):
+                factors = current.factors.copy()
+                factors[[*joints]] *= factor
+                yield current._replace(kind="units", joints=joints, factors=factors)
         for i, j in itertools.combinations(range(self.n), 2):
             if self.kinds[i] != self.kinds[j]:
                 continue
@@ -371,8 +377,12 @@ class _Comparison:
         if best.kind in ("gain", "gains") and not 1 / _USUAL_GAIN < -after.gain < _USUAL_GAIN:
             cause = _unit_of(after.gain)
             return make_finding("forces by factor", **common, factor=after.gain, cause=cause)
-        if best.kind == "degrees":
-            return make_finding("position in degrees", **common)
+        if best.kind == "units":
+            is_wide = self.spans[best.joints[0]] > _TURN
+            names = (
+                {"unit": "degrees", "key": "deg"} if is_wide else {"unit": "radians", "key": "rad"}
+            )
+            return make_finding("position in other unit", **common, **names)
         if len(best.joints) > 1 and best.kind not in ("gains", "signs"):
             what = {"both": "positions and forces"}.get(best.kind, best.kind)
             return make_finding("columns exchanged", **common, what=what)
