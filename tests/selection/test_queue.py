@@ -21,6 +21,7 @@ from tustinnet.selection.queue import CandidateQueue
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
+from tustinnet.wording import percent
 
 PLAN = {
     "name": "pretended",
@@ -114,7 +115,9 @@ def test_the_best_kinds_go_on_to_all_folds(places):
         r"best so far: \w+, off by 0.0\d+ rad \([0-9.]+ % of the motion\)", found.said[0]
     )
     assert found.said[0].endswith(" on 2 records, 1 of 3 folds")
-    assert any(line.startswith("best so far: hybrid, off by 0.0105 rad") for line in found.said)
+    share = percent(0.0105 / found.queue.context.motion_within_turns)
+    line = f"best so far: hybrid, off by 0.0105 rad ({share} % of the motion)"
+    assert any(said.startswith(line) for said in found.said)
 
 
 def test_what_takes_least_of_first_fits_and_further_ones_of_the_best_is_next():
@@ -445,7 +448,7 @@ def test_trainings_that_their_limit_stopped_go_on_in_the_time_that_is_left(left)
     results = {r.name: r for r in found.run(executor)}
     assert "network, fold 0: spent" in found.said
     again = [(job.candidate, job.fold) for job in executor.done if job.continues]
-    assert {("network", fold) for fold in range(3)} <= set(again)
+    assert set(again) == {("network", fold) for fold in range(3)}
     assert {m.outcome for m in results["network"].fits} == {"finished"}
 
 

@@ -300,6 +300,7 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     assert "typically 0.13 rad, " in even.findings[3].text
     assert not any("pessimistic" in line.text for line in even.findings)
     assert "pessimistic for most records, as few of them make it: r3;" in uneven.findings[4].text
+    assert [e.findings[3].code for e in (even, uneven)] == ["expected", "expected vaguely"]
     assert "192 % of the error of standing still (1.18 rad); worst r3" in uneven.findings[1].text
     two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").findings[4].text
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
