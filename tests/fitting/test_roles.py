@@ -32,8 +32,8 @@ def test_train_records_train_and_validation_records_choose_and_judge(pendulum):
     assert found.all == (*found.train, *found.validation)
 
 
-def test_test_records_and_those_of_other_splits_take_part_in_nothing(pendulum):
-    found = assign_roles(split_as(pendulum, "train", "test", "validation", "spare", None))
+def test_test_records_and_those_of_no_split_take_part_in_nothing(pendulum):
+    found = assign_roles(split_as(pendulum, "train", "test", "validation", None, None))
     assert names(found.all) == ["fall1", "noise1"]
 
 
