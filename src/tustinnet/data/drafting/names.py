@@ -76,8 +76,8 @@ _UNITS_AS_NAMES = {
 """Columns that are called by their unit alone."""
 _DRIVEN = {"pos", "position", "vel", "velocity"}
 """What a drive controls, as it calls them."""
-_ABOUT_AXES = [["u"], ["e"], ["f"], ["i"], ["w"], ["v"], ["a"]]
-"""Letters before an axis, as `u_roll`, which say the quantity."""
+_BEFORE_AXES = {*"uefiwva"}
+"""Letters that say the quantity of what is about an axis, as `u_roll`."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
 _SYMBOL = re.compile(
@@ -170,8 +170,8 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     quantities, word = _read_quantities(words)
     positions = {w for w in words if w in STRONG["position"]}
     is_input = any(quantities.get(q, 0.0) >= _STATED for q in INPUTS)
-    is_about = is_input or words[:1] in _ABOUT_AXES
-    if is_about and positions and positions <= AXES:
+    is_about_axis = is_input or bool(_BEFORE_AXES & {*words[:1]})
+    if is_about_axis and positions and positions <= AXES:
         # `yaw_torque`, `e_roll`: where an input acts; sensors of other positions give voltages
         del quantities["position"], word["position"]
     pairs = {*pairwise(words)}
