@@ -41,7 +41,7 @@ class Plan(Brief):
 
     @property
     def miss(self) -> Float[np.ndarray, " n_x"]:
-        """How far its end is from the goal, (n_x,)."""
+        """The deviation of its end from the goal, (n_x,)."""
         return self.x[-1] - self.goal
 
     def previous_inputs(self, count: int) -> Float[np.ndarray, "N previous"]:

@@ -127,8 +127,8 @@ class RobotTarget(Target):
 
     def _written(self, source: Source) -> tuple[str, tuple[str, ...]]:
         """The text of the file, and names of parameters that it cannot hold."""
-        _, file = self._robot(source)
-        values, _ = self._plain_values(source)
+        equations, file = self._robot(source)
+        values = {name: float(x) for name, x in equations.values.items()}
         return file.with_values(values, self.endings[0])
 
     def _plain_values(self, source: Source) -> tuple[dict[str, float], list[str]]:
@@ -145,9 +145,9 @@ class RobotTarget(Target):
         system = plain.for_channels(plant.coordinates, plant.inputs, file.path)
         # files have torques and forces as inputs, of whatever motor
         unheld = {name for name in lacking if not name.endswith(".motor_constant")}
-        known, _ = self._plain_values(source)
+        plain_values, _ = self._plain_values(source)
         values = {
-            name: x if name in unheld else known.get(name, x)
+            name: x if name in unheld else plain_values.get(name, x)
             for name, x in system.nominal().items()
         }
         return system, values

@@ -260,10 +260,8 @@ def run_fit(
         roles = fold.roles.with_long_validation(fits[0].fewest_samples)
         members = []
         for member, result in zip(task.members, fits, strict=True):
-            horizon = effective_horizon(result.horizon, roles.ranking)
-            scores = tuple(evaluate(result.model, roles.ranking, result.start, horizon=horizon))
             place = folder / member.name if family.has_seeds else folder
-            members.append(MemberRun(result, scores, place))
+            members.append(_score_fit(result, roles, place))
         run = Run(
             tuple(members),
             fit.records.data.name,
@@ -315,10 +313,15 @@ def _header_of(result: FitResult) -> dict[str, Any]:
     if result.roles is None:
         return result.as_header()
     roles = result.roles.with_long_validation(result.fewest_samples)
+    member = _score_fit(result, roles, Path())
+    return Run((member,), result.data, roles, result.start, Path()).header(member)
+
+
+def _score_fit(result: FitResult, roles: Roles, folder: Path) -> MemberRun:
+    """A fit with the scores of the records that rank it."""
     horizon = effective_horizon(result.horizon, roles.ranking)
     scores = evaluate(result.model, roles.ranking, result.start, horizon=horizon)
-    member = MemberRun(result, tuple(scores), Path())
-    return Run((member,), result.data, roles, result.start, Path()).header(member)
+    return MemberRun(result, tuple(scores), folder)
 
 
 def _base_parameters_csv(identification: Identification) -> str:

@@ -341,7 +341,7 @@ class FitResult(Shown):
     identification: Identification | None = None
     horizon: float | None = None
     fewest_samples: int = 0
-    roles: Roles | None = field(default=None, repr=False)
+    roles: Roles | None = None
     data: str = ""
 
     @property
