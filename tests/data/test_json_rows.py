@@ -208,3 +208,13 @@ def test_objects_of_a_list_whose_fields_are_long_lists_are_records(tmp_path: Pat
     assert len(columns.parts) == 3
     label = [*columns.parts][1]
     np.testing.assert_allclose(columns.part(label)["angle"], 1 + 0.1 * np.arange(50))
+
+
+def test_matrices_of_several_lengths_are_records(tmp_path: Path) -> None:
+    rows = [[t, a, -a] for t, a in zip(T, ANGLE, strict=True)]
+    columns = read(tmp_path / "tests.json", {"units": "rev", "slow": rows, "fast": rows[:3]})
+    assert [*columns.parts] == ["slow", "fast"]
+    assert columns.part("fast").names == ("[1]", "[2]", "[3]")
+    np.testing.assert_array_equal(columns.part("fast")["[2]"], ANGLE[:3])
+    same = read(tmp_path / "joints.json", {"q": rows, "v": rows})  # of one record
+    assert not same.parts

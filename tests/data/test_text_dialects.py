@@ -493,3 +493,12 @@ def test_rows_with_texts_without_a_header_are_samples(tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["column 3"], 3 * np.arange(40))
     (tmp_path / "named.txt").write_text("kind,ms,count,crc\n" + rows)
     assert read_columns(tmp_path / "named.txt").names == ("kind", "ms", "count", "crc")
+
+
+def test_names_before_the_first_cell_are_left_out_where_times_rise_so(tmp_path: Path) -> None:
+    rows = "".join(f"{20 * k + 5979},{k % 7},12.9,\n" for k in range(60))
+    (tmp_path / "auton.csv").write_text("v=1,t_ms,x(in),batt_V,mark\n" + rows)
+    columns = read_columns(tmp_path / "auton.csv")
+    assert columns.names == ("t_ms", "x(in)", "batt_V", "mark")
+    assert columns["t_ms"][0] == 5979
+    assert columns.notes == ("more names than cells in a row: 'v=1' left out",)

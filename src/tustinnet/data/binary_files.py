@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tustinnet.data.columns import Column, require_different
-from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape
+from tustinnet.data.formats.reader import REAL, Contents, Reader, Shape, parts_of_matrices
 from tustinnet.errors import InputError
 from tustinnet.registry import load_place
 from tustinnet.wording import counted
@@ -46,6 +46,7 @@ def list_columns(path: Path, reader: Reader) -> Contents:
         clocks=_by_column(places, contents.clocks),
         units=_by_column(places, contents.units),
         labels=_numbered(places, contents.labels),
+        parts=contents.parts or parts_of_matrices(contents.arrays),
     )
 
 

@@ -18,7 +18,7 @@ from tustinnet.errors import InputError
 _MISSING = 0.1  # of the rows; columns that lack fewer have damaged rows
 NOTE = "rows with values of some columns only: each has the times of its own"
 FEW_VALUES = "fewer than 10 values, or times that repeat"  # what is no topic
-_TIME = re.compile(r"(?i)time|zeit|stamp|(?<![a-z])t(?![a-z])")
+TIME = re.compile(r"(?i)time|zeit|stamp|(?<![a-z])t(?![a-z])")
 _FEWEST_VALUES = 10  # of a topic, and of the others beside it
 
 Rows = Bool[np.ndarray, " n"]
@@ -69,7 +69,7 @@ def find_merged_topics(
 
 def _is_time(name: str, read: Callable[[str], Column]) -> bool:
     """Whether a column has such a name, never falls, and is no counter of the rows."""
-    if not _TIME.search(name):
+    if not TIME.search(name):
         return False
     try:
         steps = np.diff(read(name))

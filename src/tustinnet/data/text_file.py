@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from tustinnet.data.columns import (
     number_repeated,
     require_different,
 )
-from tustinnet.data.merged_topics import FEW_VALUES, NOTE, find_merged_topics
+from tustinnet.data.merged_topics import FEW_VALUES, NOTE, TIME, find_merged_topics
 from tustinnet.data.text_dates import is_date, read_dates
 from tustinnet.data.text_dialect import (
     BLANKS,
@@ -229,7 +230,7 @@ class _FoundRows:
         lines: the rows and their text.
         comments: the comments before them, without their marks.
         dialect: the marks of the file.
-        remark: on its encoding.
+        remark: on its encoding, and on names that are left out.
         skipped: number of rows above a header.
         above: the cells of these rows.
         damaged: number of rows that are no samples and are left out.
@@ -277,7 +278,8 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
-    lines = _without_last_marks(lines, dialect)
+    lines, left_out = _without_first_names(_without_last_marks(lines, dialect), dialect)
+    remark = "; ".join(filter(None, (remark, left_out)))
     skipped, above, described, pairs = 0, [], None, None
     if header is not False:
         shape = find_table([dialect.split(line) for _, line in lines[-LAST_ROWS:]], dialect)
@@ -374,6 +376,35 @@ def _without_last_marks(lines: Lines, dialect: Dialect) -> Lines:
     if not first or len(cells[first - 1]) != table.width - 1 or any(c[-1] for c in cells[first:]):
         return lines
     return [(row, line.rstrip().removesuffix(dialect.delimiter)) for row, line in lines]
+
+
+def _without_first_names(lines: Lines, dialect: Dialect) -> tuple[Lines, str]:
+    """Lines without the first names, where there are more than cells and times rise so; a remark.
+
+    As of a header whose first cell is the version of the format.
+    """
+    cells = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
+    table = find_table(cells[-LAST_ROWS:], dialect)
+    first = table.find_first_sample(cells)
+    names = cells[first - 1] if first else []
+    more = len(names) - table.width
+    clock = next((j for j, name in enumerate(names) if TIME.search(name)), 0)
+    if more < 1 or clock < more:
+        return lines, ""
+
+    def rises(column: int) -> bool:
+        values = [row[column] for row in cells[first:] if len(row) == table.width]
+        if not all(map(dialect.is_number, values)):
+            return False
+        numbers = [float(x.replace(dialect.decimal, ".")) for x in values]
+        return all(a < b for a, b in pairwise(numbers))
+
+    if not rises(clock - more) or (clock < table.width and rises(clock)):
+        return lines, ""
+    left_out = ", ".join(f"'{name}'" for name in names[:more])
+    header = dialect.delimiter.join(names[more:])
+    lines = [*lines[: first - 1], (lines[first - 1][0], header), *lines[first:]]
+    return lines, f"more names than cells in a row: {left_out} left out"
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:

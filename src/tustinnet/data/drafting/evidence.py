@@ -113,6 +113,7 @@ class Weights:
             control error.
         no_slope: price of a velocity of a position of which it is not the slope.
         other_unit: less for a velocity whose factor the units in the names do not explain.
+        same_units: for one whose factor is 1, where no unit is known.
         same_unit: relative deviation of a factor that they explain.
         no_follow: price of a set point that nothing follows; a third of it for a named command.
         near: a smaller margin is a question.
@@ -156,6 +157,7 @@ class Weights:
     useless: float = 8.0
     no_slope: float = 2.0
     other_unit: float = 1.0
+    same_units: float = 1.0
     same_unit: float = 0.1
     no_follow: float = 3.0
     near: float = 2.0
@@ -551,6 +553,8 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     rates = np.array([(ANGULAR_SPEEDS | LINEAR_SPEEDS).get(unit, np.nan) for unit in units])
     deviation = np.abs(slopes.factor * rates / sizes[:, None] - 1)  # NaN where a unit is not known
     points -= w.other_unit * (deviation > w.same_unit)
+    is_unknown = np.isnan(deviation)
+    points += w.same_units * (is_unknown & (np.abs(slopes.factor - 1) < w.same_unit))
     is_rate = [not unit or "/" in unit or unit in ("rpm", "g") for unit in units]
     kinds = [reading.kind for reading in readings]
     is_other = [[None not in (a, b) and a != b for b in kinds] for a in kinds]

@@ -70,6 +70,13 @@ class Reader:
     speed: float = 10e6
 
 
+def parts_of_matrices(arrays: list[tuple[str, Shape]]) -> dict[str, Part]:
+    """Matrices of as many columns and other numbers of rows, `run1[1]` and `run2[1]`: records."""
+    rows, widths = {shape[0] for _, shape in arrays}, {shape[1:] for _, shape in arrays}
+    is_record = len(rows) > 1 and len(widths) == 1 and len(widths.pop()) == 1
+    return {name: Part(name) for name, _ in arrays} if is_record else {}
+
+
 def parts_of_groups(names: list[str]) -> dict[str, Part]:
     """Groups beside one another, `run1/` and `run2/`, with arrays of the same names: records."""
     inside: dict[str, set[str]] = {}
