@@ -502,3 +502,9 @@ def test_names_before_the_first_cell_are_left_out_where_times_rise_so(tmp_path: 
     assert columns.names == ("t_ms", "x(in)", "batt_V", "mark")
     assert columns["t_ms"][0] == 5979
     assert columns.notes == ("more names than cells in a row: 'v=1' left out",)
+
+
+def test_a_number_among_the_names_is_no_name(tmp_path: Path) -> None:
+    rows = "".join(f"{1748261904 + k / 1000},{k},{k % 5}\n" for k in range(40))
+    (tmp_path / "log.csv").write_text("1748261904.2213,POSITION_FB,SPEED_FB\n" + rows)
+    assert read_columns(tmp_path / "log.csv").names == ("column 1", "POSITION_FB", "SPEED_FB")

@@ -144,7 +144,9 @@ class Columns:
         signal = _SIGNAL.match(name)
         if signal is not None and f"{signal['export']}.time" in self.names:
             return None
-        return _ELEMENT.fullmatch(name)
+        match = _ELEMENT.fullmatch(name)
+        # so are those of dSPACE, each with a name of its own
+        return match if match and f"{match['variable']}(1).Data" not in self.labels else None
 
     def _element_names(self, names: Iterable[str], number: int) -> dict[str, str]:
         """Names in the file by their names in an element; those outside of arrays stay."""

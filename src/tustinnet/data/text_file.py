@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 DAMAGED_ROWS = "damaged rows left out"  # the note on such a file begins with their number
 _LABELLED = re.compile(r"([^\W\d]\w*)\s?[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)(?=[\s,;]|$)")
+_DECIMALS = re.compile(r"[-+]?\d+[.,]\d+")
 _ID = re.compile(r"(?i)(?:^|[_ .])id$|(?<=[a-z])I[Dd]$")
 _SECTION = re.compile(r"\d+\.Variable\s*;\s*(\S.*)")
 NO_HEADER = "no header: the first row is a sample"  # the note on such a file
@@ -102,10 +103,19 @@ def read_text(
         found = Header(names, {}, 0)
     if len(lines) <= found.rows:
         raise InputError(path, "the file holds no samples", "rows of numbers")
-    names = number_repeated([a or b for a, b in zip(found.names, numbered, strict=True)])
+    numbers = [name for name in found.names if _DECIMALS.fullmatch(name)]
+    # one number among names is what was logged at that time, and differs from file to file
+    nameless = (
+        {"", *numbers} if header is None and len(numbers) == 1 < len(found.names) - 1 else {""}
+    )
+    names = number_repeated(
+        [b if a in nameless else a for a, b in zip(found.names, numbered, strict=True)]
+    )
     require_different(names, path)
     repeated = [
-        name for name, other in zip(names, found.names, strict=True) if other not in ("", name)
+        name
+        for name, other in zip(names, found.names, strict=True)
+        if other not in (*nameless, name)
     ]
     index = {name: column for column, name in enumerate(names)}
     first_row, rows = lines[0][0], [row for row, _ in lines[found.rows :]]
@@ -278,7 +288,7 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
-    lines, left_out = _without_first_names(_without_last_marks(lines, dialect), dialect)
+    lines, left_out = _without_further_names(_without_last_marks(lines, dialect), dialect)
     remark = "; ".join(filter(None, (remark, left_out)))
     skipped, above, described, pairs = 0, [], None, None
     if header is not False:
@@ -378,33 +388,34 @@ def _without_last_marks(lines: Lines, dialect: Dialect) -> Lines:
     return [(row, line.rstrip().removesuffix(dialect.delimiter)) for row, line in lines]
 
 
-def _without_first_names(lines: Lines, dialect: Dialect) -> tuple[Lines, str]:
-    """Lines without the first names, where there are more than cells and times rise so; a remark.
+def _without_further_names(lines: Lines, dialect: Dialect) -> tuple[Lines, str]:
+    """Lines without the names for which there are no cells, where there are more; and a remark.
 
-    As of a header whose first cell is the version of the format.
+    They are the last ones, unless times rise with the first ones left out, as of a header that
+    begins with the version of a format.
     """
     cells = [dialect.split(line) for _, line in lines[:_PREAMBLE]]
     table = find_table(cells[-LAST_ROWS:], dialect)
     first = table.find_first_sample(cells)
     names = cells[first - 1] if first else []
     more = len(names) - table.width
-    clock = next((j for j, name in enumerate(names) if TIME.search(name)), 0)
-    if more < 1 or clock < more:
+    if more < 1 or table.width < 2 or not all(names) or any(map(table.is_value, names)):
         return lines, ""
+    samples = [row for row in cells[first:] if len(row) == table.width]
+    clock = next((j for j, name in enumerate(names) if TIME.search(name)), 0)
 
     def rises(column: int) -> bool:
-        values = [row[column] for row in cells[first:] if len(row) == table.width]
-        if not all(map(dialect.is_number, values)):
-            return False
-        numbers = [float(x.replace(dialect.decimal, ".")) for x in values]
+        values = [row[column] for row in samples] if 0 <= column < table.width else [""]
+        is_number = all(map(dialect.is_number, values))
+        numbers = [float(x.replace(dialect.decimal, ".")) for x in values] if is_number else [0, 0]
         return all(a < b for a, b in pairwise(numbers))
 
-    if not rises(clock - more) or (clock < table.width and rises(clock)):
-        return lines, ""
-    left_out = ", ".join(f"'{name}'" for name in names[:more])
-    header = dialect.delimiter.join(names[more:])
-    lines = [*lines[: first - 1], (lines[first - 1][0], header), *lines[first:]]
-    return lines, f"more names than cells in a row: {left_out} left out"
+    begin = more if rises(clock - more) and not rises(clock) else 0
+    kept = names[begin : begin + table.width]
+    left_out = ", ".join(f"'{name}'" for name in names[:begin] + names[begin + table.width :])
+    header = lines[first - 1][0], dialect.delimiter.join(kept)
+    remark = f"more names than cells in a row: {left_out} left out"
+    return [*lines[: first - 1], header, *lines[first:]], remark
 
 
 def _without_blanks_in_names(lines: Lines, dialect: Dialect) -> Lines:

@@ -181,9 +181,11 @@ def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
         residual = total + squares - 2 * (products[i] + products[j])
         residual[[i, j]] = np.inf
         third = int(np.argmin(residual))
-        if total < limit:
+        # differences of larger squares are rounded
+        is_told = limit > 1e-12 * max(squares[i], squares[j], squares[third])
+        if total < limit and is_told:
             sums.append((i, j, None))
-        elif residual[third] < limit and not are_one:
+        elif residual[third] < limit and is_told and not are_one:
             sums.append((i, j, third))
     return sums
 

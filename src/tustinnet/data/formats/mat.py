@@ -70,6 +70,7 @@ def _contents(path: Path) -> Contents:
         {""} if inner else set()
     )
     variables = _described([v for v in variables if v.name not in opened] + inner)
+    variables = _without_name_of_file(path, variables)
     return Contents(
         [(v.name, v.shape) for v in variables if v.shape is not None],
         {v.name: v.other for v in variables if v.shape is None},
@@ -81,9 +82,26 @@ def _contents(path: Path) -> Contents:
 
 def _arrays(path: Path, names: set[str]) -> dict[str, Array]:
     arrays = {v.name: v.load() for v in _walk(path, names) if v.name in names}
+    inside = {f"{path.stem}.{name}": name for name in names - {*arrays}}
+    of_file = _walk(path, {*inside}) if inside else ()
+    arrays |= {inside[v.name]: v.load() for v in of_file if v.name in inside}
     missing = names - {*arrays}
     inner = _in_objects(path, {_owner(name) for name in missing}) if missing else []
     return arrays | {v.name: v.load() for v in inner if v.name in missing}
+
+
+def _without_name_of_file(path: Path, variables: list[MatVariable]) -> list[MatVariable]:
+    """The fields of a struct by their own names, where it is called like the file and alone.
+
+    So the files of dSPACE have the same names.
+    """
+    own = f"{path.stem}."
+    if not all(v.name.startswith(own) for v in variables):
+        return variables
+    return [
+        v._replace(name=v.name.removeprefix(own), clock=v.clock.removeprefix(own))
+        for v in variables
+    ]
 
 
 def _in_objects(path: Path, objects: set[str]) -> list[MatVariable]:

@@ -3,6 +3,7 @@
 Forces are linear in the coordinates of `LinearCoordinates` about a point. Of a record there remain
 the products of its columns, one matrix for each joint, for the time in which it moves and for that
 in which it rests: at rest friction holds any force, so that these are weighed by themselves.
+Forces are filtered, so that a rest reaches to the samples beside it.
 """
 
 from collections.abc import Sequence
@@ -116,7 +117,8 @@ def _sum_up(part: Columns, slow: Float[np.ndarray, " n_q"]) -> tuple[np.ndarray,
     matrices, counts = np.zeros((n_q, 2, n_c + 1, n_c + 1)), np.zeros((n_q, 2))
     applied = np.zeros((n_q, 2))
     for j in range(n_q):
-        rests = part.speed[:, j] < slow[j]
+        is_slow = np.pad(part.speed[:, j] < slow[j], 1)
+        rests = is_slow[1:-1] | is_slow[:-2] | is_slow[2:]
         for r, kept in enumerate((~rests, rests)):
             rows = np.concatenate([part.slopes[kept, j], part.rest[kept, j, None]], axis=1)
             some = np.flatnonzero(rows.any(axis=0))
