@@ -8,6 +8,8 @@ from linear_machines import LinearMachine, double_integrator
 
 import tustinnet as tn
 from tustinnet.control import find_equilibrium
+from tustinnet.control.sticking import sticking_distances
+from tustinnet.simulate.range import Range
 
 
 @pytest.mark.thorough
@@ -103,3 +105,49 @@ def test_inputs_without_limits_are_refused():
         find_equilibrium(example("physics"), {"angle": 0.0}, {"voltage": (1.0, -1.0)})
     with pytest.raises(tn.InputError, match="no 'current' among the inputs"):
         find_equilibrium(example("qube"), {"alpha": 0.0}, {"current": (-1.0, 1.0)})
+
+
+def test_small_machines_are_judged_by_the_size_of_their_motion():
+    class Stage(LinearMachine):
+        def step(self, x, u):
+            v = x[1] + 0.01 * (0.7 * u[0] - 1750 * x[0])
+            return jnp.stack([x[0] + 0.01 * v, v])
+
+    channels = tn.Channels(
+        (tn.Coordinate("z", "linear"),), (tn.Input("coil", "V", None, (-1.0, 1.0)),), 0.01
+    )
+    model = Stage(np.eye(2), np.eye(2), channels)
+    point = find_equilibrium(model, {"z": 2e-4}, sizes=np.array([1e-3]))
+    assert point.x[0] == pytest.approx(2e-4, rel=1e-4)  # it asks for half of the input
+    assert find_equilibrium(model, {"z": 2e-4}).x[0] < 1.9e-4  # by 1 m nothing to speak of
+    with pytest.raises(tn.InputError, match=r"none at z = 0\.001 .* nearest one, z = 0\.0004"):
+        find_equilibrium(model, {"z": 1e-3}, sizes=np.array([1e-3]))
+
+
+def test_rates_that_depend_on_one_another_stop_no_search():
+    class Twins(LinearMachine):
+        def step(self, x, u):
+            force = u[0] - 4 * x[0]
+            v = x[2:] + 0.01 * force * jnp.array([1.0, 2.0])
+            return jnp.concatenate([x[:2] + 0.01 * v, v])
+
+    coordinates = (tn.Coordinate("q", "linear"), tn.Coordinate("other", "linear"))
+    channels = tn.Channels(coordinates, (tn.Input("u", "N", None, (-4.0, 4.0)),), 0.01)
+    model = Twins(np.eye(4), np.zeros((4, 1)), channels)
+    assert find_equilibrium(model, {"q": 0.5}).u[0] == pytest.approx(2.0)
+
+
+def test_dry_friction_holds_up_to_its_share_of_the_feedback():
+    class Dry(LinearMachine):
+        def step(self, x, u):
+            force = u[0] - 0.5 * jnp.tanh(x[1] / 0.01) - 0.3 * x[1]
+            v = x[1] + 0.1 * force
+            return jnp.stack([x[0] + 0.1 * v, v])
+
+    whole = double_integrator()
+    model, zero = Dry(whole.a, whole.b, whole.channels), np.zeros(2)
+    ranges = Range(np.array([[-0.5, 0.5], [-1.0, 1.0]]), np.array([[-1.0, 1.0]]))
+    held = tn.control.lqr(model, zero, np.zeros(1), range=ranges)
+    assert sticking_distances(model, held) == {"s": pytest.approx(0.5 / held.gain[0, 0], rel=0.01)}
+    summed = tn.control.lqr(model, zero, np.zeros(1), range=ranges, integral=["s"])
+    assert sticking_distances(model, summed) == {}

@@ -12,10 +12,11 @@ from itertools import groupby
 import numpy as np
 import pytest
 from every_family import example
+from linear_machines import double_integrator
 
 import tustinnet as tn
 from tustinnet.control.closed_loop import closed_loop
-from tustinnet.control.controllers import TrackingFeedback
+from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.cost import Cost
 from tustinnet.control.dynamics import controlled, input_limits
 from tustinnet.control.estimator import ExtendedKalmanFilter
@@ -270,6 +271,20 @@ def test_in_c_it_begins_again_after_a_fall_as_in_python():
     assert check.difference < BOUND
     assert [phase for phase, _ in groupby(phases)] == ["plan", "hold", "settle", "plan", "hold"]
     assert phases.index("hold") == 200
+
+
+@needs_gcc
+def test_a_strict_controller_whose_memory_is_unstable_by_itself_is_compared():
+    model = double_integrator(limit=100.0)
+    strict = tn.control.lqr(model, UPRIGHT[:2], np.zeros(1), deviations={"s": 1e-2}, delay=1)
+    assert strict.gain[0, -1] > 1.5  # by which a difference of the last command grows
+    source = make_source(model)
+    source = replace(source, layout=find_causal_layout(source.model, 1))
+    files = make_code(strict, source, noise(model), np.array([0.1, 0.0]), 200)
+    controller = LinearFeedback(strict)
+    check = check_loop(files, controller, source, noise(model), np.array([0.1, 0.0]), 200)
+    assert check.difference is not None
+    assert check.difference < BOUND
 
 
 @needs_gcc

@@ -45,9 +45,9 @@ class DesignDefaults(NamedTuple):
             success of two models on their own variants (docs/explanation/control.md).
         planned: share of the inputs' limits that a plan uses: the rest is for its feedback.
         followed: acceptable deviation from a reference, as a share of its range.
-        window: deviation within which a length counts as held, as a share of its recorded
-            range.
-        unknown_window: this deviation where that range is not known [m].
+        window: deviation within which a position counts as held, as a share of its recorded
+            range; of an angle at most 0.2 rad.
+        unknown_window: this deviation of a length whose range is not known [m].
     """
 
     swings: float = 6.0
@@ -230,7 +230,9 @@ def design_controller(
     own = _usual_deviations(model, task, bounds)
     weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
     speeds = weights.usual_speeds(model.channels)
-    point = find_equilibrium(model, task.at, task.limits, speeds=speeds)
+    sizes = None if range is None else range.spans(model.channels) / 2
+    find = partial(find_equilibrium, model, limits=task.limits, speeds=speeds, sizes=sizes)
+    point = find(task.at)
     for mode in point.modes:
         if not mode.observable and not mode.is_stable:
             raise InputError(
@@ -252,7 +254,7 @@ def design_controller(
     start, beyond, gains = None, None, feedback
     if task.start is not None:
         on_message("motion")
-        start = find_equilibrium(model, task.start, task.limits, speeds=speeds)
+        start = find(task.start)
         options = _planning_options(model, task, point, bounds, range)
         torque = _try_computed_torque(model, task, start, point, feedback, options)
         make_plan = _plan_motion if task.reference is None else _plan_following
@@ -548,16 +550,13 @@ def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
 
 def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict[str, float]:
     """Distances within which a position counts as held, by name."""
-    windows = {}
-    for j, c in enumerate(model.channels.coordinates):
-        if c.name not in at:
-            continue
-        span = 0.0 if range is None else float(np.ptp(range.states[j]))
-        if c.kind == "angular":
-            windows[c.name] = WINDOW
-        else:
-            windows[c.name] = DESIGN.window * span if span > 0 else DESIGN.unknown_window
-    return windows
+    channels = model.channels
+    unknown = np.where(channels.angular, WINDOW, DESIGN.unknown_window)
+    spans = np.zeros(channels.n_q) if range is None else range.spans(channels)
+    of_records = np.where(spans > 0, DESIGN.window * spans, unknown)
+    windows = np.where(channels.angular, np.minimum(of_records, WINDOW), of_records)
+    names = [c.name for c in channels.coordinates]
+    return {n: float(w) for n, w in zip(names, windows, strict=True) if n in at}
 
 
 def _position_limits(model: Model, task: ControlTask) -> dict[str, tuple[float, float]]:

@@ -142,6 +142,7 @@ def find_equilibrium(
     limits: Limits | None = None,
     tolerance: float = 0.1,
     speeds: Float[np.ndarray, " n_q"] | None = None,
+    sizes: Float[np.ndarray, " n_q"] | None = None,
 ) -> OperatingPoint:
     """An equilibrium of a model at named positions, with inputs within their limits.
 
@@ -152,9 +153,11 @@ def find_equilibrium(
         model: a model that steps from sample to sample.
         at: positions by name [rad or m].
         limits: limits of inputs by name, instead of those that the model declares.
-        tolerance: how far an equilibrium may be from the named positions [rad or m].
+        tolerance: how far an equilibrium may be from the named positions, by `sizes`.
         speeds: usual speeds about it for which the modes are found [rad/s or m/s], (n_q,); by
             default the model is linearised at rest, where dry friction holds it.
+        sizes: usual sizes of the coordinates' motion [rad or m], (n_q,), where they are below 1,
+            which is the default.
 
     Returns:
         The equilibrium, its modes, and in words its stability, controllability, observability.
@@ -176,13 +179,17 @@ def find_equilibrium(
     price = np.full(n_x, PRICES.internal)
     price[channels.position] = [PRICES.named if name in at else PRICES.other for name in positions]
     price[channels.velocity] = PRICES.velocity
+    size = np.ones(channels.n_q) if sizes is None else np.where(sizes > 0, sizes, 1.0).clip(max=1.0)
+    price[channels.position] /= size**2
+    price[channels.velocity] /= size**2
     half = (bounds.upper - bounds.lower) / 2
     unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(PRICES.input)])
     centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
-    ends = [(None, None)] * n_x + [
-        ((low - c) / s, (high - c) / s)
-        for low, high, c, s in zip(*bounds, centre[n_x:], unit[n_x:], strict=True)
-    ]
+    free = np.full(n_x, np.inf)
+    lower, upper = (
+        np.concatenate([end, (own - centre[n_x:]) / unit[n_x:]])
+        for end, own in zip((-free, free), bounds, strict=True)
+    )
 
     def settle(first: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_xu"] | None:
         """The equilibrium nearest to the named positions that is reached from a state."""
@@ -200,7 +207,7 @@ def find_equilibrium(
                 y,
                 jac=True,
                 method="SLSQP",
-                bounds=ends,
+                bounds=[*zip(lower.tolist(), upper.tolist(), strict=True)],
                 constraints={
                     "type": "eq",
                     "fun": lambda y: change(y)[0],
@@ -208,8 +215,14 @@ def find_equilibrium(
                 },
                 options={"maxiter": 200, "ftol": 1e-14},
             )
-            point = centre + unit * result.x
-            rate = change(result.x)[0]
+            nearby = result.x
+            # rates that depend on one another, as of dry friction with a memory, stop the search
+            for _ in range(5):
+                rate, slopes = change(nearby)
+                if not np.isfinite(slopes).all():
+                    break
+                nearby = np.clip(nearby - np.linalg.pinv(slopes, 1e-10) @ rate, lower, upper)
+            point, rate = centre + unit * nearby, change(nearby)[0]
         is_settled = np.isfinite(rate).all() and np.all(
             # largest change in a second, of the sizes of 1 + state
             np.abs(rate) <= 1e-6 * (1 + np.abs(point[:n_x]))
@@ -218,8 +231,9 @@ def find_equilibrium(
         return np.where(np.abs(point) < 1e-12, 0.0, point) if is_settled else None
 
     def distance(point: Float[np.ndarray, " n_xu"]) -> float:
-        """The largest distance from a named position."""
-        off = [abs(point[i] - target[i]) for i, name in enumerate(positions) if name in at]
+        """The largest distance from a named position, by the sizes."""
+        off = np.abs(point[channels.position] - target[channels.position]) / size
+        off = [d for d, name in zip(off.tolist(), positions, strict=True) if name in at]
         return max(off, default=0.0)
 
     nearest = settle(target)
@@ -301,7 +315,7 @@ def find_modes(
         Hautus (1969), Controllability and observability conditions of linear autonomous systems.
     """
     n_x = system.n_x
-    a, b = _tangent_of_held_inputs(system, x, u, speeds)
+    a, b = tangent_of_held_inputs(system, x, u, speeds)
     a, units = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     scale = units[0]
     b = b / scale[:, None]
@@ -333,7 +347,7 @@ def find_modes(
     return tuple(modes)
 
 
-def _tangent_of_held_inputs(
+def tangent_of_held_inputs(
     system: ControlledModel,
     x: Float[np.ndarray, " n_x"],
     u: Float[np.ndarray, " n_u"],
@@ -377,7 +391,7 @@ def require_stabilisable(
     """
     for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
-            _, b = _tangent_of_held_inputs(system, x, u, speeds)
+            _, b = tangent_of_held_inputs(system, x, u, speeds)
             idle = [
                 f"{i.name} at {value:.4g} {i.unit}".rstrip()
                 for i, value, effect in zip(system.model.channels.inputs, u, b.T, strict=True)

@@ -16,9 +16,7 @@ from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
-_START_SPREAD = (
-    0.05  # of the places where runs begin: rad of an angle, share of the range of a length
-)
+_START_SPREAD = 0.05  # of the places where runs begin: share of the range; of an angle at most rad
 
 
 @dataclass(frozen=True)
@@ -110,8 +108,8 @@ def try_design(
 
 def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.ndarray, " n_q"]:
     """How far from where it is designed for a run may begin, for each coordinate."""
-    spread = np.full(design.model.channels.n_q, _START_SPREAD)
-    if training_range is not None:
-        recorded = np.ptp(training_range.states, axis=1)[design.model.channels.position]
-        spread = np.where(design.model.channels.angular, spread, _START_SPREAD * recorded)
-    return spread
+    usual = np.full(design.model.channels.n_q, _START_SPREAD)
+    if training_range is None:
+        return usual
+    of_records = _START_SPREAD * training_range.spans(design.model.channels)
+    return np.where(design.model.channels.angular, np.minimum(usual, of_records), of_records)

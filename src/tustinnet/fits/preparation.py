@@ -24,12 +24,14 @@ class PreparedRecords:
         timing: findings on holds and delays, with the evidence.
         left_out: findings on the parts of records that were left out.
         lags: names of the inputs whose actuators lag, or may lag.
+        delays: names of the inputs whose delays were found.
     """
 
     data: DataSet
     timing: tuple[Finding, ...] = ()
     left_out: tuple[Finding, ...] = ()
     lags: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -89,7 +91,13 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
         timing = determine_timing(
             records.data, system, keeps_unknown_delays=options.keeps_unknown_delays
         )
-        records = replace(records, data=timing.data, timing=timing.findings, lags=timing.lags)
+        records = replace(
+            records,
+            data=timing.data,
+            timing=timing.findings,
+            lags=timing.lags,
+            delays=timing.delays,
+        )
         report("holds and delays", records.timing)
     if options.leaves_out_spoiled:
         budget = options.selection_budget

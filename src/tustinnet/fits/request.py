@@ -70,7 +70,9 @@ class PreparedFit:
 def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     """Checks that the parts of a request fit together, and prepares its records.
 
-    Holds and delays of a fit that begins with a model, or corrects one, are those of the model.
+    Holds and delays of a fit that begins with a model, or corrects one, are those of the model. An
+    identification begins at a delay that was found, and has it as a parameter: physics is exact
+    enough to show what the records alone leave of it.
 
     Args:
         request: what is fitted.
@@ -103,6 +105,11 @@ def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     if model is not None and any(i.hold == "unknown" for i in data.channels.inputs):
         data = replace(data, experiments=tuple(e.with_timing(model.inputs) for e in data))
     records = prepare_records(data, options)
+    if records.delays and isinstance(recipe, IdentificationRecipe):
+        found = [f"{name}.delay" for name in records.delays]
+        free = tuple(dict.fromkeys((*recipe.model.free, *found)))
+        model = recipe.model.model_copy(update={"free": free})
+        task = replace(task, recipe=recipe.model_copy(update={"model": model}))
     if records.data is not request.data:
         task = replace(task, folds=(replace(fold, roles=assign_roles(records.data)),))
     return PreparedFit(task, records)

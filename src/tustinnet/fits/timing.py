@@ -35,11 +35,13 @@ class Timing:
         data: the records.
         findings: what was found, with its errors.
         lags: names of the inputs whose actuators lag, or may lag.
+        delays: names of the inputs whose delays were found.
     """
 
     data: DataSet
     findings: tuple[Finding, ...] = ()
     lags: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
 
 
 def determine_timing(
@@ -86,7 +88,9 @@ def determine_timing(
             if "lag" in one.verdict:
                 lags.append(own.name)
     experiments = tuple(_with_inputs(e, acting) for e in data)
-    return Timing(replace(data, experiments=experiments), tuple(findings), tuple(lags))
+    delays = [i.name for i, k in zip(acting, declared, strict=True) if i.delay and not k.delay]
+    data = replace(data, experiments=experiments)
+    return Timing(data, tuple(findings), tuple(lags), tuple(delays))
 
 
 def _declared_timing(own: Input) -> DeclaredTiming:

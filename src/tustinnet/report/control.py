@@ -16,10 +16,14 @@ from tustinnet.control.design import ControlDesign
 from tustinnet.control.export.write import ControllerExport
 from tustinnet.control.frequency import LoopResponses
 from tustinnet.control.robustness import Robustness
+from tustinnet.control.sticking import sticking_distances
 from tustinnet.control.trial import Trial
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.tables import Table
+from tustinnet.wording import join_words
+
+_TOLD = 0.05  # of the window of a goal: less that friction may hold back is not told
 
 
 def point_table(design: ControlDesign) -> Table:
@@ -249,7 +253,7 @@ def sentences(design: ControlDesign) -> list[str]:
     """Sentences on what is known of a controller."""
     point, channels = design.point, design.model.channels
     place = ", ".join(
-        f"{c.name} = {x:.4g} {c.unit}"
+        f"{c.name} = {x:.4g} {c.unit}{_asked(design, c.name, x)}"
         for c, x in zip(channels.coordinates, point.x[channels.position], strict=True)
     )
     inputs = ", ".join(
@@ -259,6 +263,8 @@ def sentences(design: ControlDesign) -> list[str]:
     lines = [
         f"equilibrium: {place}, with {inputs}",
         f"it is {point.stability}; {point.controllable}; {point.observable}",
+        f"a run meets the goal where it ends {_windows(design)} for {design.goal.hold:.3g} s",
+        *_sticking(design),
     ]
     if design.mpc is not None:
         lines.append(
@@ -292,6 +298,42 @@ def sentences(design: ControlDesign) -> list[str]:
     else:
         lines += [f"estimator: {line}" for line in design.consistency.sentences]
     return lines
+
+
+def _asked(design: ControlDesign, name: str, value: float) -> str:
+    """The position that was named, in brackets, where the equilibrium is beside it."""
+    goal = design.goal
+    is_there = abs(value - goal.at.get(name, value)) <= _TOLD * goal.window.get(name, np.inf)
+    return (
+        "" if is_there else f" (asked: {goal.at[name]:.4g}, where the model does not stand still)"
+    )
+
+
+def _windows(design: ControlDesign) -> str:
+    """Clause on the distances within which positions count as held."""
+    units = {c.name: c.unit for c in design.model.channels.coordinates}
+    windows = design.goal.window.items()
+    return " and ".join(
+        f"within {w:.3g} {units[name]} of {name} = {design.goal.at[name]:.4g}"
+        for name, w in windows
+    )
+
+
+def _sticking(design: ControlDesign) -> list[str]:
+    """A sentence on where dry friction holds the machine, as simulations do not show it."""
+    distances = sticking_distances(design.model, design.own_feedback, design.task.delay)
+    units = {c.name: c.unit for c in design.model.channels.coordinates}
+    told = [
+        f"{name} up to {d:.2g} {units[name]}"
+        for name, d in distances.items()
+        if d > _TOLD * design.goal.window.get(name, np.inf)
+    ]
+    if not told:
+        return []
+    return [
+        f"dry friction may hold {join_words(told)} from the goal, where simulations creep on to "
+        "it; integral action (`integral=`) takes that away"
+    ]
 
 
 def errors_along(design: ControlDesign, trial: Trial) -> list[str]:

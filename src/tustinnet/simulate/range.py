@@ -88,6 +88,11 @@ class Range:
             header["recorded_states"] = self.recorded_states.tolist()
         return header
 
+    def spans(self, channels: Channels) -> Float[np.ndarray, " n_q"]:
+        """How far each coordinate moved [rad or m], of an angle a turn at most, (n_q,)."""
+        spans = np.ptp(self.states[channels.position], axis=1)
+        return np.where(channels.angular, np.minimum(spans, 2 * np.pi), spans)
+
     def extrapolation_point(
         self,
         channels: Channels,

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.control.controller import Controller
+from tustinnet.control.controllers import LinearFeedback, TrackingFeedback
 from tustinnet.control.estimator import make_filter, rest_state
 from tustinnet.control.export.code import SOURCES
 from tustinnet.control.export.compiled import MEMORY, load_library
@@ -136,6 +137,8 @@ def _compare(
         own.x, own.p = estimator[state].copy(), estimator[covariance].reshape(n_x, n_x).copy()
         call("controller_inputs", memory, estimator, u)  # the state comes first
         compare(u, controller.inputs(k, estimator[:n_x].copy()))
+        if isinstance(controller, LinearFeedback | TrackingFeedback):  # its memory is that of C
+            controller.correct(u)
         call("estimator_remember", inputs, u)
         expected = step(x, inputs)
         call("model_step", x, inputs)
