@@ -323,3 +323,45 @@ def test_constants_of_motors_follow_from_a_known_payload():
     assert e.interval is not None
     assert e.interval[0] < constant < e.interval[1]
     assert e.interval[1] - e.interval[0] < 0.1 * constant
+
+
+TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"><inertial>
+  <mass value="1"/><inertia ixx="0.03" iyy="0.03" izz="0.05"/></inertial></link>
+  <joint name="axis" type="revolute"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" effort="80" velocity="6"/></joint></robot>"""
+
+
+def test_a_joint_that_sticks_tells_its_friction_while_it_moves(tmp_path):
+    """Real friction holds at rest; filtered forces know of that rest beside it as well."""
+    inertia, viscous, coulomb, dt, steps = 1.2, 4.0, 5.0, 0.004, 20
+    (tmp_path / "table.urdf").write_text(TURNTABLE)
+    system = tn.load_robot(tmp_path / "table.urdf")
+    records = []
+    for seed in range(4):
+        rng, q, v, positions, torques = np.random.default_rng(seed), 0.0, 0.0, [], []
+        goals = np.repeat(rng.uniform(-1.5, 1.5, 8), 400)  # it moves, and rests at each
+        smooth = np.convolve(np.concatenate([np.zeros(300), goals]), np.hanning(301), "valid")
+        for goal in smooth / np.hanning(301).sum():
+            torque = np.clip(900 * (goal - q) - 60 * v, -80, 80)
+            positions.append(q)
+            torques.append(torque + 0.1 * rng.normal())
+            for _ in range(steps):
+                free = v + dt / steps * (torque - viscous * v) / inertia
+                v = np.sign(free) * max(abs(free) - dt / steps * coulomb / inertia, 0.0)
+                q += dt / steps * v
+        records.append(
+            tn.from_arrays(
+                np.round(np.array(positions)[:, None] / 4e-4) * 4e-4,
+                np.array(torques)[:, None],
+                dt=dt,
+                coordinates=system.coordinates,
+                inputs=system.inputs,
+                name=f"moves{seed}",
+                split="train",
+            )
+        )
+    result = tn.identify(tn.DataSet("table", tuple(records)), system, ALONE)
+    for name, true in (("axis.viscous", viscous), ("axis.coulomb", coulomb)):
+        low, high = next(e.interval for e in result.estimates if e.name == name)
+        assert low < true < high
+        assert result.values[name] == pytest.approx(true, rel=0.02)

@@ -8,7 +8,6 @@ differentiated, and the parameters are those whose equations of motion ask for t
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -39,11 +38,6 @@ from tustinnet.fitting.inverse_dynamics.solver import (
 from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, sum_up
 from tustinnet.fitting.report import BaseParameterEstimate, ForceError, Identification
 from tustinnet.fitting.shooting import findings
-from tustinnet.fitting.shooting.agreement import (
-    LARGE_FREEDOM,
-    PartialEstimate,
-    compare_groups,
-)
 from tustinnet.fitting.shooting.base_parameters import (
     LinearCoordinates,
     find_combinations,
@@ -348,7 +342,6 @@ def _make_identification(
         )
     )
     base_parameters = _estimate_base_parameters(fit, parameter_errors, size)
-    disagreements = compare_groups(problem, space, partial(_fit_records, fit))
     all_findings = [
         *state.remarks,
         findings.describe_forces(errors),
@@ -360,7 +353,6 @@ def _make_identification(
             np.inf,
             problem.system,
         ),
-        *findings.describe_disagreements(disagreements),
         *_describe_carried(space, vector, parameter_errors),
         *describe_column_mistakes(
             replace(problem, system=result.plain.forces.system),
@@ -393,7 +385,7 @@ def _make_identification(
         trust="residuals" if parameter_errors.between is None else "records",
         rmse={e.name: x for e, x in zip(records, by_record, strict=True)},
         autocorrelation=(),
-        disagreements=tuple(disagreements),
+        disagreements=(),
         initial="not simulated",
         initial_states={},
         start=closed_loop.default_start.name,
@@ -446,16 +438,6 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[Fo
         )
         every += [forces_along("validation", *row) for row in held_out]
     return force_errors(every)
-
-
-def _fit_records(fit: _Fit, name: str, records: Sequence[int]) -> PartialEstimate:
-    """Parameters fitted to some of the records, with what these know of their errors."""
-    sums = sum_up([fit.columns[i] for i in records])
-    some = replace(fit, sums=sums, solution=solve(sums, fit.forces.prior, fit.solution.vector))
-    variance = np.diag(_errors(some, *_matrices(some)).covariance)
-    return PartialEstimate(
-        name, some.solution.vector, np.nan_to_num(variance, nan=np.inf), LARGE_FREEDOM
-    )
 
 
 def _matrices(

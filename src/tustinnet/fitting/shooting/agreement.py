@@ -4,9 +4,8 @@
 each value of a group with those of every other value, and single records with all others.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -27,7 +26,7 @@ from tustinnet.fitting.shooting.uncertainty import (
 from tustinnet.signals.outliers import TO_DEVIATION
 
 _MOST_SUSPECTS = 1 / 3  # of the records
-LARGE_FREEDOM = 1000.0  # degrees of freedom of errors from J'J
+_LARGE_FREEDOM = 1000.0  # degrees of freedom of errors from J'J
 _CLOSE = StoppingRule(1e-2, 6)  # near enough to compare
 
 
@@ -54,7 +53,7 @@ AGREEMENT = AgreementLevels()
 
 
 @dataclass(frozen=True)
-class PartialEstimate:
+class _PartialEstimate:
     """Parameters fitted to some of the records, in the coordinates of the search.
 
     Attributes:
@@ -80,40 +79,27 @@ def find_disagreements(problem: Problem, state: SearchState) -> tuple[Disagreeme
     """
     if state.has_diverged:
         return ()
-    fit = partial(_fit_records, problem, state)
-    return (*compare_groups(problem, state.space, fit), *_between_records(problem, state))
+    return (*_between_groups(problem, state), *_between_records(problem, state))
 
 
-def compare_groups(
-    problem: Problem,
-    space: SearchSpace,
-    fit_records: Callable[[str, Sequence[int]], PartialEstimate | None],
-) -> list[Disagreement]:
-    """Parameters on which the records of two values of a group disagree that none is per.
-
-    Args:
-        problem: the problem, with its records.
-        space: the search space.
-        fit_records: function that fits the parameters to some of the records, from what they are
-            called and their indices; None where it cannot.
-
-    Returns:
-        The disagreements, the clearest first.
-    """
+def _between_groups(problem: Problem, state: SearchState) -> list[Disagreement]:
+    """Parameters on which the records of two values of a group disagree."""
     records, disagreements = problem.records, []
     modelled = {p.per for p in problem.system.grouped}
     for group in sorted({name for e in records for name, _ in e.groups} - modelled):
         estimates = []
         for value in sorted({value for e in records if (value := e.group(group)) is not None}):
             rows = [i for i, e in enumerate(records) if e.group(group) == value]
-            estimate = fit_records(f"{group}={value}", rows)
+            estimate = _fit_records(problem, state, f"{group}={value}", rows)
             if estimate is not None:
                 estimates.append(estimate)
         pairs = list(combinations(estimates, 2))
         for one, other in pairs:
             variance = one.variance + other.variance
             freedom = min(one.freedom, other.freedom)
-            disagreements += _differences(space, one, other, variance, freedom, len(pairs), group)
+            disagreements += _differences(
+                state.space, one, other, variance, freedom, len(pairs), group
+            )
     return sorted(disagreements, key=lambda d: d.chance)
 
 
@@ -135,7 +121,7 @@ def _between_records(problem: Problem, state: SearchState) -> list[Disagreement]
         if rest is None or alone is None:
             continue
         # one record scatters by sqrt(n) more than the estimate from n of them
-        scatter = rest.variance * len(others) if rest.freedom < LARGE_FREEDOM else 0.0
+        scatter = rest.variance * len(others) if rest.freedom < _LARGE_FREEDOM else 0.0
         variance = np.maximum(alone.variance, scatter) + rest.variance
         disagreements += _differences(
             state.space, alone, rest, variance, rest.freedom, len(records), group=""
@@ -169,7 +155,7 @@ def _find_suspects(state: SearchState, n_records: int) -> list[int]:
 
 def _fit_records(
     problem: Problem, state: SearchState, name: str, records: Sequence[int]
-) -> PartialEstimate | None:
+) -> _PartialEstimate | None:
     """Fits the parameters to some of the records, given by index; None where that diverges."""
     space, whole = state.space, state.last_result
     segments = whole.segments.for_records(records)
@@ -192,14 +178,14 @@ def _fit_records(
         lag = lag_correlation(result.products.error)
         correlation = float(np.clip(np.max(np.abs(lag)), 0.0, 0.999))
         variance = variance * (1 + correlation) / (1 - correlation)
-        freedom = LARGE_FREEDOM
-    return PartialEstimate(name, result.vector, np.where(informed, variance, np.inf), freedom)
+        freedom = _LARGE_FREEDOM
+    return _PartialEstimate(name, result.vector, np.where(informed, variance, np.inf), freedom)
 
 
 def _differences(
     space: SearchSpace,
-    one: PartialEstimate,
-    other: PartialEstimate,
+    one: _PartialEstimate,
+    other: _PartialEstimate,
     variance: Float[np.ndarray, " n_p"],
     freedom: float,
     comparisons: int,
