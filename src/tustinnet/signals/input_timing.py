@@ -703,6 +703,8 @@ def _decide(
         verdict = "unclear"
     else:
         verdict = _judge(kinds, delay)
+    if is_closed and verdict == "none":  # the hypothesis that it was logged late is not tried there
+        verdict, is_hidden = "unclear", True
     if verdict == "delay and lag":
         delay, lag = tried[hold, verdict].measured
     delay, lag = (Measured(dt * x.value, dt * x.error) for x in (delay, lag))
