@@ -110,7 +110,7 @@ def test_a_difference_on_a_single_record_is_said_to_be_on_too_few(made):
     few = replace(candidates, results=results)
     choice = replace(made.choice, candidates=few, best="grey", simplest="grey")
     (difference,) = [f for f in choice.findings if f.code.startswith("not clearly better")]
-    assert difference.text.endswith("on 1 record, too few records to be sure")
+    assert difference.text.endswith("on 1 record, too few to be sure")
 
 
 def test_the_chosen_model_has_bands_from_the_records_that_folds_left_out(made):

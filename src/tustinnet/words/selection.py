@@ -56,7 +56,7 @@ SELECTION = {
     "clearly better": note("clearly better than the next, {other}: " + _DIFFERENCE),
     "not clearly better": note("not clearly better than the next, {other}: " + _DIFFERENCE),
     "not clearly better few": note(
-        f"not clearly better than the next, {{other}}: {_DIFFERENCE}, too few records to be sure"
+        f"better than the next, {{other}}: {_DIFFERENCE}, too few to be sure"
     ),
     "other better": note(
         f"{{other}} is better {_DIFFERENCE}, not clearly, and was scored on no others"
