@@ -11,7 +11,7 @@ from robot_twins import record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.errors import InputError
-from tustinnet.fitting.inverse_dynamics import identification
+from tustinnet.fitting.inverse_dynamics import solver
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.listener import Iteration, Listener
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
@@ -194,22 +194,23 @@ def test_a_filtered_sample_counts_by_the_band_that_is_left(twin):
 @pytest.mark.thorough
 def test_parameters_without_any_effect_bar_no_record(monkeypatch, result, twin, system):
     """Rounding leaves information of either sign on what no motion tells, as a link at the base."""
-    exact = identification._matrices
+    exact = solver.fold_derivatives
 
-    def rounded(fit):
-        gradients, matrices = exact(fit)
+    def rounded(*args):
+        gradients, matrices = exact(*args)
         untold = np.argmin(np.diag(matrices.sum(axis=0)))
         matrices[:, untold, untold] = [-1e-47, *(len(matrices) - 1) * [0.0]]
         return gradients, matrices
 
-    monkeypatch.setattr(identification, "_matrices", rounded)
+    monkeypatch.setattr(solver, "fold_derivatives", rounded)
     assert tn.identify(twin, system, ALONE).trust == result.trust == "records"
 
 
 def test_what_a_link_carries_is_weighed(system, truth):
     """Records with and without a ball at the spindle; how high it is does not matter to a SCARA.
 
-    One training record has the ball: without it nothing would be known of the ball.
+    One training record has the ball: without it nothing would be known of the ball, so forces are
+    chosen by the others.
     """
     center = np.array([0.05, 0.02, -0.01])
     records = [
@@ -221,7 +222,11 @@ def test_what_a_link_carries_is_weighed(system, truth):
         for e in record_in_loop(system, values, count=count, seconds=3.0)
     ]
     robot = tn.load_robot(SCARA, per={"spindle": "payload"})
-    result = tn.identify(tn.DataSet("scara", tuple(records)), robot, ALONE)
+    recipe = tn.read_recipe("inverse-dynamics", ['search.candidates=["spring"]'])
+    result = tn.identify(tn.DataSet("scara", tuple(records)), robot, recipe)
+    (tried,) = [f for f in result.findings if f.code == "forces tried"]
+    (trial,) = tried.values["trials"]
+    assert trial.values["before"] < 0.05
     (sentence,) = [s.text for s in result.findings if s.code == "carries"]
     numbers = re.search(
         r"'spindle' carries (\S+) ± (\S+) kg \(95 %\) more in records of ball than in those "

@@ -20,6 +20,7 @@ from tustinnet.fitting.inverse_dynamics.linear_forces import (
 )
 from tustinnet.fitting.inverse_dynamics.solver import (
     coordinates_of,
+    folds_to_leave_out,
     left_out_squares,
     solve,
 )
@@ -59,22 +60,25 @@ class Choice:
         forces: the forces.
         vector: the parameters that explain all folds best.
         columns: the forces of each record, linear about these parameters.
-        squares: sums of squares of the forces that are missing at each joint in each held-out
-            fold, (f, n_q).
+        folds: the folds that were held out, one after the other.
+        squares: sums of squares of the forces that are missing at each joint in each of these,
+            (f, n_q).
+        sizes: sums of squares of the sizes of the forces at each joint in all of these.
         trials: the forces that were tried so far, and the motors that were kept.
     """
 
     forces: LinearForces
     vector: ParameterVector
     columns: list[Columns]
+    folds: Sequence[int]
     squares: Float[np.ndarray, "f n_q"]
+    sizes: Float[np.ndarray, " n_q"]
     trials: tuple[Trial, ...] = ()
 
     @property
     def share(self) -> float:
         """Left-out forces that are missing by those of the actuators, the mean of the joints."""
-        size = sum(own.weight * np.sum(own.sizes**2, axis=0) for own in self.columns)
-        shares = np.sqrt(self.squares.sum(axis=0) / size)
+        shares = np.sqrt(self.squares.sum(axis=0) / self.sizes)
         return float(np.mean(shares[self.is_driven]))
 
     @property
@@ -179,7 +183,8 @@ class _Offers:
         vector = _longer(choice, forces)
         further = forces.columns_beside(vector, added)
         columns = [own.followed_by(more) for own, more in zip(choice.columns, further, strict=True)]
-        return replace(_evaluate(forces, vector, columns), trials=choice.trials)
+        trial = _evaluate(forces, vector, columns, choice.folds)
+        return replace(trial, trials=choice.trials)
 
 
 def _longer(choice: Choice, forces: LinearForces) -> ParameterVector:
@@ -189,12 +194,22 @@ def _longer(choice: Choice, forces: LinearForces) -> ParameterVector:
     )
 
 
-def _evaluate(forces: LinearForces, vector: ParameterVector, columns: list[Columns]) -> Choice:
-    """Forces fitted to all folds, and to all but each."""
+def _evaluate(
+    forces: LinearForces,
+    vector: ParameterVector,
+    columns: list[Columns],
+    folds: Sequence[int] = (),
+) -> Choice:
+    """Forces fitted to all folds, and to all but each of some, by default of those that can be."""
     sums, prior = sum_up(columns), forces.prior
-    vector = solve(sums, prior, vector).vector
-    squares = left_out_squares(sums, prior, vector)
-    return Choice(forces, vector, columns, squares)
+    solution = solve(sums, prior, vector)
+    if not folds:
+        folds = folds_to_leave_out(sums, prior, solution)
+        # two tell whether folds disagree
+        folds = folds if len(folds) > 1 else range(len(sums.counts))
+    squares = left_out_squares(sums, prior, solution.vector, folds)
+    sizes = sums.of_folds(folds).sizes.sum(axis=(0, 2))
+    return Choice(forces, solution.vector, columns, folds, squares, sizes)
 
 
 def _noted(before: Choice, after: Choice, name: str, *, is_kept: bool) -> Choice:

@@ -31,7 +31,8 @@ from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force
 from tustinnet.fitting.inverse_dynamics.solver import (
     Prior,
     Solution,
-    force_matrix,
+    fold_derivatives,
+    folds_to_leave_out,
     least_squares,
     solve,
 )
@@ -56,7 +57,6 @@ from tustinnet.fitting.shooting.uncertainty import (
     CONFIDENCE,
     FEWEST_RECORDS,
     INFORMED,
-    NO_INFORMATION,
 )
 from tustinnet.models.added import PlacedForce, with_forces
 from tustinnet.models.chains import CENTER, INERTIAL
@@ -317,8 +317,7 @@ def _make_identification(
     problem, fit, space = closed_loop.plant, result.fit, state.space
     records, prior, vector = problem.records, fit.forces.prior, state.vector
     cutoff = fit.forces.parts[0].cutoff
-    matrices = _matrices(fit)
-    parameter_errors = _errors(fit, *matrices)
+    parameter_errors = _errors(fit)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -361,7 +360,8 @@ def _make_identification(
             cutoff,
         ),
     ]
-    matrix = matrices[1].sum(axis=0) + prior.at(vector)[2]
+    _, matrices = fold_derivatives(fit.sums, prior, fit.solution)
+    matrix = matrices.sum(axis=0) + prior.at(vector)[2]
     eigenvalues = np.linalg.eigvalsh(matrix * np.outer(prior.spread, prior.spread))
     by_record = [float(np.sqrt(np.mean((r / size) ** 2) * r.shape[1])) for r in fit.missing]
     return Identification(
@@ -440,49 +440,17 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[Fo
     return force_errors(every)
 
 
-def _matrices(
-    fit: _Fit,
-) -> tuple[Float[np.ndarray, "f n_p"], Float[np.ndarray, "f n_p n_p"]]:
-    """Derivatives of half the weighted squares of each fold by the vector, first and second."""
-    weights, space, vector = 1 / fit.solution.variances, fit.forces.space, fit.solution.vector
-    by_fold = np.einsum("jr,fjrkl->fkl", weights, fit.sums.matrices)
-    point = LinearCoordinates(space, space.to_values(vector))
-    parts = [force_matrix(matrix, space, vector, point)[1:] for matrix in by_fold]
-    gradients, matrices = zip(*parts, strict=True)
-    of_gains = [
-        fit.forces.prior.of_gains(counts, vector)[1] for counts in fit.sums.counts.sum(axis=2)
-    ]
-    return np.stack(gradients) + of_gains, np.stack(matrices)
-
-
-def _errors(
-    fit: _Fit,
-    gradients: Float[np.ndarray, "f n_p"],
-    matrices: Float[np.ndarray, "f n_p n_p"],
-) -> _Errors:
-    """Errors of the estimates by the noise, and by the jackknife over folds.
-
-    A fold that alone informs of a parameter, as the only record of a group does, is not left out.
-    Of what no fold knows more than the prior, none does: there rounding would say which fold it is.
-
-    Args:
-        fit: the estimates.
-        gradients: see `_matrices`.
-        matrices: see `_matrices`.
-    """
-    space, vector = fit.forces.space, fit.solution.vector
-    inside, n_p = space.inside(vector), len(vector)
+def _errors(fit: _Fit) -> _Errors:
+    """Errors of the estimates by the noise, and by the jackknife over folds."""
+    prior, vector = fit.forces.prior, fit.solution.vector
+    inside, n_p = prior.space.inside(vector), len(vector)
     both = np.ix_(inside, inside)
-    precision = fit.forces.prior.at(vector)[2][both]
+    gradients, matrices = fold_derivatives(fit.sums, prior, fit.solution)
+    precision = prior.at(vector)[2][both]
     whole = matrices.sum(axis=0)[both]
     noise = np.full((n_p, n_p), np.nan)
     noise[both] = inverse = np.linalg.inv(whole + precision)
-    by_all = np.diag(whole)
-    left_out = [
-        k
-        for k, own in enumerate(matrices)
-        if np.all(by_all - np.diag(own[both]) >= NO_INFORMATION * (by_all - np.diag(precision)))
-    ]
+    left_out = folds_to_leave_out(fit.sums, prior, fit.solution)
     if (n := len(left_out)) < FEWEST_RECORDS:
         return _Errors(noise, None)
     steps = np.stack(

@@ -8,7 +8,7 @@ References:
     approach, IEEE Transactions on Robotics 36(2): the log-det divergence of pseudo-inertias.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates, bodies_of
 from tustinnet.fitting.shooting.least_squares import solve_in_box
 from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
+from tustinnet.fitting.shooting.uncertainty import NO_INFORMATION
 
 
 class SolverSettings(NamedTuple):
@@ -157,8 +158,8 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
         start: first values.
     """
     total, space = sums.total, prior.space
-    (matrices,), (counts,), (applied,) = total.matrices, total.counts, total.applied
-    size = applied.sum(axis=1) + matrices[..., -1, -1].sum(axis=1)
+    (matrices,), (counts,), (sizes,) = total.matrices, total.counts, total.sizes
+    size = sizes.sum(axis=1) + matrices[..., -1, -1].sum(axis=1)
     least = SOLVER.least**2 * size / np.maximum(counts.sum(axis=1), 1)
     vector, steps, cost, variances = start, 0, 0.0, np.zeros_like(counts)
     for _ in range(SOLVER.reweightings):
@@ -194,14 +195,41 @@ def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
     return found
 
 
+def fold_derivatives(
+    sums: ForceSums, prior: Prior, solution: Solution
+) -> tuple[Float[np.ndarray, "f n_p"], Float[np.ndarray, "f n_p n_p"]]:
+    """Derivatives of half the weighted squares of each fold by the vector, first and second."""
+    weights, space, vector = 1 / solution.variances, prior.space, solution.vector
+    by_fold = np.einsum("jr,fjrkl->fkl", weights, sums.matrices)
+    point = LinearCoordinates(space, space.to_values(vector))
+    parts = [force_matrix(matrix, space, vector, point)[1:] for matrix in by_fold]
+    gradients, matrices = zip(*parts, strict=True)
+    of_gains = [prior.of_gains(counts, vector)[1] for counts in sums.counts.sum(axis=2)]
+    return np.stack(gradients) + of_gains, np.stack(matrices)
+
+
+def folds_to_leave_out(sums: ForceSums, prior: Prior, solution: Solution) -> list[int]:
+    """Folds of which none alone informs of a parameter, as the only record of a group does.
+
+    Of what no fold knows more than the prior, none does: there rounding would say which fold it is.
+    """
+    _, matrices = fold_derivatives(sums, prior, solution)
+    inside = prior.space.inside(solution.vector)
+    by_fold = np.diagonal(matrices, axis1=1, axis2=2)[:, inside]
+    precision = np.diag(prior.at(solution.vector)[2])[inside]
+    by_all = by_fold.sum(axis=0)
+    kept = by_all - by_fold >= NO_INFORMATION * (by_all - precision)
+    return [int(k) for k in np.flatnonzero(kept.all(axis=1))]
+
+
 def left_out_squares(
-    sums: ForceSums, prior: Prior, start: ParameterVector
+    sums: ForceSums, prior: Prior, start: ParameterVector, folds: Sequence[int]
 ) -> Float[np.ndarray, "f n_q"]:
-    """Sums of squares of the missing forces of each fold by a fit to the others."""
-    folds, squares = np.arange(len(sums.counts)), []
+    """Sums of squares of the missing forces of some folds, each by a fit to all others."""
+    every, squares = np.arange(len(sums.counts)), []
     for f in folds:
-        vector = solve(sums.of_folds(folds != f), prior, start).vector
-        own = sums.of_folds(folds == f).squares(coordinates_of(prior.space, vector))
+        vector = solve(sums.of_folds(every != f), prior, start).vector
+        own = sums.of_folds([f]).squares(coordinates_of(prior.space, vector))
         squares.append(own[0].sum(axis=1))
     return np.stack(squares)
 

@@ -58,21 +58,21 @@ class ForceSums:
     Attributes:
         matrices: products of the columns and, last, of the rest, (f, n_q, 2, n_c + 1, n_c + 1).
         counts: independent measurements, (f, n_q, 2).
-        applied: sums of squares of the actuators' forces, (f, n_q, 2).
+        sizes: sums of squares of the sizes of forces, see `Columns`, (f, n_q, 2).
     """
 
     matrices: Float[np.ndarray, "f n_q 2 n n"]
     counts: Float[np.ndarray, "f n_q 2"]
-    applied: Float[np.ndarray, "f n_q 2"]
+    sizes: Float[np.ndarray, "f n_q 2"]
 
     def of_folds(self, folds: Sequence[int] | Bool[np.ndarray, " f"]) -> "ForceSums":
         """The sums of some folds."""
-        return ForceSums(self.matrices[folds], self.counts[folds], self.applied[folds])
+        return ForceSums(self.matrices[folds], self.counts[folds], self.sizes[folds])
 
     @property
     def total(self) -> "ForceSums":
         """The sums of all folds, as one fold."""
-        parts = (self.matrices, self.counts, self.applied)
+        parts = (self.matrices, self.counts, self.sizes)
         return ForceSums(*(part.sum(axis=0, keepdims=True) for part in parts))
 
     def squares(self, coordinates: Float[np.ndarray, " n_c"]) -> Float[np.ndarray, "f n_q 2"]:
@@ -112,10 +112,10 @@ def sum_up(parts: Sequence[Columns]) -> ForceSums:
 
 
 def _sum_up(part: Columns, slow: Float[np.ndarray, " n_q"]) -> tuple[np.ndarray, ...]:
-    """Matrices, counts and squares of the actuators' forces of one fold."""
+    """Matrices, counts and squares of the sizes of forces of one fold."""
     _, n_q, n_c = part.slopes.shape
     matrices, counts = np.zeros((n_q, 2, n_c + 1, n_c + 1)), np.zeros((n_q, 2))
-    applied = np.zeros((n_q, 2))
+    sizes, size = np.zeros((n_q, 2)), part.sizes
     for j in range(n_q):
         is_slow = np.pad(part.speed[:, j] < slow[j], 1)
         rests = is_slow[1:-1] | is_slow[:-2] | is_slow[2:]
@@ -124,5 +124,5 @@ def _sum_up(part: Columns, slow: Float[np.ndarray, " n_q"]) -> tuple[np.ndarray,
             some = np.flatnonzero(rows.any(axis=0))
             matrices[j, r][np.ix_(some, some)] = part.weight * rows[:, some].T @ rows[:, some]
             counts[j, r] = part.weight * np.count_nonzero(kept)
-            applied[j, r] = part.weight * np.sum(part.applied[kept, j] ** 2)
-    return matrices, counts, applied
+            sizes[j, r] = part.weight * np.sum(size[kept, j] ** 2)
+    return matrices, counts, sizes
