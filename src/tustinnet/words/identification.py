@@ -204,8 +204,14 @@ IDENTIFICATION = {
         "{rank} combinations of the {total} parameters change the forces (base parameters)"
         "[[; the records say little of {uninformed}, which stay near their nominal values]]"
     ),
-    "holds": note("{joint} up to {level:.3g} {unit}, within {travel:.3g} {travel_unit}"),
-    "holds at rest": note("dry friction holds at rest: {joints:each}"),
+    "holds": note(
+        "{joint} {dry:.3g} ± {error:.2g} {unit}, {level:.3g} of it within {travel:.3g} "
+        "{travel_unit}"
+    ),
+    "holds at rest": note(
+        "dry friction (95 %), `coulomb` and the levels of `slip`, which hold at rest, together: "
+        "{joints:each}"
+    ),
     "centre": note("{value:.3g} ± {error:.2g}"),
     "carries": note(
         "'{link}' carries {mass:.4g} ± {error:.2g} kg (95 %) more in records of {group} than in "

@@ -52,12 +52,11 @@ def test_dry_friction_with_a_memory_is_found_and_simulated(system, slipping, wit
     data = slipping
     result = tn.identify(data, system, "inverse-dynamics")
     assert "slip:shoulder" in result.system.added
-    (sentence,) = [s.text for s in result.findings if s.code == "holds at rest"]
-    assert "shoulder up to " in sentence
-    levels = sum(result.values[f"shoulder.slip_{i}"] for i in range(1, 6))
-    assert levels + result.values["shoulder.coulomb"] == pytest.approx(
-        2.5 + true_values(system, 4)["shoulder.coulomb"], rel=0.1
-    )
+    (finding,) = [f for f in result.findings if f.code == "holds at rest"]
+    (dry,) = [f.values for f in finding.values["joints"] if f.values["joint"] == "shoulder"]
+    truth = 2.5 + true_values(system, 4)["shoulder.coulomb"]
+    assert dry["dry"] == pytest.approx(truth, rel=0.1)
+    assert 0 < dry["error"] < 0.1 * truth
     with_it, alone = (
         next(e.share for e in r.force_errors if e.split == "validation") for r in (result, without)
     )

@@ -58,7 +58,7 @@ from tustinnet.fitting.shooting.uncertainty import (
     FEWEST_RECORDS,
     INFORMED,
 )
-from tustinnet.models.added import PlacedForce, with_forces
+from tustinnet.models.added import with_forces
 from tustinnet.models.chains import CENTER, INERTIAL
 from tustinnet.models.forces import OWN_LEVEL, SLIP, SLIP_TRAVELS
 from tustinnet.models.lagrangian import LagrangianSystem
@@ -346,7 +346,7 @@ def _make_identification(
         findings.describe_forces(errors),
         *findings.describe_trials(result.trials),
         findings.describe_informed(space.names, informed, len(base_parameters)),
-        *_describe_slip(fit.forces.beside, space.to_values_in_range(vector), problem.system),
+        *_describe_slip(fit, parameter_errors),
         *findings.describe_bounds(
             [e for e in estimates if e.name not in _replaced(fit.forces)],
             np.inf,
@@ -510,21 +510,28 @@ def _replaced(forces: LinearForces) -> set[str]:
     return levels | {f"{force.channel}.{OWN_LEVEL}" for force in forces.beside}
 
 
-def _describe_slip(
-    beside: Sequence[PlacedForce], values: Mapping[str, float], system: LagrangianSystem
-) -> list[Finding]:
-    """Dry friction with a memory: what it holds, and how far it winds up."""
-    listed = []
-    for force in beside:
+def _describe_slip(fit: _Fit, errors: _Errors) -> list[Finding]:
+    """Dry friction of joints with a memory: all of it, what they hold, how far they wind up.
+
+    Levels at a bound count as exact.
+    """
+    space, vector = fit.forces.space, fit.solution.vector
+    values, inside = space.to_values_in_range(vector), space.inside(vector)
+    slopes, listed = np.where(inside, space.derivatives(vector), 0.0), []
+    for force in fit.forces.beside:
         if force.law.name != SLIP:
             continue
-        levels = np.array([values[name] for name in levels_of(force)])
+        names, own = levels_of(force), f"{force.channel}.{OWN_LEVEL}"
+        levels = np.array([values[name] for name in names])
+        row = np.isin(space.names, [*names, own]) * slopes
         travels = values[f"{force.channel}.{SLIP}_travel"] * np.array(SLIP_TRAVELS)
-        is_linear = system.coordinates[force.index].kind == "linear"
+        is_linear = fit.forces.system.coordinates[force.index].kind == "linear"
         listed.append(
             make_finding(
                 "holds",
                 joint=force.channel,
+                dry=levels.sum() + values.get(own, 0.0),
+                error=_QUANTILE * errors.deviation(row),
                 level=levels.sum(),
                 unit="N" if is_linear else "N m",
                 travel=1e3 * travels[levels > 0].max(),
