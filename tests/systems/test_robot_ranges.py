@@ -29,6 +29,13 @@ WRIST = """<robot name="wrist"><link name="base"/>
 </robot>"""
 
 
+SERVO = """<mujoco><compiler angle="radian"/><worldbody><body name="arm">
+  <joint name="servo" axis="0 1 0" damping="0.01"/>
+  <inertial pos="0 0 -0.12" mass="0.175" diaginertia="7e-4 7e-4 2e-5"/></body></worldbody>
+  <actuator><position name="servo" joint="servo" kp="2.5" forcerange="-1.4 1.4"/></actuator>
+</mujoco>"""
+
+
 @pytest.fixture
 def wrist(tmp_path: Path) -> Path:
     (file := tmp_path / "wrist.urdf").write_text(WRIST.format(limit=""))
@@ -52,7 +59,7 @@ def test_friction_of_a_joint_without_limits_has_a_range_by_the_records(wrist: Pa
     record = records_of(system, torque=3.2, omega=3.0)
     seen = system.for_records([record], "record 'one'")
     before, after = system.parameter("turn.viscous"), seen.parameter("turn.viscous")
-    assert after.upper == pytest.approx(5.0 / 5.0), "3.2 N m and 3 rad/s, rounded up"
+    assert after.upper == pytest.approx(5.0 / 2.0), "3.2 N m up, 3 rad/s down"
     assert after.upper > 5 * before.upper
     assert "the largest force in the records" in after.basis
     assert seen.parameter("turn.coulomb").upper == pytest.approx(5.0)
@@ -69,6 +76,26 @@ def test_limits_of_the_file_decide_where_it_has_some(tmp_path: Path) -> None:
     seen = system.for_records([records_of(system, 30.0, 20.0)], "record 'one'")
     assert seen.parameters == system.parameters
     assert seen.parameter("turn.viscous").upper == pytest.approx(2.0)
+
+
+def test_a_servo_has_the_force_of_its_file_and_else_that_of_its_gains(tmp_path: Path) -> None:
+    """A goal is no force: it says one by the gains, and no more than the file has."""
+    (file := tmp_path / "servo.xml").write_text(SERVO)
+    system = tn.load_system(file)
+    seen = system.for_records([records_of(system, 0.8, 3.0)], "record 'one'")
+    viscous, coulomb = (seen.parameter(f"servo.{name}") for name in ("viscous", "coulomb"))
+    assert (viscous.upper, coulomb.upper) == pytest.approx((1.4 / 2.0, 1.4))
+    assert viscous.basis == (
+        "1.4 by 2, the largest force of the joint in the file, and the largest speed in the "
+        "records, in round numbers"
+    )
+    file.write_text(SERVO.replace('forcerange="-1.4 1.4"', ""))
+    seen = tn.load_system(file).for_records([records_of(system, 0.8, 3.0)], "record 'one'")
+    # 2.5 N m/rad times 1.28 rad
+    assert seen.parameter("servo.coulomb").upper == pytest.approx(5.0)
+    assert (
+        "in the records, as the file has none, by its gains" in seen.parameter("servo.offset").basis
+    )
 
 
 def test_a_range_can_be_given(wrist: Path) -> None:

@@ -47,8 +47,8 @@ class RecordedMotion(NamedTuple):
 def recorded_motion(channels: RobotChannels, records: Sequence[Experiment]) -> list[RecordedMotion]:
     """The largest forces and speeds of each coordinate in records.
 
-    They are rounded up to 1, 2 or 5 times a power of ten, so that parts of the records give one
-    system.
+    They are rounded to 1, 2 or 5 times a power of ten, so that parts of the records give one
+    system: forces up, speeds down, as the viscous friction of a range is the one by the other.
 
     Args:
         channels: coordinates and inputs of the robot as the records have them.
@@ -65,7 +65,7 @@ def recorded_motion(channels: RobotChannels, records: Sequence[Experiment]) -> l
                 )
                 force += abs(d.ratio) * max(float(np.abs(f).max()) for f in acting)
         speed = max(float(np.quantile(np.abs(e.velocities()[:, k]), _USUAL_SPEED)) for e in records)
-        motions.append(RecordedMotion(_round_up(force), _round_up(speed)))
+        motions.append(RecordedMotion(_round_up(force), speed and 1 / _round_up(1 / speed)))
     return motions
 
 
@@ -173,22 +173,28 @@ def _of_joint(channels: RobotChannels, k: int, motion: RecordedMotion | None) ->
     joint = tree.joints[name]
     units = joint.units
     inertia, force = tree.largest_load(k)
-    speed = joint.speed
+    speed, speed_basis = joint.speed, "of the joint in the file"
     width = _SPEED
     armature, viscous, coulomb = (felt(own, kind) for kind in ("armature", "viscous", "coulomb"))
-    effort, effort_basis = joint.effort or force, "the largest force of the joint in the file"
-    if joint.effort is None:
+    if (effort := joint.effort or channels.limits(k).force) is not None:
+        effort_basis = "the largest force of the joint in the file"
+    elif motion is not None and motion.force > force:
+        effort, effort_basis = (
+            motion.force,
+            "the largest force in the records, as the file has none",
+        )
+        if any(d.coordinate == k and d.actuator.gains for d in channels.drives):
+            effort_basis += ", by its gains"
+    else:
+        effort = force
         effort_basis = "the force of gravity on what it carries, as it has no largest force"
-    if motion is not None:
-        if joint.effort is None and motion.force > effort:
-            effort = motion.force
-            effort_basis = "the largest force in the records, as the file has none"
-        speed = speed or motion.speed
+    if motion is not None and not speed:
+        speed, speed_basis = motion.speed, "in the records, in round numbers"
     largest_damping, damping_basis = max(
         (
             effort / speed if speed else 0.0,
-            f"{effort:.3g} by the largest speed {speed or 0.0:.3g}, where {effort:.3g} is "
-            + effort_basis,
+            f"{effort:.3g} by {speed or 0.0:.3g}, {effort_basis}, and the largest speed "
+            + speed_basis,
         ),
         (_DAMPING * inertia, f"{_DAMPING:g} times the inertia that it moves by the file"),
         (_MASS * viscous, f"{_MASS:g} times the value in the file"),
