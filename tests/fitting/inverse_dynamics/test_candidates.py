@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from robot_twins import record_in_loop, true_values
@@ -98,6 +99,18 @@ def test_the_forces_of_the_model_are_those_that_were_fitted(system):
         np.testing.assert_allclose(one, other, atol=1e-9 * np.abs(other).max())
     for one, other in zip(forces.columns(vector), within.columns(vector), strict=True):
         np.testing.assert_allclose(one.slopes, other.slopes, atol=1e-7 * np.abs(other.slopes).max())
+
+
+def test_forces_of_a_model_act_with_its_delay_whatever_a_card_says(system):
+    (record, _) = record_in_loop(system, system.nominal(), 2, 2.0)
+    late = tuple(replace(i, delay=-0.02) for i in record.inputs)
+    alone = system.model({name: jnp.asarray(x) for name, x in system.nominal().items()})
+    model = tn.discretise(alone, record.dt, inputs=late)
+    shifted = replace(record, channels=replace(record.channels, inputs=late))
+    one, other = (tn.inverse_dynamics(model, e, 5.0).applied for e in (record, shifted))
+    np.testing.assert_array_equal(one, other)
+    plain = tn.discretise(alone, record.dt, inputs=record.inputs)
+    assert np.abs(tn.inverse_dynamics(plain, record, 5.0).applied - one).max() > 0.1
 
 
 def test_what_is_not_linear_in_its_levels_is_no_candidate(system):

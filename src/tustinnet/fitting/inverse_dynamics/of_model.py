@@ -32,7 +32,8 @@ def inverse_dynamics(
     """The forces that the motion of a record needs by a model, beside those of its actuators.
 
     Nothing is simulated: positions are filtered and differentiated. Of a closed loop the system
-    alone counts, with the inputs that its controller computed as recorded.
+    alone counts, with the inputs that its controller computed as recorded. Inputs act with the
+    delays of the model, as in its free runs.
 
     Args:
         model: a model with equations of motion.
@@ -78,6 +79,9 @@ def forces_of_records(
     alone, training = ([e.without_controller() for e in some] for some in (records, training))
     for e in (*alone, *training):
         system.channels.require_same(e.channels, e.name, f"the system '{system.name}'")
+    # as in a free run, inputs act when the model has them act
+    inputs = model.channels.plant.inputs
+    alone, training = ([e.with_timing(inputs) for e in some] for some in (alone, training))
     space = _space_of_file(system, [*alone, *training])
     cutoff = cutoff or choose_cutoff(system, training or alone, space)
     by_least_squares = _needed_by_least_squares(system, space, alone, training, cutoff)
