@@ -83,6 +83,8 @@ def test_columns_are_matched_with_the_joints_of_a_robot(tmp_path: Path, capsys) 
     assert (elbow["unit"], elbow["scale"]) == ("N m", 0.001)
     # a current is no torque: the line says what a fit needs
     assert "motor_constants={'shoulder': ...}" in err
+    assert "next, when that is mended: tustinnet fit" in err
+    assert "--system FILE.py --out RUN" in err
     assert "'spare'" not in err
     used = {c["name"]: c["use"] for c in json.loads(out)["columns"]}
     assert used["spare"] == ""

@@ -58,9 +58,10 @@ def test_the_library_speaks_of_its_arguments_and_the_command_of_its_options():
     library = [path for path in SOURCE.rglob("*.py") if path not in of_command]
     said = {text for path in library for text in texts(ast.parse(path.read_text()))}
     assert not {t for t in said if set(OPTION.findall(t)) - OF_OTHERS or t.endswith(" --")}
-    text = "more time (`budget=`); `trust_beyond=`, `changes=` a=1, `origin=` M: `name`, x=`y`"
-    expected = "more time (--budget); --trust-beyond, --set a=1, --from M: `name`, x=`y`"
-    assert with_options(text) == expected
+    of_a_file = "`per=` of `load_robot`"
+    text = "more time (`budget=`); `trust_beyond=`, `changes=` a=1, `origin=` M: `name`, x=`y`, "
+    expected = "more time (--budget); --trust-beyond, --set a=1, --from M: `name`, x=`y`, "
+    assert with_options(text + of_a_file) == expected + of_a_file
 
 
 def test_every_option_that_a_message_names_is_one_of_a_verb():

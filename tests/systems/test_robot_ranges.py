@@ -178,6 +178,11 @@ def test_everything_that_does_not_agree_is_said_at_once(wrist: Path) -> None:
         "input 'fan': no such actuator",
     ):
         assert part in message
+    # a name that another input has is no advice
+    inputs = [tn.Input("turn_torque", "N m"), tn.Input("trn_torque", "N m")]
+    with pytest.raises(InputError, match="input 'trn_torque': no such actuator") as caught:
+        system.for_channels(system.coordinates, inputs, "dataset.toml")
+    assert "rename" not in str(caught.value)
     wrong_kind = [replace(system.coordinates[0], kind="linear", unit="m")]
     with pytest.raises(InputError, match="'turn' is linear, and the joint turns"):
         system.for_channels(wrong_kind, system.inputs, "dataset.toml")

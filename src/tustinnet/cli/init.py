@@ -73,9 +73,11 @@ def init(
         print_inspection(loading.load_folder(place, card), card)
     print_assumptions(draft)
     draw_draft(draft, folder)
-    fit = f"tustinnet fit {shlex.quote(str(folder))}"
+    fit, then = f"tustinnet fit {shlex.quote(str(folder))}", "next"
     if loaded is not None:
-        _print_mismatches(draft, loaded)
+        if mends := _print_mismatches(draft, loaded):
+            then = "next, when that is mended"
+            system = "FILE.py" if "SYSTEM = " in mends else system
         recipe = "" if loaded.source is None else " --recipe inverse-dynamics"
         if recipe and any(map(system_columns.is_goal, loaded.inputs)):  # whose forces nobody knows
             recipe = " --recipe grey"
@@ -83,7 +85,7 @@ def init(
             recipe = " --recipe grey --set search.horizon=0.5"
         fit += f"{recipe} --system {shlex.quote(str(system))}"
     terminal.messages().print(
-        f"card: {folder / catalog.CARD_NAME}   figure: {folder / FIGURE}   next: {fit} --out RUN",
+        f"card: {folder / catalog.CARD_NAME}   figure: {folder / FIGURE}   {then}: {fit} --out RUN",
         highlight=False,
         soft_wrap=True,
     )
@@ -98,10 +100,10 @@ def _load_system(which: str | None) -> "tn.LagrangianSystem | None":
     return tn.load_system(which).plant
 
 
-def _print_mismatches(draft: "tn.Draft", system: "tn.LagrangianSystem") -> None:
+def _print_mismatches(draft: "tn.Draft", system: "tn.LagrangianSystem") -> str:
     """Prints what of a system's file counts otherwise, and what has no column; a line each.
 
-    Then what a fit would refuse.
+    Then what a fit would refuse, which is returned; "" without.
     """
     console = terminal.messages()
     for sentence in () if system.source is None else system.source.remarks:
@@ -114,6 +116,8 @@ def _print_mismatches(draft: "tn.Draft", system: "tn.LagrangianSystem") -> None:
         system.for_channels(coordinates, inputs, "a fit needs more")
     except InputError as error:
         console.print(str(error), highlight=False, soft_wrap=True)
+        return str(error)
+    return ""
 
 
 def make_draft(

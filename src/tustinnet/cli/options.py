@@ -12,7 +12,7 @@ from tustinnet.registry import SYSTEMS
 from tustinnet.simulate.start_names import starts_help
 from tustinnet.wording import join_words
 
-_ARGUMENT = re.compile(r"`([a-z_]+)=`")  # as sentences of the library name an argument
+_ARGUMENT = re.compile(r"`([a-z_]+)=`(?! of `load)")  # as sentences of the library name an argument
 _SHORTER = {"changes": "set", "origin": "from"}
 
 

@@ -202,7 +202,7 @@ class RobotChannels:
         """Mismatches between an input of a card and the actuator that it is that of."""
         if k is None:
             names = [own.name for own in self.inputs]
-            near = _nearest(i.name, names)
+            near = _nearest(i.name, [name for j, name in enumerate(names) if j not in drives])
             yield _Mismatch(
                 f"input '{i.name}': no such actuator in {self.tree.path.name}",
                 f"inputs {_list(names)}",

@@ -77,9 +77,9 @@ IDENTIFICATION = {
         "model lacks something, or the range is wrong"
     ),
     "masses at bound": warning(
-        "the masses of {count} of {total} links are at their {bound} bound: the inputs are "
-        "probably in another unit, as motor currents without a gain",
-        "`scale` in the card, or `motor_constants=` of `load_robot`",
+        "the masses of {count} of {total} links are at their {bound} bound: inputs or positions "
+        "are probably in another unit, as motor currents without a gain, or degrees",
+        "`scale` and `unit` in the card, or `motor_constants=` of `load_robot`",
     ),
     "breakaway sticks": warning(
         "the breakaway friction beside it then stands for a joint that sticks, which the rounded "
@@ -251,6 +251,11 @@ IDENTIFICATION = {
     "column sign reversed": warning(
         "the sign of {what:or-of} of {joints:quoted and} is probably reversed" + _FALLS,
         "sign = -1 in the card, or without it where it is there already",
+    ),
+    "record apart": warning(
+        "{before:percent.3g} of the force at {joint} are missing, and {after:percent.3g} without "
+        "{without:quoted and}: another payload, zero or sign there?",
+        "a group of its own, `per=` of `load_robot` for what is carried, or leave it out",
     ),
     "forces missing": warning(
         "most of the force at {joints} is missing",

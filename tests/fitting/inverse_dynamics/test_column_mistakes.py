@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robot_twins import ARM, record_in_loop, true_values
+from robot_twins import ARM, record_in_loop, true_values, with_payload
 
 import tustinnet as tn
 from tustinnet.fitting.inverse_dynamics.column_mistakes import (
@@ -56,6 +56,23 @@ def sentences(data: tn.DataSet, system: LagrangianSystem, changes: Sequence[str]
 def test_right_columns_are_not_doubted(system: LagrangianSystem, twin: tn.DataSet) -> None:
     assert sentences(twin, system) == []
     assert describe_beyond_limits(system, [*twin]) == ()
+
+
+def test_a_record_unlike_all_others_is_named_and_no_column(system: LagrangianSystem) -> None:
+    """One of three carries something, and nobody said so."""
+    truth = true_values(system, seed=3)
+    carrying = with_payload(truth, "lower", 3.0, np.array([0.0, 0.0, -0.3]))
+    experiments = [
+        replace(e, name=f"{e.name}-{k}")
+        for k, values in enumerate((truth, carrying))
+        for e in record_in_loop(system, values, count=3 - k, seconds=3.0)
+    ]
+    experiments = [replace(e, split="train") for e in experiments[:-1]]
+    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    findings = tn.identify(tn.DataSet("arm", tuple(experiments)), system, recipe).findings
+    (finding,) = [f for f in findings if f.code in {"record apart", "forces missing"}]
+    assert (finding.code, finding.values["without"]) == ("record apart", ["run0-1"])
+    assert finding.values["after"] < 0.4 * finding.values["before"]
 
 
 @pytest.mark.thorough

@@ -18,12 +18,13 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
-from tustinnet.fitting.inverse_dynamics.solver import Prior
+from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of, solve
+from tustinnet.fitting.inverse_dynamics.sums import ForceSums
 from tustinnet.fitting.report import ForceError
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.least_squares import solve_in_box
 from tustinnet.fitting.shooting.problem import Problem
-from tustinnet.fitting.shooting.space import SearchSpace
+from tustinnet.fitting.shooting.space import ParameterVector, SearchSpace
 from tustinnet.models.coordinates import rigid_system
 from tustinnet.models.lagrangian import LagrangianSystem
 
@@ -47,6 +48,7 @@ _UNITS = {1e-3: "kN m or kN", 1e3: "mN m or mN", 1e2: "N cm", 0.10197: "kgf m or
 _SAME_UNIT = 0.3  # relative; a factor this near to one of a unit
 # widths of a range beyond it; radians in degrees are 57 times as large, metres in mm 1000 times
 _FAR_ANGLE, _FAR_LENGTH = 3.0, 8.0
+_FEWEST = 3  # records, of which one can be unlike the others
 _MISTAKES = 3  # that are looked for one after the other
 _RECORDS, _SECONDS = 4, 20.0  # that are enough to tell, and their length
 
@@ -107,6 +109,41 @@ def describe_column_mistakes(
         return mistakes
     driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
     return _describe_poor([e for e in poor if e.coordinate in driven])
+
+
+def describe_odd_record(
+    records: Sequence[Experiment],
+    sums: ForceSums,
+    prior: Prior,
+    start: ParameterVector,
+    errors: Sequence[ForceError],
+) -> list[Finding]:
+    """The record without which the force that is missing most is explained, if there is one.
+
+    Args:
+        records: the records; of more than ten some are one fold.
+        sums: the sums of their folds.
+        prior: the priors.
+        start: the parameters that explain all of them best.
+        errors: what is missing of the forces.
+    """
+    trained = [e for e in errors if e.split == "train"]
+    shares = [e.share if e.is_driven else 0.0 for e in trained]
+    k = int(np.argmax(shares))
+    if len(records) < _FEWEST or shares[k] <= _MUCH:
+        return []
+    left, folds = [], np.arange(len(sums.counts))
+    for f in folds:
+        others = sums.of_folds(folds != f).total
+        vector = solve(others, prior, start).vector
+        squares = others.squares(coordinates_of(prior.space, vector))
+        left.append(float(np.sqrt(squares[0, k].sum() / others.sizes[0, k].sum())))
+    i = int(np.argmin(left))
+    if left[i] >= _LEFT * shares[k]:
+        return []
+    names = [records[j].name for j in np.array_split(np.arange(len(records)), len(folds))[i]]
+    values = {"before": shares[k], "after": left[i], "without": names}
+    return [make_finding("record apart", joint=trained[k].coordinate, **values)]
 
 
 def describe_beyond_limits(

@@ -24,7 +24,10 @@ from tustinnet.fitting.inverse_dynamics.along import (
     require_possible,
 )
 from tustinnet.fitting.inverse_dynamics.candidates import Choice, Trial, choose_forces
-from tustinnet.fitting.inverse_dynamics.column_mistakes import describe_column_mistakes
+from tustinnet.fitting.inverse_dynamics.column_mistakes import (
+    describe_column_mistakes,
+    describe_odd_record,
+)
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces, levels_of
 from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force_errors
@@ -353,11 +356,14 @@ def _make_identification(
             problem.system,
         ),
         *_describe_carried(space, vector, parameter_errors),
-        *describe_column_mistakes(
-            replace(problem, system=result.plain.forces.system),
-            result.plain.forces.space,
-            errors,
-            cutoff,
+        *(
+            describe_odd_record(problem.records, fit.sums, prior, vector, errors)
+            or describe_column_mistakes(
+                replace(problem, system=result.plain.forces.system),
+                result.plain.forces.space,
+                errors,
+                cutoff,
+            )
         ),
     ]
     _, matrices = fold_derivatives(fit.sums, prior, fit.solution)
