@@ -1,6 +1,7 @@
 """Identified values in the files of robots: only numbers change, MuJoCo reads what was meant."""
 
 import re
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -107,10 +108,12 @@ def test_an_export_is_what_the_model_simulates(name, tmp_path):
     system = tn.load_system(ROBOTS / name)
     model, _ = moved(system)
     kind = "urdf" if name.endswith(".urdf") else "mjcf"
-    discrete = tn.discretise(model, 0.005, 2, inputs=system.inputs)
+    late = [replace(i, delay=-0.01) for i in system.inputs]
+    discrete = tn.discretise(model, 0.005, 2, inputs=late)
     (result,) = tn.export_model(discrete, kind, tmp_path / "out")
     assert result.checked.difference < 1e-9
     *_, note = result.notes
+    assert f"{late[0].name}.delay (-0.01 s)" in note
     lacking = tn.write_robot(model, tmp_path / name)
     assert all(parameter in note for parameter in lacking)
     written = (tmp_path / "out" / f"robot{Path(name).suffix}").read_text()

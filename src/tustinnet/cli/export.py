@@ -76,7 +76,10 @@ def export(
         [e.target, str(e.folder), ", ".join(e.files), f"{e.checked.difference:.1e}"]
         for e in exports
     ]
-    title = "Exports, and how far a step is from the model's, relative to 1 + the state"
+    title = (
+        "Exports, and how far a step is from the model's, but for what notes say is left out, "
+        "relative to 1 + the state"
+    )
     terminal.print_tables(
         tables.Table(["target", "folder", "files", "difference"], rows, title=title)
     )

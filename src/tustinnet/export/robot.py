@@ -20,6 +20,7 @@ from tustinnet.export.source import Source, StepFunction
 from tustinnet.export.target import Files, Stepper, Target, Vector
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianModel, LagrangianSystem
+from tustinnet.models.sensors import delay_name
 from tustinnet.program.numbers import run
 from tustinnet.program.reading import read
 from tustinnet.systems.mjcf import joint_forces
@@ -65,9 +66,14 @@ class RobotTarget(Target):
         values, notes = self._plain_values(source)
         units = {p.name: p.unit for p in equations.system.parameters}
         sizes = [f"{n} ({values[n]:.3g} {units[n.partition('[')[0]]})" for n in lacking]
+        sizes += [
+            f"{name} ({i.delay:.3g} s)"
+            for i in source.channels.inputs
+            if i.delay and (name := delay_name(i)) not in lacking
+        ]
         if file.path.suffix not in self.endings:
             notes.append(f"shapes and largest speeds of {file.path.name} are not in the file")
-        if lacking:
+        if sizes:
             has_armature = any(name.endswith(".armature") for name in lacking)
             better = "; `to=` mjcf holds armatures" if has_armature else ""
             notes.append(
