@@ -133,7 +133,9 @@ IDENTIFICATION = {
         "known one of each was fixed at its first value: {fixed}"
     ),
     "identifiability unchecked": warning(
-        "simulations with the first values diverge; identifiability was not checked"
+        "simulations with the first values diverge, in 16 steps a period too; identifiability was "
+        "not checked",
+        "first values nearer to the machine's, `changes=` model.begin.NAME=VALUE",
     ),
     "residuals of counts": note(
         "residuals are no larger than the encoders' quantisation: nothing is missing"

@@ -269,6 +269,13 @@ def test_a_confounded_parameter_is_fixed_at_its_first_value_and_told():
     assert "fixed at its first value" in finding.text
 
 
+def test_first_values_that_need_small_steps_are_checked_with_such():
+    """Damping that is over in an eighth of a period; with a step a period simulations diverge."""
+    stiff = changed("damping", changed("inertia", fixed=False), upper=100.0)
+    result = tn.identify(data_set(records()), stiff, begin={"inertia": 0.1, "damping": 40.0})
+    assert "only ratios" in {f.code for f in result.findings}
+
+
 def test_a_parameter_without_effect_is_fixed_and_told():
     result = tn.identify(data_set(list(falls())), SWING)
     assert result.fixed == pytest.approx({"inertia": 0.05, "gain": 0.1})

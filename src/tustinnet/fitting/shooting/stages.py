@@ -44,6 +44,8 @@ ESTIMATE = "equation-error estimate"  # what the listener calls the first step
 _TARGET = 0.25  # integration error allowed, in encoder counts: less than rounding to them makes
 _TARGET_SPAN = 1e-5  # or of the largest travel, where no count is known
 _QUARTER_SWINGS = (4, 16)  # lengths of the early stages' segments
+# steps in a period, of which dry friction and stiff loops of servos on light links need many
+_TRIED_SUBSTEPS = (1, 4, 16)
 
 
 @dataclass(frozen=True)
@@ -310,8 +312,11 @@ def _fix_confounded_parameters(problem: Problem, state: SearchState) -> SearchSt
     space, vector = state.space, state.vector
     steps = _QUARTER_SWINGS[0] * problem.motion.quarter_swing
     segments = problem.segments(steps, problem.early_initial_treatment, state.horizons)
-    products = problem.products(space, vector, segments, 1).pp.sum(axis=0)
-    if has_diverged(products):
+    for substeps in _TRIED_SUBSTEPS:
+        products = problem.products(space, vector, segments, substeps).pp.sum(axis=0)
+        if not has_diverged(products):
+            break
+    else:
         return replace(state, remarks=(*state.remarks, make_finding("identifiability unchecked")))
     confounded = find_confounded(space, vector, products)
     if not confounded:
