@@ -242,6 +242,11 @@ IDENTIFICATION = {
         "columns say: {cause}" + _FALLS,
         "`scale` in the card, times {factor:.3g}",
     ),
+    "forces small": warning(
+        "by the first values {least:.2g} to {most:.2g} times the recorded forces are missing at "
+        "all joints: the torque of a motor before its gear, or another unit?",
+        "`scale` in the card; masses alone explain it only where the file is that far off",
+    ),
     "position in other unit": warning(
         "the position of {joints:quoted and} explains the motion as {unit}" + _FALLS,
         'unit = "{key}" in the card',

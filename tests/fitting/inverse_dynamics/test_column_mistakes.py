@@ -75,6 +75,13 @@ def test_a_record_unlike_all_others_is_named_and_no_column(system: LagrangianSys
     assert finding.values["after"] < 0.4 * finding.values["before"]
 
 
+def test_torques_before_gears_are_told_though_light_masses_explain_them(system, twin) -> None:
+    recipe = tn.read_recipe("inverse-dynamics", ["search.candidates=[]"])
+    small = mistaken(twin, [1, 1], [1 / 8, 1 / 8], [0, 1], [0, 1])
+    findings = tn.identify(small, system, recipe).findings
+    assert [f.code for f in findings if "force" in f.code] == ["missing forces", "forces small"]
+
+
 @pytest.mark.thorough
 def test_what_counts_otherwise_than_the_file_has_it_is_a_finding(
     twin: tn.DataSet, tmp_path: Path

@@ -101,14 +101,16 @@ def describe_column_mistakes(
         errors: what is missing of the forces.
         cutoff: frequency up to which forces are compared [Hz].
     """
+    driven = [e for e in errors if e.split == "train" and e.is_driven]
     poor = [e for e in errors if e.split == "train" and e.share > _MUCH]
-    if not poor or _describe_far_positions(problem.system, problem.records):
-        return []  # the latter says it already
+    if _describe_far_positions(problem.system, problem.records):
+        return []  # it is said already
+    if not poor:
+        return _describe_small_forces(driven)
     comparison = _Comparison(problem, space, cutoff)
     if mistakes := comparison.find_mistakes():
         return mistakes
-    driven = {name for name, x in zip(comparison.names, comparison.driven, strict=True) if x}
-    return _describe_poor([e for e in poor if e.coordinate in driven])
+    return _describe_poor([e for e in poor if e.is_driven])
 
 
 def describe_odd_record(
@@ -223,6 +225,14 @@ def _describe_large_forces(
             )
         )
     return findings
+
+
+def _describe_small_forces(driven: Sequence[ForceError]) -> list[Finding]:
+    """Forces of all joints far below those by the file, which other masses explain as well."""
+    shares = [e.by_file for e in driven]
+    if min(shares, default=0.0) <= _USUAL_GAIN:
+        return []
+    return [make_finding("forces small", least=min(shares), most=max(shares))]
 
 
 def _describe_poor(poor: Sequence[ForceError]) -> list[Finding]:
