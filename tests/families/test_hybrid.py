@@ -311,3 +311,14 @@ def test_mechanisms_of_several_folds_are_corrected_by_one_program(records, tmp_p
     save(model, tmp_path / "hybrid.safetensors")
     again = tn.load_model(tmp_path / "hybrid.safetensors")
     assert jax.tree.structure(again) == jax.tree.structure(model)
+
+
+def test_a_correction_that_does_not_beat_its_physics_is_left_out(records):
+    exact = tn.discretise(swing_model({"gravity": 1.3 * TRUTH["gravity"]}), DT)
+    result = tn.fit(records, RECIPE, physics=exact, quiet=True)
+    (finding,) = [f for f in result.findings if f.code == "physics alone"]
+    assert "no better than the physics alone" in str(finding)
+    assert result.detail("kept_epoch") == 0
+    held = records.split("validation")
+    (alone,), (kept,) = (tn.free_run(m, held, "file") for m in (exact, result.model))
+    np.testing.assert_allclose(kept, alone, atol=1e-9)

@@ -278,6 +278,10 @@ class TrainedFamily(Family):
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
         return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
 
+    def without_correction(self, model: Any) -> Model | None:
+        """The physics alone, as a model of the same structure; None of one that corrects none."""
+        return None
+
     def physics_for_training(
         self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]
     ) -> Model | None:
@@ -378,7 +382,7 @@ def family_of(model: Any) -> Family:
         if FAMILIES[kind].owns(model):
             return FAMILIES[kind]
     raise InputError(
-        f"a {type(model).__name__}",
+        type(model).__name__,
         "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
     )

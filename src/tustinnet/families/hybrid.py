@@ -267,6 +267,10 @@ class HybridFamily(TrainedFamily):
             raise InputError("model.substeps", "physics that is not integrated", "no `substeps`")
         return physics
 
+    def without_correction(self, model: HybridModel) -> HybridModel:
+        """The hybrid with a correction of 0."""
+        return replace(model, correction=model.correction.with_zero_output())
+
     def physics_in(self, model: HybridModel) -> Model:
         """The physics that the network corrects."""
         return model.physics

@@ -40,7 +40,7 @@ class Estimate:
         upper: largest.
         bound: `lower` or `upper` where it is at this bound, else "".
         is_informed: whether the records tell more of it than its prior: its error is less than half
-            of what was known beforehand.
+            of what was known beforehand, which is its range where it has no prior.
     """
 
     name: str
@@ -319,7 +319,8 @@ class FitResult(Shown):
         seconds: time spent, compilation included; of fits that ran together an equal share.
         details: plain values under one key that names the way of fitting: `training` has
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
-            last one whose weights the model has; `identification` has the estimates.
+            last one whose weights the model has, 0 of physics alone; `identification` has the
+            estimates.
         findings: what one should know before using the model.
         identification: the result of an identification, None of a training.
         fewest_samples: validation records of fewer samples were left out, if there were longer

@@ -171,7 +171,8 @@ IDENTIFICATION = {
     "changed": note("{parameter} {before:.3g} -> {after:.3g}"),
     "refitted": note(
         "the parameters of the model were refitted to free runs of the training records from "
-        "{start}: their mean RMSE went from {before:.3g} to {after:.3g}; {changes} changed most"
+        "{start}: their mean RMSE went from {before:.3g} to {after:.3g}"
+        "[[; {changes} changed most]]"
     ),
     "not refitted": note("no refit to free runs: {why}"),
     # --- of a controller in the loop ---
@@ -273,11 +274,17 @@ IDENTIFICATION = {
     "still improving": warning(
         "epoch {epoch} of {epochs} of stage '{stage}' was kept ({criterion}), one of the last: it "
         "was still improving",
-        "train longer: `changes=` stages.{index}.epochs={longer}",
+        "train longer: read the recipe with `changes=` stages.{index}.epochs={longer}",
+    ),
+    "physics alone": warning(
+        "the trained correction makes free runs of the validation records no better than the "
+        "physics alone (RMSE {trained:.3g} against {physics:.3g} {unit}): the model is the "
+        "physics, with a correction of 0",
+        "take the physics, or train longer",
     ),
     "worse after first": warning(
         "epoch {epoch} of {epochs} of stage '{stage}' was kept ({criterion}), one of the first: "
         "what followed was worse",
-        "train more carefully: `changes=` stages.*.rate={rate:.1g}",
+        "train more carefully: read the recipe with `changes=` stages.*.rate={rate:.1g}",
     ),
 }

@@ -1,5 +1,7 @@
 """Training of a plan: from initial weights to fit results."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,7 @@ from tustinnet.fitting.gradient.plan import TrainingPlan, restore_untrained
 from tustinnet.fitting.gradient.state import Progress
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FINISHED, FitResult
+from tustinnet.models.contract import Model
 from tustinnet.simulate.start_rules import start_named
 
 
@@ -37,18 +40,20 @@ def train_plan(
     for m, p in enumerate(progress):
         # off the devices that trained it: what comes now is one model's business
         model = jax.tree.map(lambda a, m=m: jnp.asarray(np.asarray(a)[m]), best)
-        score = None
+        findings, kept_epoch, score = describe_kept_epoch(plan, p), p.best_epoch, None
         if plan.validation_runs is not None:
-            score = float(
-                compute_validation_rmse(
-                    model, plan.validation_runs, plan.run_indices[m], plan.run_counts[m]
-                )
-            )
+            score = _validation_rmse(plan, m, model)
+            physics = plan.recipe.family.without_correction(model)
+            alone = math.inf if physics is None else _validation_rmse(plan, m, physics)
+            if physics is not None and math.isfinite(alone) and not score < alone:
+                values = {"trained": score, "physics": alone, "unit": physics.channels.unit}
+                findings = (make_finding("physics alone", **values),)
+                model, score, kept_epoch = physics, alone, 0
         details = {
             "windows": [s.windows.rows.shape[1] for s in plan.stages],
             "window_lengths": [s.windows.length for s in plan.stages],
             "epochs": list(p.epochs),
-            "kept_epoch": p.best_epoch,
+            "kept_epoch": kept_epoch,
         }
         results.append(
             FitResult(
@@ -63,10 +68,18 @@ def train_plan(
                 details={"training": details},
                 horizon=plan.recipe.horizon,
                 fewest_samples=start_named(plan.start).samples,
-                findings=describe_kept_epoch(plan, p),
+                findings=findings,
             )
         )
     return results
+
+
+def _validation_rmse(plan: TrainingPlan, member: int, model: Model) -> float:
+    """Mean free-run RMSE of the validation records of a member, by its model [rad or m]."""
+    runs = plan.validation_runs
+    assert runs is not None
+    indices, counts = plan.run_indices[member], plan.run_counts[member]
+    return float(compute_validation_rmse(model, runs, indices, counts))
 
 
 def describe_kept_epoch(plan: TrainingPlan, progress: Progress) -> tuple[Finding, ...]:
