@@ -2,6 +2,7 @@
 
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from numpy import cos, exp, sign, sin, sqrt, tanh  # noqa: F401 (of the formulas
 
 import tustinnet as tn
 from tustinnet.errors import InputError
+from tustinnet.families.tustin_net import random_tustin_net
+from tustinnet.models.blocks import Scaling
 from tustinnet.models.written_equations import equations_header
 
 
@@ -100,3 +103,30 @@ def test_models_without_equations_and_long_ones_are_refused_with_the_reason() ->
     with pytest.raises(InputError, match="equations that can be read"):
         tn.equations_of_motion(nominal(arm))
     assert equations_header(nominal(arm)) == {}
+
+
+def test_internal_states_and_a_network_have_their_terms() -> None:
+    channels = (tn.Coordinate("theta", "angular"),), (tn.Input("torque", "N m"),)
+    system = tn.LagrangianSystem(
+        "late",
+        *channels,
+        (tn.Parameter("lag", "s", 0.5, 0.1, 5.0),),
+        kinetic=lambda q, v, p: v[0] ** 2 / 2,
+        memory=tn.Memory(
+            ("drive",),
+            lambda q, v, z, u, p: (u - z) / p["lag"],
+            lambda q, v, z, p: 3 * z,
+        ),
+    )
+    physics = tn.discretise(nominal(system), 0.02)
+    rate = "drive' = 2 torque - 2 drive"
+    assert tn.equations_of_motion(physics).text == ("theta'' = 3 drive", rate)
+    assert tn.equations_of_motion(physics).latex[1].startswith(r"\dot{\mathrm{drive}} = 2")
+    one, none = jnp.ones(1, jnp.float32), jnp.zeros(0, jnp.float32)
+    network = random_tustin_net(
+        physics.channels, Scaling(none, none, one, one, one, none), jax.random.key(0), hidden=(3,)
+    )
+    hybrid = tn.HybridModel(physics, network)
+    assert tn.equations_of_motion(hybrid).text == ("theta'' = 3 drive + network_theta", rate)
+    with pytest.raises(InputError, match=r"(model|equations): str; expected"):
+        tn.equations_of_motion("grey.safetensors")  # pyright: ignore[reportArgumentType]
