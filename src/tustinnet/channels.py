@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from textwrap import shorten
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import BeforeValidator, TypeAdapter
 
-from tustinnet.errors import InputError, require_name, require_text
+from tustinnet.errors import InputError, require_name, require_number, require_text
 
 Kind = Literal["angular", "linear"]
 Hold = Literal["zero-order", "first-order", "band-limited", "unknown"]
@@ -146,6 +147,8 @@ class Input(Described):
                 f"limits {list(self.limits)}",
                 "two numbers, the smaller one first",
             )
+        if self.delay is not None:
+            require_number(self.delay, f"input '{self.name}', delay")
         if self.delay is not None and not abs(self.delay) < np.inf:
             raise InputError(f"input '{self.name}'", f"delay {self.delay} s", "a number of seconds")
 
@@ -303,6 +306,12 @@ class Channels(Described):
         if self.controller is None:
             return self
         return Channels(self.coordinates, self.controller.inputs, self.dt)
+
+    @property
+    def brief(self) -> str:
+        """Names of coordinates and inputs as `repr` has them, of many the first."""
+        names = ", ".join(channel.name for channel in (*self.coordinates, *self.inputs))
+        return shorten(names, 60, placeholder=" ...")
 
     @property
     def n_q(self) -> int:

@@ -4,6 +4,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from numbers import Real
 from typing import Any
 
 _LONGEST_SENTENCE = 400  # characters of place, problem, expected, remedy; lists of keys need some
@@ -146,3 +147,13 @@ def require_text(text: str, where: object) -> None:
         raise InputError(
             where, f"'{text[:30]}...' of {len(text.encode())} bytes", f"at most {_LONGEST_NAME}"
         )
+
+
+def require_number(value: object, where: object) -> None:
+    """Raises unless a value is a real number, of Python or NumPy.
+
+    Raises:
+        InputError: something else.
+    """
+    if not isinstance(value, Real):
+        raise InputError(where, f"{value!r}", "a number")

@@ -56,8 +56,9 @@ class Shown(Brief):
         """The content as a frame of polars; `.to_pandas()` makes one of pandas, by pyarrow.
 
         A row is a sample of records, a parameter of an identification, a candidate of a selection,
-        a score of a cross-validation; a training has one row. Without the package pyarrow
-        `pandas.DataFrame(frame.to_dict(as_series=False))` makes one of pandas.
+        a score of a cross-validation, a column of a draft; a training and a score have one row.
+        Without the package pyarrow `pandas.DataFrame(frame.to_dict(as_series=False))` makes one of
+        pandas.
         """
         return import_module(_PLACE).to_frame(self)
 

@@ -2,6 +2,7 @@
 
 import warnings
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, final
 
@@ -50,6 +51,12 @@ class Stateful(HasChannels, eqx.Module):
 
         def __getattr__(self, name: str) -> Any:
             raise attribute_error(f"'{type(self).__name__}'", name, METHODS)
+
+    def __repr__(self) -> str:
+        kinds = Counter(type(model).__name__ for model in self.inner_models)
+        inner = "".join(f", {count} {kind}" for kind, count in kinds.items())
+        period = f", {self.dt:g} s a sample" if self.dt else ""
+        return f"{type(self).__name__}({self.channels.brief}{period}{inner})"
 
     @property
     def inner_models(self) -> "tuple[Stateful, ...]":

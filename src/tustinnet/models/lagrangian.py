@@ -37,6 +37,7 @@ from tustinnet.models.internal_states import (
 from tustinnet.models.kinematics import Link, require_links
 from tustinnet.models.motion_limits import MotionLimits
 from tustinnet.models.parameters import Parameter, require_group_value
+from tustinnet.wording import counted
 
 Scalar = Float[Array, ""]
 
@@ -174,6 +175,10 @@ class LagrangianSystem:
     alone: "LagrangianSystem | None" = None
     unmeasured: UnmeasuredCoordinates | None = None
     energy_unit: str = "J"
+
+    def __repr__(self) -> str:
+        counts = counted(len(self.parameters), "parameter")
+        return f"LagrangianSystem({self.name!r}, {self.channels.brief}, {counts})"
 
     def __post_init__(self) -> None:
         names = [p.name for p in self.parameters]

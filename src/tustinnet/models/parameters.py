@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tustinnet.errors import InputError, require_name
+from tustinnet.errors import InputError, require_name, require_number
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         where = f"parameter '{self.name}'"
+        for value in (self.nominal, self.lower, self.upper):
+            require_number(value, where)
         limits = f"{self.lower:g}..{self.upper:g}"
         if self.per is not None:
             require_name(self.per, f"{where}, per")

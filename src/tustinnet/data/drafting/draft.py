@@ -44,7 +44,7 @@ from tustinnet.data.drafting.system_columns import SystemChannels
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period, period_in_name, period_in_numbers
 from tustinnet.errors import InputError
-from tustinnet.shown import Brief
+from tustinnet.shown import Brief, Shown
 from tustinnet.wording import counted
 
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
@@ -54,8 +54,8 @@ ANSWERED = ("role", "unit", "counts", "resolution")  # before the column in an a
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
 
 
-@dataclass(frozen=True)
-class DraftColumn:
+@dataclass(frozen=True, repr=False)
+class DraftColumn(Brief):
     """A column of the logs and what the draft takes it for.
 
     Attributes:
@@ -79,7 +79,7 @@ class DraftColumn:
 
 
 @dataclass(frozen=True, repr=False)
-class Draft(Brief):
+class Draft(Shown):
     """A drafted data card.
 
     Attributes:
