@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 from simulated.faults import FAULTS, Fault, logs_of
 
 import tustinnet as tn
+from tustinnet.check.card_lines import file_parts, without_record
 from tustinnet.check.check import check
 from tustinnet.check.drafting import find_scales
 from tustinnet.data.catalog import locate
 from tustinnet.data.drafting.draft import draft_card, draft_examined, examine_logs
 from tustinnet.data.loading import load_folder
+from tustinnet.data.recording import describe_recording
 from tustinnet.finding import Finding, make_finding, merge_findings, sort_findings
 
 DT, COUNT = 0.01, 2 * np.pi / 4096
@@ -499,3 +501,17 @@ def test_a_draft_takes_the_unit_that_the_motion_shows(tmp_path: Path) -> None:
         if c.name in {w.name for w in wrong}
     )
     assert not [c for c in corrected if c.column in scales and "unit" in c.assumed]
+
+
+def test_remedies_name_entries_of_a_card_only_where_there_are_some() -> None:
+    t = 0.01 * np.arange(200)
+    e = tn.from_arrays(np.sin(3 * t), dt=0.01, coordinates={"x": "linear"}, name="a")
+    assert file_parts(e, [(90, 100)]) == ""
+    assert without_record(e) == 'leave out "a"'
+    logged = replace(e, source="a.csv", split="validation")
+    parts = file_parts(logged, [(90, 100)])
+    assert parts.startswith('under [splits] validation: { file = "a.csv", seconds = [0, ')
+    assert without_record(logged) == 'under [splits] validation: leave out "a.csv"'
+    # of a part of a file that was resampled nothing says the rows
+    part = replace(logged, first_row=1200, recording=describe_recording(e.t, e.q, 0.01))
+    assert file_parts(part, [(90, 100)]).endswith("no entry: correct the file")

@@ -70,7 +70,18 @@ def test_an_actuator_that_lags_is_no_delay():
     assert found.delay == 0.0
     (sentence,) = map(str, timing.findings)
     assert sentence.startswith("input 'voltage' acts through a first-order lag of 0.06")
-    assert sentence.endswith("without delay; the force `lag` adds it to equations of motion")
+    assert sentence.endswith("without delay"), "no equations of motion that could have the force"
+
+
+def test_a_force_for_a_lag_is_advised_to_systems_without_one():
+    data = records("zero-order", 0.0, "zero-order", lag=0.06)
+    advised = [
+        str(determine_timing(data, system).findings[0]).endswith(
+            "; the force `lag` adds it to equations of motion"
+        )
+        for system in (SWING, LAGGING)
+    ]
+    assert advised == [True, False]
 
 
 def test_a_delay_that_the_card_declares_is_not_searched_for_though_it_is_0():

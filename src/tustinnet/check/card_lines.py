@@ -41,7 +41,9 @@ def input_line(name: str, entry: str) -> str:
 
 
 def file_line(e: Experiment, entry: str) -> str:
-    """An entry of a record's file in its split."""
+    """An entry of a record's file in its split; "" of a record from arrays, which has no card."""
+    if not e.source:
+        return ""
     return f"under [splits] {e.split or 'train'}: {entry or 'no entry: correct the file'}"
 
 
@@ -49,9 +51,11 @@ def file_parts(e: Experiment, left_out: Sequence[tuple[int, int]]) -> str:
     """Entries of a record's parts between stretches of samples, of which a cut is an empty one."""
     edges = [0, *(k for stretch in left_out for k in stretch), len(e)]
     parts = zip(edges[::2], edges[1::2], strict=True)
-    return file_line(e, ", ".join(card_entry(e, a, b) for a, b in parts if b - a >= FEWEST_SAMPLES))
+    entries = [card_entry(e, a, b) for a, b in parts if b - a >= FEWEST_SAMPLES]
+    return file_line(e, ", ".join(filter(None, entries)))
 
 
 def without_record(e: Experiment) -> str:
     """The advice to leave a record out of its split."""
-    return f'under [splits] {e.split or "train"}: leave out "{e.source or e.name}"'
+    where = f"under [splits] {e.split or 'train'}: " if e.source else ""
+    return f'{where}leave out "{e.source or e.name}"'

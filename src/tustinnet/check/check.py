@@ -19,16 +19,19 @@ from tustinnet.finding import Finding, merge_findings, sort_findings
 _EXPLAINS = {"fast angle", "counter", "dead sensor", "spike"}
 
 
-def check(records: Iterable[Experiment], card: Card | None = None) -> tuple[Finding, ...]:
+def check(
+    records: Iterable[Experiment] | Experiment, card: Card | None = None
+) -> tuple[Finding, ...]:
     """Finds what is wrong with records before a model is fitted to them.
 
     Args:
-        records: records of one machine, of the same channels.
+        records: records of one machine, of the same channels, or one.
         card: their data card, which the remedies speak of; None for records from arrays.
 
     Returns:
         Findings, the severe ones first, those of equal text merged.
     """
+    records = [records] if isinstance(records, Experiment) else records
     return check_views([view_record(e, card) for e in records])
 
 

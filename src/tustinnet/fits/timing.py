@@ -15,6 +15,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.roles import records_without_test
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.input_timing import (
     DeclaredTiming,
     InputTiming,
@@ -58,7 +59,9 @@ def determine_timing(
         keeps_unknown_delays: whether delays that the card calls unknown stay so, as an
             identification has them as parameters.
     """
-    system_holds = _holds_of(system)
+    loaded = None if system is None else load_system_or_template(system)
+    system_holds = {i.name: i.hold for i in getattr(loaded, "inputs", ())}
+    lacks_lag = isinstance(loaded, LagrangianSystem) and loaded.memory is None
     findings = _list_conflicts(system_holds, data.channels.inputs)
     inputs = [
         i if i.hold else replace(i, hold=system_holds.get(i.name)) for i in data.channels.inputs
@@ -84,7 +87,7 @@ def determine_timing(
         hold = what.hold or (one.hold if one else _USUAL)
         acting.append(replace(own, hold=hold, delay=None if stays_open[j] else delay or 0.0))
         if one and is_asked[j]:
-            findings.append(_describe(own.name, one, what, data[0].dt))
+            findings.append(_describe(own.name, one, what, data[0].dt, advises_force=lacks_lag))
             if "lag" in one.verdict:
                 lags.append(own.name)
     experiments = tuple(_with_inputs(e, acting) for e in data)
@@ -118,8 +121,10 @@ def _acting_delay(timing: InputTiming) -> float:
     return timing.delay.value if has_delay else 0.0
 
 
-def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: float) -> Finding:
-    """A sentence on the timing of an input."""
+def _describe(
+    name: str, timing: InputTiming, declared: DeclaredTiming, dt: float, *, advises_force: bool
+) -> Finding:
+    """A sentence on the timing of an input, with the force for its lag where one is missing."""
     hold = timing.hold if declared.hold is None else None
     common = {"input": name, "hold": hold, "rivals": list(timing.rivals) if hold else []}
     if declared.delay is not None:
@@ -137,13 +142,8 @@ def _describe(name: str, timing: InputTiming, declared: DeclaredTiming, dt: floa
         lag=lag.value,
         lag_error=lag.error,
         lag_periods=lag.value / dt,
+        advises_force=advises_force,
     )
-
-
-def _holds_of(system: AnySystem | None) -> dict[str, Hold | None]:
-    """The holds that a system declares, by input."""
-    loaded = None if system is None else load_system_or_template(system)
-    return {i.name: i.hold for i in getattr(loaded, "inputs", ())}
 
 
 def _list_conflicts(declared: Mapping[str, Hold | None], inputs: Sequence[Input]) -> list[Finding]:

@@ -4,7 +4,7 @@ from tustinnet.words.sentence import note, warning
 
 _DELAY = "{delay:.3g} ± {delay_error:.1g} s ({delay_periods:.2g} periods)"
 _LAG = "a first-order lag of {lag:.3g} ± {lag_error:.1g} s ({lag_periods:.2g} periods)"
-_FORCE = "; the force `lag` adds it to equations of motion"
+_FORCE = "[[{advises_force}; the force `lag` adds it to equations of motion]]"
 _HOLD = "[[; hold {hold}]][[ ({rivals:or} fits as well)]]"
 
 PREPARATION = {

@@ -346,6 +346,14 @@ def test_a_parameter_known_only_beforehand_has_the_error_of_its_prior():
     assert 0.9e-4 < damping.error < 2e-4
 
 
+def test_records_that_leave_all_of_a_range_do_not_inform():
+    hidden = [noisy(e, 1.0, i)[:40] for i, e in enumerate(records())]
+    damping, gravity, _ = tn.identify(data_set(hidden), SWING).estimates
+    assert damping.interval == pytest.approx((damping.lower, damping.upper))
+    assert not damping.is_informed
+    assert gravity.is_informed
+
+
 def test_few_records_say_nothing_of_how_they_disagree():
     white = [noisy(e, 0.01, i) for i, e in enumerate(noises())]
     few = tn.identify(data_set(white), SWING)
@@ -396,6 +404,9 @@ def test_a_fit_of_a_system_is_its_identification(clean):
     }
     with pytest.raises(tn.InputError, match="a fit that is no training has no seeds"):
         tn.fit(data_set(records()), "grey", system=SWING, seed=3)
+    (again,) = tn.fit_many(data_set(records()), "grey", system=SWING)
+    assert again.identification is not None
+    assert again.identification.values == result.identification.values
 
 
 # --- what is refused ---
@@ -416,6 +427,7 @@ HEIGHT = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
             r"inputs voltage.*the system 'swing'",
         ),
         (SWING, {"begin": {"gain": 3.0}}, "'gain': 3 N m/V"),
+        (SWING, {"fixed": {"gain": "a"}}, r"identify, fixed\.gain.*valid number.*\(got 'a'\)"),
         (SWING, {"recipe": "standard"}, "not applicable to a recipe of kind 'tustin-net'"),
     ],
     ids=[
@@ -423,6 +435,7 @@ HEIGHT = replace(SWING, coordinates=(tn.Coordinate("height", "linear"),))
         "other coordinates",
         "other inputs",
         "outside its range",
+        "a text for a value",
         "a training",
     ],
 )

@@ -32,6 +32,7 @@ from tustinnet.simulate.start_rules import FirstSamples, Start
 from tustinnet.simulate.state_fits import fit_states_with_derivatives
 
 _COST_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
+_LARGE_CHANGE = 0.01  # of a parameter's value: a smaller one is not worth a word
 _PRIOR = 2.0  # cost of a parameter that doubles: the mean RMSE of so many records
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
 
@@ -98,7 +99,8 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
     before = space.to_values_in_range(state.vector)
     refitted = replace(state, vector=space.clip(space.to_vector(before | after)))
     changes = {name: abs(x / before[name] - 1) for name, x in after.items() if before[name]}
-    most = sorted(changes, key=lambda name: -changes[name])[:3]
+    large = [name for name in changes if changes[name] >= _LARGE_CHANGE]
+    most = sorted(large, key=lambda name: -changes[name])[:3]
     finding = make_finding(
         "refitted",
         start=start.name,

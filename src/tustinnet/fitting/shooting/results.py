@@ -67,9 +67,11 @@ def make_identification(
             np.sqrt(np.diag(x)) for x in (uncertainty.trusted, uncertainty.naive)
         )
         correlation = uncertainty.trusted / np.outer(errors, errors)
-    priors = np.array([p.prior or np.inf for p in space.free_parameters])
-    slopes = np.abs(space.derivatives(result.vector))
-    informed = np.isinf(priors) | (errors * slopes < INFORMED * priors)
+    # without a prior the range is what was known, as a uniform distribution
+    priors = np.array([p.prior or np.nan for p in space.free_parameters])
+    known = priors / np.abs(space.derivatives(result.vector))
+    known = np.where(np.isnan(known), (space.upper - space.lower) / np.sqrt(12), known)
+    informed = errors < INFORMED * known
     quantiles = _quantiles(problem, space, uncertainty)
     estimates = make_estimates(space, result.vector, errors, naive_errors, quantiles, informed)
 
