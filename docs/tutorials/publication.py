@@ -130,7 +130,7 @@ plt.show()
 
 # %%
 fewer = tn.DataSet("fewer", (*train[::2], *validation))
-spring = tn.fit(fewer, "grey", system="qube-servo2")
+spring = tn.fit(fewer, "grey", system="qube-servo2", quiet=True)
 for e in spring.identification.estimates:
     told = f"at the {e.bound} end of its range" if e.bound else f"+- {e.error:.1e}"
     print(f"{e.name:17} {e.value:9.2e} {e.unit:12} {told}")
@@ -148,7 +148,7 @@ for e in spring.identification.estimates:
 # root of the mean of these sums.
 
 # %%
-naive = tn.fit(fewer, "grey", system="qube-servo2-naive")
+naive = tn.fit(fewer, "grey", system="qube-servo2-naive", quiet=True)
 models = {"with spring": spring.model, "without spring": naive.model}
 scores = {name: tn.evaluate(model, validation, "file") for name, model in models.items()}
 for name, found in scores.items():
@@ -193,7 +193,7 @@ draw(data["fallVal3"], {"with spring": "tab:orange", "without spring": "tab:purp
 
 # %%
 recipe = tn.read_recipe("paper-standard", ["stages.0.epochs=20"])
-standard = tn.fit(data, recipe, seed=0)
+standard = tn.fit(data, recipe, seed=0, quiet=True)
 print(f"{standard.detail('windows')[0]} windows, mean RMSE {standard.validation_rmse:.3f} rad")
 
 # %% [markdown]
@@ -212,8 +212,9 @@ print(f"{standard.detail('windows')[0]} windows, mean RMSE {standard.validation_
 
 # %%
 recipe = tn.read_recipe("paper-transfer", ["stages.0.epochs=30", "stages.1.epochs=12"])
-pretrained = tn.fit(data, recipe.model_copy(update={"stages": recipe.stages[:1]}), seed=0)
-transfer = tn.fit(data, recipe, seed=0)
+shorter = recipe.model_copy(update={"stages": recipe.stages[:1]})
+pretrained = tn.fit(data, shorter, seed=0, quiet=True)
+transfer = tn.fit(data, recipe, seed=0, quiet=True)
 for stage, result in zip(recipe.stages, (pretrained, transfer), strict=True):
     w = stage.windows
     print(f"{stage.name}: {w.count} windows of {w.length} samples,", end=" ")

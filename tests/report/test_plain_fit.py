@@ -61,6 +61,16 @@ def test_the_budget_is_that_of_the_command(budget, limit, pendulum, monkeypatch,
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_single_recipe_shows_its_progress_unless_it_is_quiet(pendulum, system, capsys):
+    heard: list[Any] = []
+    tn.fit(pendulum, "grey", system=system)
+    assert "grey: stage 1 of" in capsys.readouterr().err
+    tn.fit(pendulum, "grey", system=system, quiet=True)
+    tn.fit(pendulum, "grey", system=system, listener=tn.Listener(on_progress=heard.append))
+    assert capsys.readouterr() == ("", "")
+    assert heard
+
+
 def test_a_notebook_shows_the_last_line(pendulum, monkeypatch, capsys):
     shown: list[str] = []
 
@@ -92,7 +102,6 @@ def test_a_notebook_shows_the_last_line(pendulum, monkeypatch, capsys):
         ({"seed": 0}, "`seed=`: not applicable without a recipe"),
         ({"recipe": "linear", "budget": 10.0}, "`budget=`: not applicable to a single recipe"),
         ({"recipe": "linear", "folder": "x"}, "`folder=`: not applicable to a single recipe"),
-        ({"recipe": "linear", "quiet": True}, "`quiet=`: not applicable to a single recipe"),
         ({"budget": 0.0}, "`budget=`: 0; expected seconds above 0"),
         ({"budget": math.nan}, "`budget=`: nan"),
     ],

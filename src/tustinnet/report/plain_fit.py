@@ -42,6 +42,7 @@ def fit(
     physics: Model | None = None,
     system: AnySystem | None = None,
     listener: Listener | None = None,
+    quiet: bool = False,
 ) -> FitResult: ...
 @overload
 def fit(
@@ -51,6 +52,7 @@ def fit(
     *,
     physics: Model,
     listener: Listener | None = None,
+    quiet: bool = False,
 ) -> FitResult: ...
 def fit(
     data: DataSet,
@@ -67,9 +69,9 @@ def fit(
     """Fits a model to a data set, as a recipe says, or the best of several recipes without one.
 
     Holds and delays of inputs that the records do not declare are searched for first. Without a
-    recipe and without `physics`, `select_model` tries the usual plan, as the command `fit` does.
-    Its progress is printed, in notebooks as one line that changes, and Ctrl-C ends with the best
-    model so far, twice at once.
+    recipe and without `physics`, `select_model` tries the usual plan, as the command `fit` does,
+    and Ctrl-C ends with the best model so far, twice at once. The progress is printed, in notebooks
+    as one line that changes.
 
     Args:
         data: records; with a recipe those of the splits `train` and, if free runs are to choose,
@@ -80,10 +82,11 @@ def fit(
             identification has none.
         physics: a model to correct, as an identification gives it; it stays as it is.
         system: the system whose parameters are identified, its name or its file.
-        listener: with a recipe: functions that are called while the fit goes on, see `Listener`.
+        listener: with a recipe: functions that are called while the fit goes on, see `Listener`;
+            nothing is printed then.
         budget: without a recipe: how long it may take [s], 240 by default, infinite for no limit.
         folder: without a recipe: where all models, tables and logs are kept; by default nowhere.
-        quiet: without a recipe: whether nothing is printed.
+        quiet: whether nothing is printed.
 
     Returns:
         The model and how it came about: `model`, and what was found (`findings`). A training that
@@ -94,12 +97,15 @@ def fit(
             an argument that is not applicable; see also `identify` and `select_model`.
     """
     if recipe is not None or physics is not None:
-        needless = {"budget": budget, "folder": folder, "quiet": quiet or None}
+        needless = {"budget": budget, "folder": folder}
         _refuse(needless, "to a single recipe", "no recipe and no physics")
         warn_of_single_precision("fit")
         members = (Member(seed or 0),)
         request = FitRequest(data, recipe, members, physics=physics, system=system)
-        return fit_request(request, listener or SILENT)[0]
+        if listener or quiet:
+            return fit_request(request, listener or SILENT)[0]
+        with FitProgress(_make_console()) as progress:
+            return fit_request(request, progress.listener())[0]
     _refuse({"seed": seed, "listener": listener}, "without a recipe", "a recipe")
     limit = USUAL_BUDGET if budget is None else budget
     if not limit > 0:
@@ -112,18 +118,21 @@ def fit(
 
 
 def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bool) -> Choice:
-    """Chooses a model, and prints its progress unless quiet.
-
-    That is on standard error, or in a notebook an output of the cell that changes.
-    """
+    """Chooses a model, and prints its progress unless quiet."""
     if quiet:
         return select_model(data, folder, options)
-    style: Any = {"highlight": False, "soft_wrap": True, "markup": False}
-    console = Console(stderr=True, **style)
-    if console.is_jupyter:
-        console = Console(file=_LastLine(), force_jupyter=False, force_terminal=False, **style)
+    console = _make_console()
     with FitProgress(console) as progress:
         return select_model(data, folder, options, reporter=make_reporter(progress, console.print))
+
+
+def _make_console() -> Console:
+    """The place of progress: standard error, in a notebook an output of the cell that changes."""
+    style: Any = {"highlight": False, "soft_wrap": True, "markup": False}
+    console = Console(stderr=True, **style)
+    if not console.is_jupyter:
+        return console
+    return Console(file=_LastLine(), force_jupyter=False, force_terminal=False, **style)
 
 
 class _LastLine(StringIO):
