@@ -17,8 +17,8 @@ from .evaluate.next_record import Proposal as Proposal
 from .evaluate.next_record import rank_proposals as rank_proposals
 from .evaluate.record_design import DesignOptions as DesignOptions
 from .evaluate.record_design import design_record as design_record
+from .evaluate.reference import evaluate as evaluate
 from .evaluate.residuals import residual_reports as residual_reports
-from .evaluate.scores import evaluate as evaluate
 from .evaluate.scores import free_run as free_run
 from .evaluate.scores import mean_rmse as mean_rmse
 from .export.casadi import casadi_step as casadi_step

@@ -127,7 +127,7 @@ def refused(place, capsys, monkeypatch, pendulum):
         before = everything(place.root)
         with monkeypatch.context() as patched:
             for module in (scores, reference, horizons):
-                patched.setattr(module, "evaluate", computes)
+                patched.setattr(module, "score_runs", computes)
             patched.setattr(runs, "fit_in_folder", computes)
             patched.setattr(jobs, "fit_in_folder", computes)
             patched.setattr(final_models, "fit_in_folder", computes)

@@ -42,6 +42,19 @@ def test_a_reference_needs_no_timing_of_inputs():
     assert find_reference([e], None).mean == pytest.approx(0.0, abs=1e-9)
 
 
+def test_every_score_stands_beside_its_reference():
+    t = 0.01 * np.arange(400)
+    records = [record(0.3 * np.sin(3 * t)), record(0.2 * np.cos(2 * t), "b")]
+    still = Persistence(records[0].channels, False)
+    (one, other) = tn.evaluate(still, records, horizon=2.0)
+    assert [one.reference, other.reference] == list(find_reference(records, 2.0).rmse.values())
+    assert one.reference == one.rmse
+    (short,) = tn.evaluate(still, [record(t[:4])], "derived-3")
+    assert short.reference is None
+    with pytest.raises(tn.InputError, match="mean_rmse: no scores"):
+        tn.mean_rmse([])
+
+
 def test_a_record_is_followed_until_a_coordinate_is_far_off():
     t = 0.01 * np.arange(401)
     records = [record(np.sin(3 * t)), record(np.sin(3 * t), "b")]

@@ -10,6 +10,7 @@ import pytest
 from conftest import SMALL_RECIPE
 
 import tustinnet as tn
+from tustinnet.evaluate.reference import find_reference
 
 mpl.use("agg")
 
@@ -96,6 +97,22 @@ def test_results_are_shown_in_a_few_lines(pendulum, folder, system):
     assert len(frame) == len(pendulum) * len(validation.summary())
     assert "<td>&quot;fall1&quot;</td>" in validation._repr_html_()
     assert pl.DataFrame([score]).select("experiment", "rmse").row(0) == ("fall1", score.rmse)
+    assert score.to_frame()["reference"].to_list() == [score.reference]
+    assert (score.reference or 0.0) > score.rmse
+
+
+def test_systems_models_and_drafts_are_shown_in_a_line(pendulum, folder, system):
+    model = tn.fit(pendulum, "grey", system=system).model
+    assert repr(model) == "Discretised(angle, torque, 0.02 s a sample, 1 LagrangianModel)"
+    pair = tn.committee([model, model])
+    assert repr(pair) == "Committee(angle, torque, 0.02 s a sample, 2 Discretised)"
+    loaded = tn.load_system(system)
+    names = f"{loaded.name!r}, angle, torque, {len(loaded.parameters)} parameters"
+    assert repr(loaded) == f"LagrangianSystem({names})"
+    draft = tn.draft(folder)
+    assert "numbers=Numbers" in repr(draft.columns[0])
+    assert draft.to_frame()["name"].to_list() == [c.name for c in draft.columns]
+    assert "<pre># drafted from the logs" in draft._repr_html_()
 
 
 def test_a_training_is_a_row(pendulum, tmp_path):
@@ -104,6 +121,12 @@ def test_a_training_is_a_row(pendulum, tmp_path):
     assert result.recipe.name in result._repr_html_()
     (row,) = result.to_frame().rows(named=True)
     assert (row["recipe"], row["validation_rmse"]) == ("small", result.validation_rmse)
+    assert row["reference"] == find_reference(list(pendulum.split("validation")), None).mean
+    assert row["horizon"] is None
+    short = tn.fit(pendulum, tn.read_recipe(tmp_path / "small.toml", "horizon=1.0"))
+    assert "<td>1 s</td>" in short._repr_html_()
+    assert short.to_frame()["horizon"].to_list() == [1.0]
+    assert short.to_frame()["reference"][0] < row["reference"]
 
 
 def test_free_runs_start_where_they_usually_do(pendulum, system):

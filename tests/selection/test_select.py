@@ -332,13 +332,13 @@ def test_every_model_can_be_loaded(made):
 def test_where_whole_free_runs_say_nothing_a_horizon_is_judged_over_and_nothing_fitted_again(
     tmp_path, monkeypatch
 ):
-    whole = scoring.evaluate
+    whole = scoring.score_runs
 
     def unstable(model, records, start, *, horizon=None):
         scores = whole(model, records, start, horizon=horizon)
         return [replace(s, rmse=np.inf) for s in scores] if horizon is None else scores
 
-    monkeypatch.setattr(scoring, "evaluate", unstable)
+    monkeypatch.setattr(scoring, "score_runs", unstable)
     fitted: list[Path] = []
     monkeypatch.setattr(
         jobs,

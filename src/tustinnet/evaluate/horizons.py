@@ -7,7 +7,7 @@ import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.reference import Reference, find_reference
-from tustinnet.evaluate.scores import Score, evaluate, mean_rmse_by_unit
+from tustinnet.evaluate.scores import Score, mean_rmse_by_unit, score_runs
 from tustinnet.finding import Finding, make_finding
 from tustinnet.models.contract import Model
 from tustinnet.simulate.horizon import FOLLOWED
@@ -47,7 +47,7 @@ def errors_over_horizons(
     errors = []
     for horizon in HORIZONS:
         if fewest <= round(horizon / dt) < longest:
-            scores = evaluate(model, records, start, horizon=horizon)
+            scores = score_runs(model, records, start, horizon=horizon)
             errors.append(_horizon_error(horizon, records, scores))
     return [*errors, _horizon_error(None, records, whole)]
 

@@ -1,6 +1,6 @@
-"""The reference of free runs: the trivial predictors that any model has to beat."""
+"""Trivial predictors that any model has to beat, the reference of free runs; scores beside it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,10 +9,17 @@ import jax.numpy as jnp
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
-from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, mean_rmse_by_unit, rmse_by_record
+from tustinnet.errors import InputError
+from tustinnet.evaluate.scores import (
+    Score,
+    mean_rmse,
+    mean_rmse_by_unit,
+    rmse_by_record,
+    score_runs,
+)
 from tustinnet.models.contract import Model, State
 from tustinnet.models.step_layout import StepInput
-from tustinnet.simulate.starts import default_start
+from tustinnet.simulate.starts import Start, default_start
 
 
 class Persistence(Model):
@@ -87,9 +94,55 @@ def find_reference(records: Sequence[Experiment], horizon: float | None) -> Refe
     references = [
         Reference(
             moves,
-            tuple(evaluate(Persistence(channels, moves), records, start, horizon=horizon)),
+            tuple(score_runs(Persistence(channels, moves), records, start, horizon=horizon)),
             channels,
         )
         for moves in (False, True)
     ]
     return min(references, key=lambda reference: reference.mean)
+
+
+def find_reference_if_possible(
+    records: Sequence[Experiment], horizon: float | None
+) -> Reference | None:
+    """The reference of free runs of records; None of none, and of those too short to start in."""
+    try:
+        return find_reference(records, horizon) if records else None
+    except InputError:
+        return None
+
+
+def evaluate(
+    model: Model,
+    experiments: Iterable[Experiment] | Experiment,
+    start: str | Start | None = None,
+    *,
+    horizon: float | None = None,
+) -> list[Score]:
+    """Scores the free runs of records.
+
+    Args:
+        model: the model.
+        experiments: records of any lengths, a data set of them, or one.
+        start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
+            By default a warm-up or `model-20` where internal states ask for it, else `file` where
+            all records store velocities, else `derived-6`, or `model-20` of fast swings.
+        horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
+            all its segments. None for whole records.
+
+    Returns:
+        Per record RMSE, beside it that of a trivial predictor, per-coordinate figures and the
+        simulation. A free run that diverges scores infinity.
+
+    Raises:
+        InputError: see `free_run`.
+    """
+    experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
+    if not experiments:
+        raise InputError("evaluate", "no records", "at least one")
+    scores = score_runs(model, experiments, start, horizon=horizon)
+    reference = find_reference_if_possible(experiments, horizon)
+    if reference is None:
+        return scores
+    trivial = [score.rmse for score in reference.scores]
+    return [replace(s, reference=x) for s, x in zip(scores, trivial, strict=True)]

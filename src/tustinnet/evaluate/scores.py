@@ -12,7 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
-from tustinnet.shown import Brief
+from tustinnet.shown import Shown
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.horizon import horizon_samples, pieces
@@ -22,7 +22,7 @@ from tustinnet.simulate.starts import Start, default_start, start_named, start_s
 
 
 @dataclass(frozen=True, repr=False)
-class Score(Brief):
+class Score(Shown):
     """The simulation of one record and its errors.
 
     Attributes:
@@ -37,6 +37,9 @@ class Score(Brief):
         simulated: the free run's states, (n, n_x); before it begins, those along the record.
         horizon: how long a free run lasted at most [s]; None for the whole record at once.
         coordinate_rmse_after: per coordinate, without the samples that the start was fitted to.
+        reference: what a trivial predictor has instead of `rmse`, standing still or constant speed,
+            see `find_reference`; a model that is no better is worthless. None where it was not
+            asked for, or records are too short for it.
     """
 
     experiment: str
@@ -49,6 +52,7 @@ class Score(Brief):
     simulated: Float[np.ndarray, "n n_x"]
     horizon: float | None = None
     coordinate_rmse_after: tuple[float, ...] = ()
+    reference: float | None = None
 
     def rmse_by_unit(self, channels: Channels) -> dict[str, float]:
         """RMSE of the 2-norm over the coordinates of each unit, by unit."""
@@ -118,34 +122,14 @@ def free_run(
     return map_in_batches(simulator, experiments, run_batch)
 
 
-def evaluate(
+def score_runs(
     model: Model,
-    experiments: Iterable[Experiment] | Experiment,
-    start: str | Start | None = None,
+    experiments: Sequence[Experiment],
+    start: str | Start | None,
     *,
-    horizon: float | None = None,
+    horizon: float | None,
 ) -> list[Score]:
-    """Scores the free runs of records.
-
-    Args:
-        model: the model.
-        experiments: records of any lengths, a data set of them, or one.
-        start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
-            By default a warm-up or `model-20` where internal states ask for it, else `file` where
-            all records store velocities, else `derived-6`, or `model-20` of fast swings.
-        horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
-            all its segments. None for whole records.
-
-    Returns:
-        Per record RMSE, per-coordinate figures and the simulation. A free run that diverges
-        scores infinity.
-
-    Raises:
-        InputError: see `free_run`.
-    """
-    experiments = [experiments] if isinstance(experiments, Experiment) else [*experiments]
-    if not experiments:
-        raise InputError("evaluate", "no records", "at least one")
+    """Scores the free runs of records as `evaluate` does, without their reference."""
     rule, scores = _find_start(start, experiments, model), []
     samples = horizon_samples(horizon, experiments, rule)
     runs = free_run(model, experiments, rule, horizon=horizon)
@@ -192,7 +176,12 @@ def mean_rmse(scores: Sequence[Score]) -> float:
 
     Returns:
         The mean of the records' RMSE [rad or m].
+
+    Raises:
+        InputError: no scores.
     """
+    if not scores:
+        raise InputError("mean_rmse", "no scores", "those of a record at least")
     return metrics.mean_and_error(score.rmse for score in scores)[0]
 
 

@@ -14,10 +14,10 @@ from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import (
     Score,
-    evaluate,
     mean_rmse,
     mean_rmse_by_unit,
     rmse_by_record,
+    score_runs,
     scores_header,
 )
 from tustinnet.evaluate.spoiled import find_spoiled
@@ -128,7 +128,7 @@ class Run:
         if self.roles.ranking is self.roles.train:
             return self.best.scores
         horizon = effective_horizon(result.horizon, self.roles.train)
-        return evaluate(result.model, self.roles.train, result.start, horizon=horizon)
+        return score_runs(result.model, self.roles.train, result.start, horizon=horizon)
 
     @property
     def channels(self) -> Channels:
@@ -320,7 +320,7 @@ def _header_of(result: FitResult) -> dict[str, Any]:
 def _score_fit(result: FitResult, roles: Roles, folder: Path) -> MemberRun:
     """A fit with the scores of the records that rank it."""
     horizon = effective_horizon(result.horizon, roles.ranking)
-    scores = evaluate(result.model, roles.ranking, result.start, horizon=horizon)
+    scores = score_runs(result.model, roles.ranking, result.start, horizon=horizon)
     return MemberRun(result, tuple(scores), folder)
 
 

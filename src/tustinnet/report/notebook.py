@@ -16,8 +16,11 @@ from matplotlib.figure import Figure
 
 from tustinnet.channels import Channels
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.drafting.draft import Draft
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
+from tustinnet.evaluate.reference import find_reference_if_possible
+from tustinnet.evaluate.scores import Score
 from tustinnet.finding import Finding
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
@@ -26,8 +29,10 @@ from tustinnet.report.selection import candidates_frame, candidates_table
 from tustinnet.report.tables import Table, number
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.cross_validation import CrossValidationResult
+from tustinnet.simulate.horizon import effective_horizon
 
 _MOST_DRAWN = len(COLOURS)  # records of a set that one picture tells apart
+_TRIVIAL = "standing still or constant speed"  # heading of the reference
 _STYLES = ("-", "--", ":", "-.")  # of the inputs of a record among others
 _PANEL_SIZE = (6.0, 1.3)  # inches
 
@@ -60,13 +65,21 @@ def _(shown: Identification) -> str:
 
 @to_html.register
 def _(shown: FitResult) -> str:
-    rmse = number(shown.validation_rmse)
-    rows = [[shown.recipe.name, str(shown.seed), rmse, shown.outcome, f"{shown.seconds:.1f}"]]
-    columns = ["recipe", "seed", "validation RMSE", "outcome", "seconds"]
-    table = Table(columns, rows, f"start '{shown.start}'").html()
+    horizon = "–" if shown.horizon is None else f"{shown.horizon:.3g} s"
+    errors = [number(x) for x in (shown.validation_rmse, _reference_rmse(shown))]
+    rows = [[shown.recipe.name, str(shown.seed), *errors, horizon, shown.outcome]]
+    columns = ["recipe", "seed", "validation RMSE", _TRIVIAL, "horizon", "outcome", "seconds"]
+    table = Table(columns, [[*rows[0], f"{shown.seconds:.1f}"]], f"start '{shown.start}'").html()
     if shown.identification is not None:
         return table + to_html(shown.identification)
     return table + _sentences(shown.findings)
+
+
+@to_html.register
+def _(shown: Draft) -> str:
+    columns = ["column", "use", "unit", "because"]
+    rows = [[c.name, c.use or "–", c.unit, c.because] for c in shown.columns]
+    return Table(columns, rows).html() + f"<pre>{escape(shown.text)}</pre>"
 
 
 @to_html.register
@@ -80,6 +93,15 @@ def _record_table(records: Sequence[Experiment], title: str) -> Table:
     names = [f"{c.name} [{c.unit}]" for c in (*channels.coordinates, *channels.inputs)]
     title = f"{title}: {', '.join(names)}, {1e3 * channels.dt:.4g} ms a sample"
     return Table(["record", "split", "samples", "seconds"], rows, title)
+
+
+def _reference_rmse(shown: FitResult) -> float | None:
+    """Mean RMSE of a trivial predictor over the free runs of the validation records of a fit."""
+    if shown.roles is None or shown.validation_rmse is None:
+        return None
+    records = shown.roles.with_long_validation(shown.fewest_samples).validation
+    reference = find_reference_if_possible(records, effective_horizon(shown.horizon, records))
+    return None if reference is None else reference.mean
 
 
 def _sentences(findings: Sequence[Finding]) -> str:
@@ -140,8 +162,20 @@ def _(shown: Identification) -> pl.DataFrame:
 def _(shown: FitResult) -> pl.DataFrame:
     if shown.identification is not None:
         return to_frame(shown.identification)
-    names = ["seed", "start", "validation_rmse", "outcome", "seconds"]
-    return pl.DataFrame([{"recipe": shown.recipe.name} | {n: getattr(shown, n) for n in names}])
+    names = ["seed", "start", "horizon", "validation_rmse", "outcome", "seconds"]
+    row = {"recipe": shown.recipe.name} | {n: getattr(shown, n) for n in names}
+    return pl.DataFrame([row | {"reference": _reference_rmse(shown)}])
+
+
+@to_frame.register
+def _(shown: Score) -> pl.DataFrame:
+    return pl.DataFrame([shown]).drop("simulated")
+
+
+@to_frame.register
+def _(shown: Draft) -> pl.DataFrame:
+    names = ["name", "use", "unit", "role", "because", "margin"]
+    return pl.DataFrame([{n: getattr(c, n) for n in names} for c in shown.columns])
 
 
 @to_frame.register

@@ -9,7 +9,7 @@ from typing import Any
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.errors import InputError
-from tustinnet.evaluate.scores import Score, evaluate, mean_rmse, rmse_by_record
+from tustinnet.evaluate.scores import Score, mean_rmse, rmse_by_record, score_runs
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fits.run import Run, run_fit
 from tustinnet.fitting.listener import Listener
@@ -171,7 +171,7 @@ def build_rows(
         if name == AUTHORS:
             for authors_name, stem in AUTHORS_ROWS.items():
                 model = load_authors_weights(folder / WEIGHTS_FOLDER / f"{stem}.npz", data)
-                scores = tuple(evaluate(model, records, START))
+                scores = tuple(score_runs(model, records, START, horizon=None))
                 rows.append(Row(authors_name, None, None, scores, model))
             continue
         run = fit(name)
@@ -183,7 +183,7 @@ def build_rows(
                     name=name,
                     seed=result.seed if result.recipe.family.has_seeds else None,
                     recipe=ENTRIES[name].system or result.recipe.name,
-                    scores=tuple(evaluate(result.model, records, start)),
+                    scores=tuple(score_runs(result.model, records, start, horizon=None)),
                     model=result.model,
                     file=run.folder / MODEL,
                     train_seconds=result.seconds,

@@ -11,7 +11,7 @@ from typing import Any
 
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.evaluate.scores import rmse_by_record, score_runs
 from tustinnet.families.committee import committee
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import NEVER, Deadline
@@ -164,7 +164,7 @@ def _first_as_promised(
     records, tried = records_without_test(context.data), list[tuple[float, FinalModel]]()
     for way in ways:
         start, *_ = context.scoring.starts(way.model, context.data)
-        scores = evaluate(way.model, records, start, horizon=context.scoring.horizon)
+        scores = score_runs(way.model, records, start, horizon=context.scoring.horizon)
         error = mean_and_error(rmse_by_record(scores).values())[0]
         tried.append((error if math.isfinite(error) else math.inf, way))
         is_late = deadline.has_passed() and math.isfinite(error)

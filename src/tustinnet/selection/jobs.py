@@ -23,7 +23,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
-from tustinnet.evaluate.scores import Score, evaluate, scores_header
+from tustinnet.evaluate.scores import Score, score_runs, scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
@@ -312,7 +312,7 @@ class RunContext:
             start, rmse = next(iter(first.rmse.items()))
             records = [self.data[name] for name in rmse if names is None or name in names]
             if records:
-                runs = evaluate(self.load_model(first.model), records, start, horizon=horizon)
+                runs = score_runs(self.load_model(first.model), records, start, horizon=horizon)
                 scores |= {score.experiment: score for score in runs}
         return scores
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
-from tustinnet.evaluate.scores import evaluate, rmse_by_record
+from tustinnet.evaluate.scores import rmse_by_record, score_runs
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
 from tustinnet.selection.folds import FoldSplit, names_of
@@ -53,7 +53,7 @@ class Scorer:
         records, horizon = self._records(split, data), self.used_horizon(fit_horizon, split)
         result: RmseByStart = {}
         for start in self.starts(model, data):
-            rmse = rmse_by_record(evaluate(model, records, start, horizon=horizon))
+            rmse = rmse_by_record(score_runs(model, records, start, horizon=horizon))
             result[start] = {name: rmse[name] for name in names_of(split.scored)}
         return result
 

@@ -13,7 +13,7 @@ from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Band, BandOptions, Calibration, find_alternatives, make_bands
 from tustinnet.evaluate.energy import energy_along
 from tustinnet.evaluate.residuals import ResidualReport, residual_reports
-from tustinnet.evaluate.scores import Score, evaluate
+from tustinnet.evaluate.scores import Score, score_runs
 from tustinnet.families.family import family_of
 from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.simulate.range import ExtrapolationPoint, Range
@@ -72,8 +72,8 @@ def compute_model_result(
         InputError: see `evaluate`.
     """
     model, header, notes = reported.model, reported.header, []
-    scores = reported.scores or evaluate(model, records, start, horizon=horizon)
-    whole = scores if horizon is None else evaluate(model, records, start)
+    scores = reported.scores or score_runs(model, records, start, horizon=horizon)
+    whole = scores if horizon is None else score_runs(model, records, start, horizon=None)
     runs = [score.simulated for score in scores]
     training_range = Range.from_header(dict(header), model) if header else None
     extrapolations = [
