@@ -2,10 +2,18 @@
 
 import pickle
 
+import numpy as np
 import pytest
 
 import tustinnet as tn
-from tustinnet.errors import convert_errors, describe_error, require_name, require_text
+from tustinnet.errors import (
+    convert_errors,
+    describe_error,
+    require_name,
+    require_number,
+    require_text,
+)
+from tustinnet.evaluate.reference import Persistence
 
 
 class Panic(BaseException):
@@ -111,3 +119,20 @@ def test_an_error_that_a_worker_sends_has_its_message():
     error = pickle.loads(pickle.dumps(tn.InputError("a", "b", "c", "d")))
     assert isinstance(error, tn.InputError)
     assert str(error) == "a: b; expected c; d"
+
+
+def test_a_text_is_no_number_and_one_fold_is_none():
+    for number in (1, 0.5, np.float32(2), np.int64(3)):
+        require_number(number, "x")
+    with pytest.raises(tn.InputError, match="parameter 'mass': '1'; expected a number"):
+        require_number("1", "parameter 'mass'")
+    with pytest.raises(tn.InputError, match="`folds=`: 1; expected 3 or more"):
+        tn.make_cross_validation_options("network", folds=1)
+
+
+def test_arrays_are_no_records_and_one_record_is_checked(pendulum):
+    with pytest.raises(tn.InputError, match="experiments: ndarray; expected Iterable of Exp"):
+        tn.free_run(Persistence(pendulum.channels, False), pendulum[0].q)
+    with pytest.raises(tn.InputError, match="data: Experiment; expected"):
+        tn.fit(pendulum[0], "linear")
+    assert tn.check(pendulum[0]) == tn.check([pendulum[0]])

@@ -84,7 +84,8 @@ def _fits(value: Any, hint: Any) -> bool:
         is_whole = not isinstance(value, str) and isinstance(value, Iterable)
         if issubclass(origin, Mapping):
             return isinstance(value, Mapping)
-        elements = value if isinstance(value, list | tuple) and inner else ()
+        is_read = isinstance(value, list | tuple) or getattr(value, "shape", ())
+        elements = value if is_read and inner else ()
         return is_whole and all(_fits(element, inner[0]) for element in elements)
     is_class = (
         isinstance(hint, type)

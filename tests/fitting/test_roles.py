@@ -58,7 +58,7 @@ def test_splits_without_one_for_training_are_refused(pendulum):
 
 @pytest.mark.usefixtures("unchecked")
 def test_something_else_than_a_data_set_is_refused_with_the_remedy(pendulum):
-    with pytest.raises(tn.InputError, match=r"a list; expected a DataSet; use tn\.load"):
+    with pytest.raises(tn.InputError, match=r"data: list; expected a DataSet; use tn\.load"):
         assign_roles(list(pendulum))  # type: ignore[arg-type] # what people try
 
 

@@ -151,7 +151,7 @@ def _require_member(model: Model, first: Model, where: str) -> None:
     if not isinstance(model, Model):
         raise InputError(
             where,
-            f"a {type(model).__name__}",
+            type(model).__name__,
             "a model that steps from sample to sample",
             "make it discrete (discretise)",
         )

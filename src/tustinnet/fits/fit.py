@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.data.declaration import declare
 from tustinnet.fits.request import FitRequest, prepare
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.listener import SILENT, Listener
+from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.fitting.report import FitResult, Identification
 from tustinnet.fitting.task import AnyRecipe, Member
@@ -22,6 +24,7 @@ def fit_many(
     rates: Sequence[float] = (1.0,),
     *,
     physics: Model | None = None,
+    system: AnySystem | None = None,
     listener: Listener = SILENT,
 ) -> list[FitResult]:
     """Trains a recipe from several seeds, at several rates, as one batched program.
@@ -35,6 +38,7 @@ def fit_many(
         seeds: one training each.
         rates: factors of the recipe's rates; every seed is trained with each.
         physics: as for `fit`.
+        system: as for `fit`; an identification has neither seeds nor rates.
         listener: as for `fit`.
 
     Returns:
@@ -46,7 +50,8 @@ def fit_many(
     """
     warn_of_single_precision("fit_many")
     members = tuple(Member(seed, rate) for seed in seeds for rate in rates)
-    return fit_request(FitRequest(data, recipe, members, physics=physics), listener)
+    request = FitRequest(data, recipe, members, physics=physics, system=system)
+    return fit_request(request, listener)
 
 
 def identify(
@@ -86,11 +91,14 @@ def identify(
             (`UnfinishedSearchError`).
     """
     recipe = read_recipe(recipe)
-    tables = {
-        "begin": {**getattr(recipe.model, "begin", {}), **(begin or {})},
-        "fixed": {**getattr(recipe.model, "fixed", {}), **(fixed or {})},
-    }
-    recipe = recipe.model_copy(update={"model": recipe.model.model_copy(update=tables)})
+    if isinstance(recipe, IdentificationRecipe):
+        table = recipe.model
+        tables = {
+            "begin": {**table.begin, **(begin or {})},
+            "fixed": {**table.fixed, **(fixed or {})},
+        }
+        model = declare({**table.model_dump(), **tables}, type(table), "identify")
+        recipe = recipe.model_copy(update={"model": model})
     request = FitRequest(data, recipe, system=system)
     (result,) = fit_request(request, listener)
     assert result.identification is not None

@@ -77,7 +77,7 @@ def assign_roles(data: DataSet) -> Roles:
     if not isinstance(data, DataSet):
         raise InputError(
             "data",
-            f"a {type(data).__name__}",
+            type(data).__name__,
             "a DataSet",
             "use tn.load(folder) or tn.DataSet(name, experiments)",
         )

@@ -166,6 +166,8 @@ def make_cross_validation_options(
         )
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("`seeds=`", f"{list(seeds)}", "at least one, all different")
+    if folds < 3:
+        raise InputError("`folds=`", f"{folds}", "3 or more", "one is scored, one chooses")
     identification = read_recipe(physics or DEFAULT_PHYSICS) if corrects else recipe
     if corrects and not identification.family.correctable:
         raise InputError(

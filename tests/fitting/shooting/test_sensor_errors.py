@@ -78,7 +78,10 @@ def test_measured_motion_is_the_physical_one_through_the_sensors():
     ("free", "message"),
     [
         (["tilt.bias"], "no channel 'tilt'"),
-        (["bias"], "no channel ''"),
+        (
+            ["bias"],
+            r"no channel ''; expected CHANNEL\.bias, .* of an input, CHANNEL\.delay of angle",
+        ),
         (["angle.bias", "angle.bias"], "'angle.bias' twice"),
         (["angle.delay"], "a delay common to all sensors is the same as one of the inputs"),
         (["angle.scale"], "expected angle.bias or angle.gain"),

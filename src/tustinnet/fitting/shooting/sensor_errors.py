@@ -54,7 +54,7 @@ def _sensor_parameter(
         raise InputError(
             _WHERE,
             f"'{name}': no channel '{channel_name}'",
-            f"CHANNEL.bias or CHANNEL.gain of {names}",
+            f"CHANNEL.bias, CHANNEL.gain or, of an input, CHANNEL.delay of {names}",
         )
     channel = channels[channel_name]
     if kind == "delay":
@@ -72,7 +72,9 @@ def _sensor_parameter(
     if kind == "gain":
         return Parameter(name, "1", 1.0, 0.5, 2.0)
     if kind != "bias":
-        raise InputError(_WHERE, f"'{name}'", f"{channel_name}.bias or {channel_name}.gain")
+        of_input = "" if isinstance(channel, Coordinate) else f" or {channel_name}.delay"
+        expected = f"{channel_name}.bias or {channel_name}.gain{of_input}"
+        raise InputError(_WHERE, f"'{name}'", expected)
 
     if not isinstance(channel, Coordinate):
         k = system.inputs.index(channel)
