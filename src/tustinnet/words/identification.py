@@ -260,6 +260,11 @@ IDENTIFICATION = {
         "the sign of {what:or-of} of {joints:quoted and} is probably reversed" + _FALLS,
         "sign = -1 in the card, or without it where it is there already",
     ),
+    "group apart": warning(
+        "records of {group} = {value}: {before:percent.3g} of the forces are missing by parameters "
+        "of the others, {after:percent.3g} by those of their own",
+        '`per=` of `load_robot`, as {{LINK: "{group}"}}, where a link carries something else',
+    ),
     "record apart": warning(
         "{before:percent.3g} of the force at {joint} are missing, and {after:percent.3g} without "
         "{without:quoted and}: another payload, zero or sign there?",

@@ -330,6 +330,21 @@ def test_constants_of_motors_follow_from_a_known_payload():
     assert e.interval[1] - e.interval[0] < 0.1 * constant
 
 
+def test_groups_whose_parameters_differ_are_told(system, truth):
+    center = np.array([0.05, 0.02, -0.01])
+    records = [
+        replace(e, name=f"{e.name}-{group}", groups=(("payload", group), ("day", str(k))))
+        for group, values in (
+            ("none", truth),
+            ("ball", with_payload(truth, "spindle", 3.0, center)),
+        )
+        for k, e in enumerate(record_in_loop(system, values, count=3, seconds=3.0))
+    ]
+    result = tn.identify(tn.DataSet("scara", tuple(records)), system, ALONE)
+    (told,) = [f for f in result.findings if f.code == "group apart"]  # nothing of the days
+    assert told.mend.endswith('as {LINK: "payload"}, where a link carries something else')
+
+
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"><inertial>
   <mass value="1"/><inertia ixx="0.03" iyy="0.03" izz="0.05"/></inertial></link>
   <joint name="axis" type="revolute"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>

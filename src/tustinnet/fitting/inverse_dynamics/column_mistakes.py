@@ -18,8 +18,13 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.inverse_dynamics.along import filter_record
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
-from tustinnet.fitting.inverse_dynamics.solver import Prior, coordinates_of, solve
-from tustinnet.fitting.inverse_dynamics.sums import ForceSums
+from tustinnet.fitting.inverse_dynamics.solver import (
+    Prior,
+    coordinates_of,
+    left_out_squares,
+    solve,
+)
+from tustinnet.fitting.inverse_dynamics.sums import Columns, ForceSums, sum_up
 from tustinnet.fitting.report import ForceError
 from tustinnet.fitting.shooting.base_parameters import LinearCoordinates
 from tustinnet.fitting.shooting.least_squares import solve_in_box
@@ -111,6 +116,39 @@ def describe_column_mistakes(
     if mistakes := comparison.find_mistakes():
         return mistakes
     return _describe_poor([e for e in poor if e.is_driven])
+
+
+def describe_groups_apart(
+    problem: Problem, columns: Sequence[Columns], prior: Prior, start: ParameterVector
+) -> list[Finding]:
+    """Records of a group that no parameter is per, and which parameters of their own explain.
+
+    Args:
+        problem: the problem, with its records.
+        columns: the forces of each record.
+        prior: the priors.
+        start: the parameters that explain all of them best.
+    """
+    records, modelled = problem.records, {p.per for p in problem.system.grouped}
+    apart: dict[str, Finding] = {}
+    for group, value in sorted({g for e in records for g in e.groups}):
+        inside = [e.group(group) == value for e in records]
+        if group in modelled or all(inside):
+            continue
+        own, others = (
+            sum_up([c for c, is_own in zip(columns, inside, strict=True) if is_own == kept])
+            for kept in (True, False)
+        )
+        by_others = own.total.squares(
+            coordinates_of(prior.space, solve(others, prior, start).vector)
+        )
+        by_own = left_out_squares(own, prior, start, range(len(own.counts)))
+        squares = np.stack([by_others[0].sum(axis=1), by_own.sum(axis=0)])
+        before, after = np.mean(np.sqrt(squares / own.sizes.sum(axis=(0, 2))), axis=1).tolist()
+        if after < _LEFT * before:
+            values = {"before": before, "after": after, "group": group, "value": value}
+            apart[group] = make_finding("group apart", **values)
+    return [*apart.values()]
 
 
 def describe_odd_record(

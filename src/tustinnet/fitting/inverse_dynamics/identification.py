@@ -26,6 +26,7 @@ from tustinnet.fitting.inverse_dynamics.along import (
 from tustinnet.fitting.inverse_dynamics.candidates import Choice, Trial, choose_forces
 from tustinnet.fitting.inverse_dynamics.column_mistakes import (
     describe_column_mistakes,
+    describe_groups_apart,
     describe_odd_record,
 )
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
@@ -357,7 +358,8 @@ def _make_identification(
         ),
         *_describe_carried(space, vector, parameter_errors),
         *(
-            describe_odd_record(problem.records, fit.sums, prior, vector, errors)
+            describe_groups_apart(problem, fit.columns, prior, vector)
+            or describe_odd_record(problem.records, fit.sums, prior, vector, errors)
             or describe_column_mistakes(
                 replace(problem, system=result.plain.forces.system),
                 result.plain.forces.space,
