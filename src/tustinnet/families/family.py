@@ -197,6 +197,10 @@ class Family(ABC):
         """The physics that a model corrects, None of most."""
         return None
 
+    def without_correction(self, model: Any) -> Model | None:
+        """The physics alone, as a model of the same structure; None of one that corrects none."""
+        return None
+
     def alternatives(self, model: Any, header: Header) -> Sequence[Model]:
         """Other models that the records of a model allow; their differences show how sure it is.
 
@@ -277,10 +281,6 @@ class TrainedFamily(Family):
         leaves, structure = jax.tree.flatten(fresh)
         pairs = zip(jax.tree.leaves(trained), leaves, strict=True)
         return jax.tree.unflatten(structure, [jnp.asarray(a, b.dtype) for a, b in pairs])
-
-    def without_correction(self, model: Any) -> Model | None:
-        """The physics alone, as a model of the same structure; None of one that corrects none."""
-        return None
 
     def physics_for_training(
         self, hyper: Any, physics: Model | None, experiments: Sequence[Experiment]

@@ -1,9 +1,11 @@
 """Requests of fits: all that a fit is of, and the task that comes of it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
+from tustinnet.finding import make_finding
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
 from tustinnet.fitting.inverse_dynamics.along import require_possible
 from tustinnet.fitting.listener import SILENT, Listener
@@ -54,10 +56,13 @@ class PreparedFit:
     records: PreparedRecords
 
     def complete(self, results: Sequence[FitResult]) -> list[FitResult]:
-        """Results that also have their records, and what was found out about the inputs."""
+        """Results that also have their records, and what was found out about the inputs.
+
+        A correction that validation records do not show to be better than its physics is left out.
+        """
         timing, roles, data = self.records.timing, self.task.folds[0].roles, self.records.data.name
         completed = []
-        for result in results:
+        for result in map(_choose_physics, results):
             own, findings = result.identification, (*result.findings, *timing)
             if own is not None:
                 own = replace(own, findings=findings)
@@ -65,6 +70,23 @@ class PreparedFit:
                 replace(result, findings=findings, identification=own, roles=roles, data=data)
             )
         return completed
+
+
+def _choose_physics(result: FitResult) -> FitResult:
+    """A fit, with a correction of 0 where that of its network is no better on validation."""
+    trained, alone = result.validation_rmse, result.physics_rmse
+    if trained is None or alone is None or trained < alone or not math.isfinite(alone):
+        return result
+    model = result.recipe.family.without_correction(result.model)
+    assert model is not None
+    values = {"trained": trained, "physics": alone, "unit": model.channels.unit}
+    return replace(
+        result,
+        model=model,
+        validation_rmse=alone,
+        details={way: {**own, "kept_epoch": 0} for way, own in result.details.items()},
+        findings=(make_finding("physics alone", **values),),
+    )
 
 
 def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:

@@ -316,6 +316,7 @@ class FitResult(Shown):
         horizon: how long they lasted at most [s], None where they were whole records.
         validation_rmse: mean free-run RMSE over the validation records [rad or m]; None without
             these, of least squares, and of inverse dynamics.
+        physics_rmse: that of the physics alone, where a correction of it was trained.
         seconds: time spent, compilation included; of fits that ran together an equal share.
         details: plain values under one key that names the way of fitting: `training` has
             `windows`, `window_lengths`, `epochs` of each stage and `kept_epoch`, the epoch of the
@@ -338,6 +339,7 @@ class FitResult(Shown):
     validation_rmse: float | None
     seconds: float
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    physics_rmse: float | None = None
     findings: tuple[Finding, ...] = ()
     identification: Identification | None = None
     horizon: float | None = None

@@ -1,7 +1,5 @@
 """Training of a plan: from initial weights to fit results."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,20 +38,12 @@ def train_plan(
     for m, p in enumerate(progress):
         # off the devices that trained it: what comes now is one model's business
         model = jax.tree.map(lambda a, m=m: jnp.asarray(np.asarray(a)[m]), best)
-        findings, kept_epoch, score = describe_kept_epoch(plan, p), p.best_epoch, None
-        if plan.validation_runs is not None:
-            score = _validation_rmse(plan, m, model)
-            physics = plan.recipe.family.without_correction(model)
-            alone = math.inf if physics is None else _validation_rmse(plan, m, physics)
-            if physics is not None and math.isfinite(alone) and not score < alone:
-                values = {"trained": score, "physics": alone, "unit": physics.channels.unit}
-                findings = (make_finding("physics alone", **values),)
-                model, score, kept_epoch = physics, alone, 0
+        physics = plan.recipe.family.without_correction(model)
         details = {
             "windows": [s.windows.rows.shape[1] for s in plan.stages],
             "window_lengths": [s.windows.length for s in plan.stages],
             "epochs": list(p.epochs),
-            "kept_epoch": kept_epoch,
+            "kept_epoch": p.best_epoch,
         }
         results.append(
             FitResult(
@@ -63,21 +53,23 @@ def train_plan(
                 outcome=p.outcome,
                 sound=p.outcome == FINISHED,
                 start=plan.start,
-                validation_rmse=score,
+                validation_rmse=_validation_rmse(plan, m, model),
+                physics_rmse=_validation_rmse(plan, m, physics),
                 seconds=p.seconds,
                 details={"training": details},
                 horizon=plan.recipe.horizon,
                 fewest_samples=start_named(plan.start).samples,
-                findings=findings,
+                findings=describe_kept_epoch(plan, p),
             )
         )
     return results
 
 
-def _validation_rmse(plan: TrainingPlan, member: int, model: Model) -> float:
-    """Mean free-run RMSE of the validation records of a member, by its model [rad or m]."""
+def _validation_rmse(plan: TrainingPlan, member: int, model: Model | None) -> float | None:
+    """Mean free-run RMSE of the validation records of a member [rad or m], None without any."""
     runs = plan.validation_runs
-    assert runs is not None
+    if runs is None or model is None:
+        return None
     indices, counts = plan.run_indices[member], plan.run_counts[member]
     return float(compute_validation_rmse(model, runs, indices, counts))
 
