@@ -210,7 +210,6 @@ def _fit_recipe(
             fit_options.earlier,
             progress.listener(),
             system_file,
-            searches_spoiled=fit_options.leave_out_spoiled,
         )
     # the folder is let go only when figures and report, which are of this model, are there
     with after_model(run.folder / run_folder.MODEL), disk.lock_folder(run.folder):
@@ -301,10 +300,6 @@ def _print_run(run: "runs.Run", data: str) -> None:
         is_warned = _is_usable(run.best.result) and not run.best.result.finished
         outcome = "" if is_warned else f"{identification.outcome}; "
         terminal.echo(f"{outcome}{identification.seconds:.1f} s")
-    for part in run.spoiled:
-        terminal.echo(f"* spoiled: {part.sentence}")
-    for sentence in run.left_out:
-        terminal.echo(f"* {sentence}")
     for sentence in summary.fit_summary(run):
         terminal.echo(sentence)
     steps = about.next_steps(

@@ -6,7 +6,7 @@ others by the errors of a model.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -37,7 +37,7 @@ class SpoiledPart:
             a whole record.
         reason: why it is named, in words.
         card: the line for the data card that mends it, empty where there is none.
-        is_left_out: whether a fit leaves it out where that is requested.
+        removable: whether a fit leaves it out where that is requested.
     """
 
     record: str
@@ -46,7 +46,7 @@ class SpoiledPart:
     seconds: tuple[float, float] | None
     reason: str
     card: str = ""
-    is_left_out: bool = True
+    removable: bool = True
 
     @property
     def place(self) -> str:
@@ -143,7 +143,7 @@ def leave_out(data: DataSet, parts: Sequence[SpoiledPart]) -> tuple[DataSet, tup
     experiments: list[Experiment] = []
     findings: list[Finding] = []
     for e in data:
-        of_record = [p for p in parts if p.record == e.name and p.is_left_out and e.split != "test"]
+        of_record = [p for p in parts if p.record == e.name and p.removable and e.split != "test"]
         stretches = [p.samples or (0, len(e)) for p in of_record]
         kept = _remaining(e, stretches) if stretches else [(0, len(e))]
         is_last = not kept and not any(
@@ -173,7 +173,7 @@ def find_without_model(e: Experiment, held: HeldEquilibrium | None) -> list[Spoi
             f"{4 * held.e_fold:.2g}), or leave it out"
         )
         parts.append(
-            replace(spoiled_stretch(e, first, len(e), "unstable phase", reason), is_left_out=False)
+            replace(spoiled_stretch(e, first, len(e), "unstable phase", reason), removable=False)
         )
     return parts
 
@@ -213,10 +213,9 @@ def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
     return parts
 
 
-def spoiled_header(parts: Sequence[SpoiledPart], left_out: Sequence[Finding]) -> dict[str, Any]:
+def spoiled_header(findings: Iterable[Finding]) -> dict[str, Any]:
     """The entry of files on parts that spoil a fit and on those left out; empty without any."""
-    if not parts and not left_out:
-        return {}
-    return {
-        KEY: {"parts": [p.as_plain() for p in parts], "left_out": [f.as_plain() for f in left_out]}
-    }
+    plain = [f.as_plain() for f in findings]
+    parts = [f["values"] for f in plain if f["code"] == "spoiled"]
+    left_out = [f for f in plain if f["code"] == "left out"]
+    return {KEY: {"parts": parts, "left_out": left_out}} if parts or left_out else {}

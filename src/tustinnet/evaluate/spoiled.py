@@ -30,13 +30,14 @@ from tustinnet.data.spoiled import SpoiledPart, spoiled_record, spoiled_stretch
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import map_in_batches
-from tustinnet.simulate.input_signal import InputSignal, input_signals
+from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.start_rules import FittedStart
 from tustinnet.simulate.starts import start_states
 
 _FEWEST_RECORDS = 4  # of which one can be unlike the others
 _MOST_UNLIKE = 1 / 3  # of the records that are unlike the others
+_STEPS = 3  # of Gauss-Newton to the best initial states
 _STEP = 1e-4  # relative, for derivatives by parameters; of the spread of states by these
 
 
@@ -48,11 +49,9 @@ class MisfitLevels(NamedTuple):
     Attributes:
         usual: share of the pieces whose error is usual.
         far: error of a stretch that is far off, by the usual one.
-        far_for_motion: the same by the usual error for such motion.
         by_friction: share of the error of a stretch that friction of its own leaves.
         slow: speed by the usual one, at which friction turns.
         onset: speed by the usual one, at which friction falls.
-        least_motion: motion by the usual one; where there is less, friction holds it.
         edge: error by the usual one, beside a stretch that is far off: a part of it.
         own: error by that with parameters of its own, of a record in other conditions.
         unlike: error by that of the median record, of one that is unlike the others.
@@ -60,11 +59,9 @@ class MisfitLevels(NamedTuple):
 
     usual: float = 0.9
     far: float = 2.5
-    far_for_motion: float = 1.75
     by_friction: float = 0.45
     slow: float = 0.02
     onset: float = 0.2
-    least_motion: float = 0.3
     edge: float = 1.4
     own: float = 2.7
     unlike: float = 1.5
@@ -83,14 +80,11 @@ class _PieceErrors(NamedTuple):
         curvature: (n, n_p, n_p).
         gradient: (n, n_p).
         constant: (n,).
-        motion: root mean square distance of the positions from straight lines, in units of the
-            usual one, the largest of all coordinates, (n,).
     """
 
     curvature: Float[np.ndarray, "n n_p n_p"]
     gradient: Float[np.ndarray, "n n_p"]
     constant: Float[np.ndarray, " n"]
-    motion: Float[np.ndarray, " n"]
 
     def errors(self, change: Float[np.ndarray, " n_p"]) -> Float[np.ndarray, " n"]:
         """Root mean square errors of the pieces after a change of the parameters, (n,)."""
@@ -109,13 +103,11 @@ class _Pieces(NamedTuple):
         residual: measured less simulated positions, from the best initial states.
         by_state: derivatives of the simulation by the initial state, in units of its spread.
         by_parameter: derivatives by relative changes of the parameters.
-        measured: the positions.
     """
 
     residual: Float[np.ndarray, "n samples n_q"]
     by_state: Float[np.ndarray, "n samples n_q n_x"]
     by_parameter: Float[np.ndarray, "n samples n_q n_p"]
-    measured: Float[np.ndarray, "n samples n_q"]
 
 
 def find_spoiled(model: Model, records: Sequence[Experiment]) -> tuple[SpoiledPart, ...]:
@@ -145,8 +137,8 @@ def find_by_model(model: Model, records: Sequence[Experiment]) -> list[SpoiledPa
         The parts, record by record; none where there are too few records to compare.
     """
     lengths = [len(e) for e in records]
-    # 24 pieces of a record, of 20 to 100 samples; a shorter record has three
-    samples = int(np.clip(np.median(lengths) // 24, 20, 100))
+    # in longer pieces a motion that depends much on its start is lost without a force
+    samples = int(np.clip(np.median(lengths) // 48, 20, 50))
     records = [e for e in records if len(e) >= 3 * samples]
     if not records:
         return []
@@ -191,32 +183,65 @@ def _simulate_pieces(model: Model, records: Sequence[Experiment], samples: int) 
         start = np.asarray(start_states(shared, flat, FittedStart(samples)))
         signal = input_signals(shared, flat)
 
-        def positions(m: Model, x: np.ndarray, s: InputSignal = signal) -> np.ndarray:
-            return np.asarray(simulate_runs(m, x, s))[..., position]
+        def positions(m: Model, x: np.ndarray) -> np.ndarray:
+            return np.asarray(simulate_runs(m, x, signal))[..., position]
 
-        base = positions(shared, start)
         # positions in a piece tell no more internal states
         n_x = start.shape[1] if start.shape[1] - n_m <= 4 else n_m
-        spread = start.std(axis=0) + 1e-9
-        by_state = []
-        for j in range(n_x):
-            moved = start.copy()
-            moved[:, j] += _STEP * spread[j]
-            by_state.append((positions(shared, moved) - base) / _STEP)
-        changed = [(positions(m, start) - base) / _STEP for m in _changed_models(shared)]
-        if not changed:  # of a network the gains of its inputs
-            for j in range(batch[0].channels.n_u):
-                gains = 1 + _STEP * (np.arange(batch[0].channels.n_u) == j)
-                louder = [replace(e, u=gains * e.u) for e in flat]
-                moved = positions(shared, start, input_signals(shared, louder))
-                changed.append((moved - base) / _STEP)
         measured = np.stack([e.q for e in flat])
+        start, base, by_state = _best_starts(
+            lambda x: positions(shared, x), start, start[:, :n_x].std(axis=0) + 1e-9, measured
+        )
+        changed = [(positions(m, start) - base) / _STEP for m in _changed_models(shared)]
         by_parameter = np.stack(changed, axis=-1) if changed else np.zeros((*measured.shape, 0))
-        whole = (measured - base, np.stack(by_state, axis=-1), by_parameter, measured)
+        whole = (measured - base, by_state, by_parameter)
         by_record = (np.split(x, np.cumsum(counts)[:-1]) for x in whole)
         return [_Pieces(*arrays) for arrays in zip(*by_record, strict=True)]
 
     return map_in_batches(with_dtype(model, np.float64).simplify(), records, simulate_batch)
+
+
+def _best_starts(
+    simulate: Callable[[np.ndarray], np.ndarray],
+    start: Float[np.ndarray, "n n_x"],
+    spread: Float[np.ndarray, " free"],
+    measured: Float[np.ndarray, "n samples n_q"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Initial states with the least squared errors, the positions, and their derivatives by these.
+
+    Those of a free run's start stay near what is expected of internal states; what is left of
+    that, squared, would be an error of a piece. Steps of Gauss-Newton, where they help.
+
+    Args:
+        simulate: positions from initial states, (n, samples, n_q).
+        start: states at which the search begins.
+        spread: units of the states that are sought, the first ones.
+        measured: the positions.
+    """
+    n, free = len(start), len(spread)
+
+    def derivatives(x: np.ndarray, base: np.ndarray) -> np.ndarray:
+        moved = [x + _STEP * np.eye(x.shape[1])[j] * spread[j] for j in range(free)]
+        return np.stack([(simulate(y) - base) / _STEP for y in moved], axis=-1)
+
+    scale = np.sqrt(np.mean((measured - measured.mean(axis=1, keepdims=True)) ** 2, axis=(0, 1)))
+    scale = np.maximum(scale, 1e-12)
+    base = simulate(start)
+    by_state = derivatives(start, base)
+    for _ in range(_STEPS):
+        error = ((measured - base) / scale).reshape(n, -1)
+        matrix = (by_state / scale[:, None]).reshape(n, -1, free)
+        if not (np.isfinite(error).all() and np.isfinite(matrix).all()):
+            break
+        step = np.einsum("kfi,ki->kf", np.linalg.pinv(matrix, rcond=1e-6), error)
+        moved = start.copy()
+        moved[:, :free] += step * spread
+        runs = simulate(moved)
+        is_better = np.sum(((measured - runs) / scale) ** 2, axis=(1, 2)) < np.sum(error**2, axis=1)
+        start = np.where(is_better[:, None], moved, start)
+        base = np.where(is_better[:, None, None], runs, base)
+        by_state = derivatives(start, base)
+    return start, base, by_state
 
 
 def _changed_models(model: Model) -> list[Model]:
@@ -281,14 +306,8 @@ def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> li
     counts = np.asarray(records[0].channels.resolution) / np.sqrt(12)
     spread = np.concatenate([e.q for e in records]).std(axis=0)
     usual = np.maximum(np.maximum(np.median(rms, axis=0), counts), 1e-6 * spread + 1e-12)
-    line = np.vander(np.linspace(-1, 1, pieces[0].residual.shape[1]), 2)
-    away = np.eye(len(line)) - line @ np.linalg.pinv(line)
-    motions = [
-        np.sqrt(np.mean(np.einsum("ij,kjc->kic", away, p.measured) ** 2, axis=1)) for p in pieces
-    ]
-    usual_motion = np.maximum(np.median(np.concatenate(motions), axis=0), counts + 1e-12)
     result = []
-    for p, motion in zip(pieces, motions, strict=True):
+    for p in pieces:
         n, samples, n_q = p.residual.shape
         size = samples * n_q
         residual = (p.residual / usual).reshape(n, size)
@@ -305,7 +324,6 @@ def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> li
                 np.einsum("kip,kiq->kpq", by_parameter, by_parameter, optimize=True) / size,
                 np.einsum("kip,ki->kp", by_parameter, residual) / size,
                 np.mean(residual**2, axis=1),
-                (motion / usual_motion).max(axis=1),
             )
         )
     return result
@@ -379,7 +397,7 @@ def _find_stretches(
     records: Sequence[Experiment],
     samples: int,
 ) -> list[SpoiledPart]:
-    """Stretches whose errors are far above the usual ones, and above those for such motion.
+    """Stretches whose errors are far above the usual ones.
 
     A piece counts where one beside it is far off, too: single ones are chance.
 
@@ -395,17 +413,11 @@ def _find_stretches(
     changes = [_best_change(errors if few else [x for x in errors if x is not e]) for e in errors]
     single = [e.errors(change) for e, change in zip(errors, changes, strict=True)]
     smooth = [_running_median(x) for x in single]
-    for_motion = [
-        _running_median(x / np.hypot(1, e.motion)) for x, e in zip(single, errors, strict=True)
-    ]
-    usual, usual_for_motion = (
-        float(np.quantile(np.concatenate(x), MISFIT.usual)) for x in (smooth, for_motion)
-    )
+    usual = float(np.quantile(np.concatenate(smooth), MISFIT.usual))
     median = float(np.median(np.concatenate(single)))
     parts = []
-    for i, (e, record) in enumerate(zip(errors, records, strict=True)):
-        is_far_off = (smooth[i] > MISFIT.far * usual) & (e.motion > MISFIT.least_motion)
-        is_far_off &= for_motion[i] > MISFIT.far_for_motion * usual_for_motion
+    for i, record in enumerate(records):
+        is_far_off = smooth[i] > MISFIT.far * usual
         is_part = np.maximum(single[i], smooth[i]) > MISFIT.edge * usual
         runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
         for a, b in runs.tolist():
@@ -423,7 +435,7 @@ def _find_stretches(
                         "that the model lacks, or has otherwise"
                     )
                     part = spoiled_stretch(record, first, stop, "friction", reason)
-                    parts.append(replace(part, card="", is_left_out=False))
+                    parts.append(replace(part, card="", removable=False))
                     continue
                 # where any other piece is as far off, the model lacks something, in more places
                 others = [*single[:i], single[i][:a], single[i][b:], *single[i + 1 :]]

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tustinnet.data.dataset import DataSet
-from tustinnet.finding import make_finding
+from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
 from tustinnet.fitting.inverse_dynamics.along import require_possible
 from tustinnet.fitting.listener import SILENT, Listener
@@ -56,20 +57,29 @@ class PreparedFit:
     records: PreparedRecords
 
     def complete(self, results: Sequence[FitResult]) -> list[FitResult]:
-        """Results that also have their records, and what was found out about the inputs.
+        """Results that also have their records, and what was found out about these.
 
         A correction that validation records do not show to be better than its physics is left out.
         """
-        timing, roles, data = self.records.timing, self.task.folds[0].roles, self.records.data.name
+        roles, data = self.task.folds[0].roles, self.records.data.name
         completed = []
         for result in map(_choose_physics, results):
-            own, findings = result.identification, (*result.findings, *timing)
+            own = result.identification
+            findings = (*result.findings, *self.records.findings, *self._find_spoiled(result))
             if own is not None:
                 own = replace(own, findings=findings)
             completed.append(
                 replace(result, findings=findings, identification=own, roles=roles, data=data)
             )
         return completed
+
+    def _find_spoiled(self, result: FitResult) -> list[Finding]:
+        """Parts that an identified model does not explain, unless they were searched for before."""
+        own = result.identification
+        if own is None or own.force_errors or self.records.left_out:
+            return []
+        parts = find_spoiled(result.model, self.task.folds[0].roles.all)
+        return [make_finding("spoiled", **part.as_plain()) for part in parts]
 
 
 def _choose_physics(result: FitResult) -> FitResult:

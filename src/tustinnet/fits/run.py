@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tustinnet.channels import Channels
-from tustinnet.data.spoiled import SpoiledPart, spoiled_header
+from tustinnet.data.spoiled import spoiled_header
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import (
     Score,
@@ -20,8 +20,6 @@ from tustinnet.evaluate.scores import (
     score_runs,
     scores_header,
 )
-from tustinnet.evaluate.spoiled import find_spoiled
-from tustinnet.finding import Finding
 from tustinnet.fits.in_folder import fit_in_folder
 from tustinnet.fits.request import PreparedFit
 from tustinnet.fitting.gradient.plan import TrainingPlan
@@ -81,8 +79,6 @@ class Run:
         folder: where the files are.
         system: the system's file, where one was given.
         origin: the account of the model that the fits began with, empty where they began anew.
-        spoiled: parts of the records that the best model does not explain.
-        left_out: findings on the parts of records that were left out before.
     """
 
     members: tuple[MemberRun, ...]
@@ -92,8 +88,6 @@ class Run:
     folder: Path
     system: SystemFile | None = None
     origin: Mapping[str, Any] = field(default_factory=dict)
-    spoiled: tuple[SpoiledPart, ...] = ()
-    left_out: tuple[Finding, ...] = ()
 
     @property
     def best(self) -> MemberRun:
@@ -178,7 +172,7 @@ class Run:
             **system_header(self.system),
             **equations_header(member.result.model),
             **({ORIGIN: dict(self.origin)} if self.origin else {}),
-            **spoiled_header(self.spoiled, self.left_out),
+            **spoiled_header(member.result.findings),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -218,8 +212,6 @@ def run_fit(
     earlier: Earlier = "refuse",
     listener: Listener = SILENT,
     system: SystemFile | None = None,
-    *,
-    searches_spoiled: bool = False,
 ) -> Run:
     """Fits all members of a prepared fit, scores them, and keeps everything in a folder.
 
@@ -230,8 +222,6 @@ def run_fit(
             on from the checkpoints that are there; members without one start.
         listener: functions that are called while they go on.
         system: the file of the system that the fits are of; a copy is kept with the models.
-        searches_spoiled: whether parts of records that spoil the fit are looked for with any
-            model; with one that was identified by simulations they always are.
 
     Raises:
         InputError: the folder cannot be written, another run is writing there, it holds an earlier
@@ -270,12 +260,8 @@ def run_fit(
             folder,
             system,
             {} if fold.origin is None else fold.origin.provenance,
-            left_out=fit.records.left_out,
         )
         identification = run.best.result.identification
-        is_simulated = identification is not None and not identification.force_errors
-        if searches_spoiled or is_simulated:
-            run = replace(run, spoiled=find_spoiled(run.best.result.model, roles.all))
         write_specification(folder, specification)
         if system is not None:
             write_system_copy(system, folder)

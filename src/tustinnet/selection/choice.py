@@ -59,7 +59,6 @@ class Choice(Shown):
         seconds_by_part: of that, what each part of the selection took.
         budget: how long it was to take at most [s], None for no limit.
         spoiled: parts of the records that the model does not explain.
-        left_out: findings on the parts of records that were left out; `notes` have them, too.
         is_cut: whether the records are pieces of one or two.
         whole: free runs of whole records, by models of the chosen kind that do not know them.
     """
@@ -77,7 +76,6 @@ class Choice(Shown):
     seconds_by_part: Mapping[str, float] = field(default_factory=dict)
     budget: float | None = None
     spoiled: tuple[SpoiledPart, ...] = ()
-    left_out: tuple[Finding, ...] = ()
     is_cut: bool = False
     whole: Mapping[str, Score] = field(default_factory=dict)
 
@@ -306,7 +304,7 @@ class Choice(Shown):
             **self.context.system_header(final.model),
             **equations_header(final.model),
             **({BANDS: self.bands.as_header()} if self.bands and name == self.best else {}),
-            **spoiled_header(self.spoiled, self.left_out),
+            **spoiled_header(self.findings),
         }
 
     def as_plain(self) -> dict[str, Any]:
@@ -327,7 +325,7 @@ class Choice(Shown):
             "seconds_by_part": dict(self.seconds_by_part),
             "budget": self.budget,
             "findings": [finding.as_plain() for finding in self.findings],
-            **spoiled_header(self.spoiled, self.left_out),
+            **spoiled_header(self.findings),
             "candidates": [self._result_as_plain(r, best) for r in self.candidates.results],
         }
 

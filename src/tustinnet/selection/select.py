@@ -285,7 +285,9 @@ def _choose(
         reporter.on_message(make_finding("no bands", why=error_message(error)).text)
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
-    if deadline.has_passed():
+    if left_out:
+        pass  # they were searched for before
+    elif deadline.has_passed():
         reporter.on_message(make_finding("spoiled no time").text)
     else:
         spoiled = _find_spoiled(candidates, best.name, models, context)
@@ -303,7 +305,7 @@ def _choose(
         find_reference(scored, context.scoring.horizon),
         bands,
         spoiled=spoiled,
-        left_out=left_out,
+        notes=left_out,
         whole=context.evaluate_folds(best.fits_by_fold, None),
     )
     for name, model in models.items():

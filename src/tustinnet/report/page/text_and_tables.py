@@ -182,7 +182,7 @@ def list_notes(results: Sequence[ModelResult], records: Sequence[Experiment]) ->
         spoiled = result.reported.header.get(SPOILED) or {}
         notes += [f"{label}: spoiled: {part['sentence']}" for part in spoiled.get("parts", ())]
         notes += [f"{label}: {f['text']}" for f in spoiled.get("left_out", ())]
-    return notes
+    return list(dict.fromkeys(notes))
 
 
 # --- tables ---
