@@ -18,6 +18,8 @@ import tustinnet as tn
 from tustinnet.check.card_lines import file_parts, without_record
 from tustinnet.check.check import check
 from tustinnet.check.drafting import find_scales
+from tustinnet.check.levels import LEVELS
+from tustinnet.check.motion_model import Equations, fit_motion_model
 from tustinnet.data.catalog import locate
 from tustinnet.data.drafting.draft import draft_card, draft_examined, examine_logs
 from tustinnet.data.loading import load_folder
@@ -244,6 +246,51 @@ def test_another_load_of_a_slide_is_no_fault_of_its_log_for_sure(tmp_path: Path)
     assert {f.severity for f in found} == {"warning"}
     assert {f.code for f in found} <= {"gain", "other machine"}
     assert all('{ "machine" = "other" }' in str(f.mend) for f in found)
+    card = tmp_path / "dataset.toml"
+    named = ", ".join(
+        f'{{ file = "{record}.csv", groups = {{ load = "none" }} }}' for record in ("r0", "r1")
+    )
+    others = ", ".join(f'"r{k}.csv"' for k in range(2, 6))
+    card.write_text(card.read_text() + f"[splits]\ntrain = [{named}, {others}]\n")
+    assert serious(check_folder(tmp_path)) == []
+
+
+def servo(goals: np.ndarray, name: str) -> tn.Experiment:
+    """A pendulum that a servo brings to goals, where friction holds it."""
+    q, v, angles = float(goals[0]), 0.0, []
+    for goal in goals:
+        angles.append(q)
+        for _ in range(10):
+            push = np.clip(350.0 * (goal - q), -159.0, 159.0) - 26.0 * v - 32.0 * math.sin(q)
+            v += DT / 10 * push
+            v = math.copysign(max(abs(v) - 6.0 * DT / 10, 0.0), v)
+            q += DT / 10 * v
+    late = np.random.default_rng(len(name)).normal(0, 0.02, len(goals))
+    return arm(
+        np.round(np.array(angles) / COUNT) * COUNT,
+        u=goals,
+        t=DT * (np.arange(len(goals)) + late),
+        inputs={"goal": "rad"},
+        name=name,
+    ).resample(DT)
+
+
+def test_a_servo_that_holds_goals_is_at_no_stop() -> None:
+    goals = np.repeat([0.0, 1.08, -0.87, 1.07, -0.48, -0.2, 0.8, -0.24, 0.12, -1.13, 0.61], 137)
+    assert serious(check([servo(goals, "steps")])) == []
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_a_misfit_where_a_record_goes_beyond_the_others_is_of_no_other_machine(far: bool) -> None:
+    rng = np.random.default_rng(0)
+    rights = [rng.normal(size=(200, 3)) for _ in range(5)]
+    rights[0][:10] *= 5.0
+    lefts = [right @ np.ones((3, 1)) + 0.01 * rng.normal(size=(200, 1)) for right in rights]
+    wrong = slice(0, 10) if far else slice(10, None)  # as where a servo saturates
+    lefts[0][wrong] *= 0.5
+    equations = [Equations(left, right) for left, right in zip(lefts, rights, strict=True)]
+    model = fit_motion_model(equations, np.ones(5))
+    assert (model.novelty(equations[0], 0) > LEVELS.novel) == far
 
 
 # --- velocity columns ---

@@ -6,6 +6,7 @@ fault is found where the model then holds as it does for the others. Where no ch
 parameters of its own do, the file is of another machine, or of one with another payload.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -102,6 +103,12 @@ class _Verdict:
     before: float
     after: float
 
+    @property
+    def may_be_machine(self) -> bool:
+        """Whether another machine or payload does the same: a gain that is none of a unit."""
+        is_usual = np.abs(_USUAL_GAINS - abs(self.size)).min() < LEVELS.usual_gain
+        return self.suspicion.check == "gain" and not bool(is_usual)
+
 
 def list_suspicions(
     channels: Channels, ranges: Float[np.ndarray, " n_q"], *, has_times: bool
@@ -180,7 +187,8 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
         if not verdicts:
             break
         r = max(verdicts, key=lambda r: verdicts[r].before / verdicts[r].after)
-        yield from (_describe(view, verdicts[r]) for view in parts[r])
+        if not (verdicts[r].may_be_machine and _is_known_other(parts[r], parts)):
+            yield from (_describe(view, verdicts[r]) for view in parts[r])
         weights[r] = 0.0
         model = fit_motion_model(equations, weights)
     yield from _other_machines(model, parts)
@@ -269,9 +277,9 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         key = f"exchange `column` with that of {channels[1].name}"
         values.update(channels=[c.name for c in channels])
     elif check == "gain":
-        is_usual = np.abs(_USUAL_GAINS - abs(size)).min() < LEVELS.usual_gain
-        values.update(gain=1 / factor, may_be_machine=not is_usual)
-        key, mend = (_gain_key(view, name, factor) if is_usual else ""), _of_other_machine(e)
+        values.update(gain=1 / factor, may_be_machine=verdict.may_be_machine)
+        key = "" if verdict.may_be_machine else _gain_key(view, name, factor)
+        mend = _of_other_machine(e)
     elif check == "offset":
         values.update(offset=-size, unit=channels[0].unit)
         scale = block.factor() * block.sign if isinstance(block, CoordinateCard) else 1.0
@@ -312,6 +320,12 @@ def _of_other_machine(e: Experiment) -> str:
     return f'in the entry of {e.name}: groups = {{ "machine" = "other" }}'
 
 
+def _is_known_other(file: Sequence[RecordView], files: Sequence[Sequence[RecordView]]) -> bool:
+    """Whether the card has a file in other groups than most."""
+    groups = Counter(part[0].experiment.groups for part in files)
+    return file[0].experiment.groups != groups.most_common(1)[0][0]
+
+
 def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -> Iterator[Finding]:
     """Files that parameters of their own explain, and those of the others do not."""
     for r in np.flatnonzero(model.weights).tolist():
@@ -320,7 +334,8 @@ def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -
         if (
             of_others > LEVELS.poorer * usual
             and of_own < min(LEVELS.usual * usual, LEVELS.drop * of_others)
-            and model.novelty(equations, r) < LEVELS.novel_machine
+            and model.novelty(equations, r) < LEVELS.novel
+            and not _is_known_other(files[r], files)
         ):
             for view in files[r]:
                 yield view.finding(

@@ -282,8 +282,10 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
         & (np.abs(expected) > least)
         & (np.abs(missed - expected) < 0.6 * np.abs(missed) + least)
     )
-    # a turning point that lasts so long is left at a speed of half of this
-    is_sharp = slower > np.maximum(least, 2 * np.median(np.abs(np.diff(change))) * length)
+    # what turns, or is brought to a goal and held there, has slowed down before
+    bends = np.lib.stride_tricks.sliding_window_view(np.abs(np.diff(change)), 3).max(axis=1)
+    bend = np.maximum(bends[np.maximum(first - margin - 5, 0)], bends[last + margin + 1])
+    is_sharp = slower > np.maximum(least, 2 * (margin + 1) * bend)
     is_extreme = (q[first] <= q.min() + least) | (q[first] >= q.max() - least)
     runs = np.stack([first, last + 1], axis=1)
     frozen, clipped = runs[catches_up], runs[is_sharp & is_extreme & ~catches_up]

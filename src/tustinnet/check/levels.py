@@ -60,7 +60,6 @@ class CheckLevels:
         promising: of a residual, from which on a size is refined.
         poorer: times the usual residual of a record of another machine.
         novel: times the others' motion, beyond which a model extrapolates.
-        novel_machine: the same where nothing but another machine explains the record.
         fewest_files: files that can be compared with one another.
         most_suspects: files that are looked at closely, between two faults that are found.
         usual_gain: logarithm by which a gain is off one of a unit or of counted edges.
@@ -132,7 +131,6 @@ class CheckLevels:
     promising: float = 0.75
     poorer: float = 6.0
     novel: float = 4.0
-    novel_machine: float = 2.0
     fewest_files: int = 3
     most_suspects: int = 3
     usual_gain: float = 0.08

@@ -191,7 +191,9 @@ class MotionModel:
         """Distance of the motion of a set from that of the others: 1 where it is alike.
 
         It is the mean leverage of its windows under the regressors of all others, in units of
-        their own. Where it is large the model extrapolates, and its failure says nothing.
+        their own, each by what the others leave of it. Where it is large the model fails where it
+        extrapolates, as where a servo saturates that no other record drives so far: that says
+        nothing of the machine.
 
         Args:
             equations: equations of the set, as they are or changed.
@@ -205,7 +207,9 @@ class MotionModel:
         right, reference = equations.right / scale, reference / scale
         gram = reference.T @ reference / len(reference) + LEVELS.ridge * np.eye(len(scale))
         leverage = np.einsum("mp,pm->m", right, np.linalg.solve(gram, right.T))
-        return float(np.mean(leverage)) / len(scale)
+        left = (equations.left - equations.right @ self.others[index]) / self.noise
+        weights = np.sum(left**2, axis=1) + 1e-300
+        return float(np.average(leverage, weights=weights)) / len(scale)
 
 
 def fit_motion_model(

@@ -64,9 +64,10 @@ IDENTIFICATION = {
         'declare it per="{group}"',
     ),
     "record contradicts": warning(
-        "record '{one}' contradicts {other} about `{parameter}` ({value:.4g} +- {error:.2g} "
+        "record '{one}' and {other} disagree about `{parameter}` ({value:.4g} +- {error:.2g} "
         "against {other_value:.4g} +- {other_error:.2g}[[ {unit}]])",
-        "look at its log and at what was changed, give it a group, or leave it out",
+        "either of them may be wrong, or the model lacks what matters in some; a record that was "
+        "made otherwise gets a group",
     ),
     "at bound": note(
         "'{parameter}' is at its {bound} bound ({value:.4g} {unit}[[; range: {basis}]]): the "

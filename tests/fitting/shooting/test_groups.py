@@ -148,7 +148,7 @@ def test_a_record_that_contradicts_the_others_is_named():
     (mass,) = [d for d in result.disagreements if d.parameter == "mass"]
     assert mass.sides[0].value == pytest.approx(0.42, rel=0.05)
     assert mass.sides[1].value == pytest.approx(0.21, rel=0.01)
-    assert "record 'r2' contradicts the 5 others about `mass`" in " ".join(
+    assert "record 'r2' and the 5 others disagree about `mass`" in " ".join(
         f.text for f in result.findings
     )
 
