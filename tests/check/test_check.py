@@ -136,6 +136,14 @@ def test_a_joint_that_sticks_where_it_turns_has_no_frozen_sensor() -> None:
     assert "frozen sensor" not in {f.code for f in check([e])}
 
 
+def test_a_sensor_that_freezes_over_a_turning_point_is_frozen() -> None:
+    q = swing() + 2e-4 * np.random.default_rng(0).normal(size=800)
+    q[150:180] = q[150]  # it turns at 157
+    found = {f.code for f in check([arm(q)])}
+    assert "frozen sensor" in found
+    assert "jump" not in found
+
+
 def test_two_values_a_count_apart_are_a_dead_encoder() -> None:
     flicker = np.cumsum(np.random.default_rng(1).uniform(size=800) < 0.02) % 2
     q = np.stack([swing(), COUNT * flicker], axis=1)

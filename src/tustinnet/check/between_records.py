@@ -286,7 +286,10 @@ def _describe(view: RecordView, verdict: _Verdict) -> Finding:
         key = f"offset = {(block.offset if block else 0.0) - size / scale:.4g}"
     elif check == "lag":
         # what must be delayed to fit came too early
-        values.update(direction="early" if size > 0 else "late")
+        directions = ("early", "late") if size > 0 else ("late", "early")
+        # against the input a single coordinate is as much late as this is early
+        alone = len(e.coordinates) == 1
+        values.update(direction=directions[0], opposite=directions[1], alone=alone)
         values.update(milliseconds=1e3 * abs(size) * e.dt, samples=abs(size))
         if is_input:
             declared = next(i.delay for i in e.inputs if i.name == name) or 0.0

@@ -256,8 +256,8 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     On a grid, the interpolation of a constant settles within some samples of its ends.
 
     Returns:
-        Those after which the position catches up, as behind a sensor that froze, and those at
-        either end of its range; first samples, and the ones after the last.
+        Those after which the position jumps to where it moves, as behind a sensor that froze, and
+        those at either end of its range; first samples, and the ones after the last.
     """
     e, q, noise = view.experiment, view.experiment.q[:, j], max(view.counts[j], view.noise[j])
     margin = 0 if e.recording is None else LEVELS.interpolated
@@ -274,13 +274,12 @@ def _standstills(view: RecordView, j: int) -> tuple[list[tuple[int, int]], list[
     after = (q[last + margin + 4] - q[last + margin + 1]) / 3
     slower, faster = np.sort(np.abs([before, after]), axis=0)
     least = LEVELS.counts * noise
-    missed, expected = q[last + margin + 1] - q[last], (before + after) / 2 * (length + margin)
+    missed = np.abs(q[last + margin + 1] - q[last])
     catches_up = (
         (length >= LEVELS.frozen + 2 * margin)
-        & (before * after > 0)  # else it turns
-        & (np.abs(missed) > np.maximum(least, 3 * faster))
-        & (np.abs(expected) > least)
-        & (np.abs(missed - expected) < 0.6 * np.abs(missed) + least)
+        & (faster > least)  # else it rests
+        & (missed > (margin + 3) * faster)
+        & ~_follows_step(view, last + margin + 1)
     )
     # what turns, or is brought to a goal and held there, has slowed down before
     bends = np.lib.stride_tricks.sliding_window_view(np.abs(np.diff(change)), 3).max(axis=1)

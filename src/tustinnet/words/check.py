@@ -104,7 +104,7 @@ CHECK = {
         "{channel} has another zero in this record", size="{offset:+.3g} {unit}; " + _LEFT
     ),
     "lag": warning(
-        "{channel} comes {direction} in this record",
+        "{channel} comes {direction} in this record[[{alone}, or the positions {opposite}]]",
         size="by {milliseconds:.3g} ms, {samples:.1f} samples; " + _LEFT,
     ),
     "record period": warning(

@@ -103,6 +103,12 @@ def test_a_reversed_sign_is_named(signs, expected):
         assert find_reversed_signs(SWING, SPACE, START, motion) == expected
 
 
+def test_a_sign_that_is_reversed_in_one_record_is_not_that_of_the_machine():
+    driven = [simulated(f"noise{i}", [0.1, 0.0], voltage(200, i)) for i in range(4)]
+    motion = collect_motion([reversed_record(driven[0], volts=-1.0), *driven[1:]])
+    assert find_reversed_signs(SWING, SPACE, START, motion) == ()
+
+
 def test_a_symmetric_system_has_alternatives():
     """Without its tilt the pendulum moves alike when both signs are reversed."""
     level = replace(SWING, potential=lambda q, p: -p["gravity"] * jnp.cos(q[0]))

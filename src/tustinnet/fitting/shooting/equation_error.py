@@ -224,7 +224,8 @@ def find_reversed_signs(
 
     Returns:
         Alternatives, each the names to reverse together, as few as possible; a symmetric system
-        may have several. Empty where the signs are right.
+        may have several. Empty where the signs are right, as those of a system that explains most
+        records well.
     """
     names = [c.name for c in system.coordinates] + [i.name for i in system.inputs]
     n_q = len(system.coordinates)
@@ -237,6 +238,8 @@ def find_reversed_signs(
         return estimate_by_equation_error(system, space, vector, flipped_motion).unexplained
 
     before = unexplained(())
+    if np.median(before) < WELL_EXPLAINED * before.max():
+        return ()
     for count in (1, 2):
         shares = {
             flipped: unexplained(flipped) for flipped in combinations(range(len(names)), count)
