@@ -12,6 +12,7 @@ from simulated.laboratories import EVERY, Truth, differences
 
 import tustinnet as tn
 from tustinnet.data.drafting.draft import draft_card
+from tustinnet.data.drafting.evidence import find_families
 from tustinnet.data.drafting.names import read_name
 from tustinnet.data.drafting.numbers import examine
 
@@ -31,6 +32,25 @@ def test_the_draft_says_what_a_person_would_say(laboratory: Laboratory, tmp_path
     truth = laboratory(tmp_path)
     card = draft(tmp_path)
     assert differences(card, truth, tn.load(tmp_path)) == []
+
+
+def test_inputs_that_differ_by_the_angle_they_are_about_are_one_family() -> None:
+    names = ("phi_deg", "theta_deg", "mot_phi_V", "mot_theta_V")
+    none = np.zeros((4, 4), bool)
+    assert find_families([read_name(n) for n in names], none, none) == [0, 1, 2, 2]
+
+
+def test_the_card_says_which_kinds_are_divided_and_a_usual_record_is_drawn(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(400)
+    rng = np.random.default_rng(0)
+    for name, size in {"chirp": 1.0, "run1": 1.0, "run2": 1.1, "run3": 0.9, "slow": 9.0}.items():
+        u = np.repeat(rng.uniform(-1, 1, 40), 10)
+        q = size * np.cumsum(np.cumsum(u - u.mean())) * 1e-3
+        table = np.column_stack([t, q, u])
+        np.savetxt(tmp_path / f"{name}.csv", table, "%.6g", ",", header="t_s,x_m,u_V", comments="")
+    drafted = draft_card(tmp_path, sorted(p.name for p in tmp_path.iterdir()))
+    assert "divided among the splits: run, the others are in train" in drafted.text
+    assert drafted.typical.log.file != "slow.csv"
 
 
 # --- what nothing in the logs says ---

@@ -30,7 +30,7 @@ def draft_figure(draft: Draft) -> Figure:
     with figure_style():
         height = 1.75 * rows + 0.9
         figure = Figure(figsize=(11.0, height))
-        figure.subplots_adjust(0.06, 0.5 / height, 0.99, 1 - 0.7 / height, hspace=0.55, wspace=0.12)
+        figure.subplots_adjust(0.07, 0.5 / height, 0.99, 1 - 0.7 / height, hspace=0.55, wspace=0.15)
         panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         for axes, column in zip(panels.ravel(), drawn, strict=False):
             values = piece.column(column.name)
@@ -42,7 +42,7 @@ def draft_figure(draft: Draft) -> Figure:
             # a given height spares a layout of the ticks
             axes.set_title(_title(column), loc="left", y=1.0, fontsize=7.5, color=colour)
             axes.tick_params(labelsize=7)
-            axes.ticklabel_format(useOffset=False)
+            axes.yaxis.set_major_formatter("{x:.5g}")  # without a factor above the axes
         for axes in panels.ravel()[len(drawn) :]:
             axes.set_axis_off()
         for axes in panels.ravel()[: len(drawn)][-_COLUMNS:]:

@@ -133,13 +133,16 @@ class Draft(Shown):
 
     @property
     def typical(self) -> Piece:
-        """The record to draw: of those in which most columns move, the one of median length."""
+        """The record to draw, of those in which most columns move: of usual length and ranges."""
         pieces = [record.piece for record in self.splits.records]
         moving = [
             sum(bool(np.ptp(np.nan_to_num(p.column(c.name)))) for c in self.columns) for p in pieces
         ]
         best = [p for p, n in zip(pieces, moving, strict=True) if n == max(moving)]
-        return sorted(best, key=lambda p: p.seconds)[len(best) // 2]
+        names = [c.name for c in self.columns if c.use == "coordinate"]
+        sizes = np.array([[p.seconds, *(np.ptp(p.column(n)) for n in names)] for p in best])
+        usual = np.maximum(np.median(sizes, axis=0), 1e-300)
+        return best[int(np.argmin(np.nansum(np.abs(sizes / usual - 1), axis=1)))]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from tustinnet.data.drafting.relations import (
     find_other_units,
     find_sums,
 )
-from tustinnet.data.drafting.vocabulary import CONTAINERS, QUALIFIERS, STRONG, WEAK
+from tustinnet.data.drafting.vocabulary import AXES, CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
 
 Role = Literal[
@@ -582,6 +582,7 @@ def find_families(
     groups: dict[tuple[str, ...], list[int]] = {}
     for i, reading in enumerate(readings):
         plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
+        plain = [w for w in plain if w not in AXES] or plain
         marks = [w for w in plain if w in known or len(w) <= 2 or w in ("cos", "sin")]
         key = (*(marks or plain), reading.unit) if plain else (str(i),)
         groups.setdefault(key, []).append(i)

@@ -124,7 +124,11 @@ def choose_splits(
         return Splits(tuple(replace(r, split=None) for r in records), tuple(sentences))
     kinds = [kind for kind in sets if kind]
     if len(kinds) > 1:
-        sentences.append(f"kinds of records: {', '.join(kinds)}; each is divided among the splits")
+        divided = [kind for kind in kinds if {*map(split_by_set.get, sets[kind])} != {"train"}]
+        others = "all" if divided == kinds else f"{', '.join(divided)}, the others are in train"
+        sentences.append(
+            f"kinds of records: {', '.join(kinds)}; divided among the splits: {others}"
+        )
     if any(len(rs) > 1 for units in sets.values() for rs in units.values()):
         sentences.append("repetitions of an experiment are in one split")
     return Splits(tuple(records), tuple(sentences))
