@@ -65,7 +65,7 @@ def test_a_record_is_followed_until_a_coordinate_is_far_off():
     expected = [0.01 * (np.argmax(off) - 1)] * 2
     assert seconds_followed(records, whole) == pytest.approx(expected)
     assert describe_followed(records, whole).text.startswith(
-        "follows whole records without a restart for 0.12 s in the "
+        "follows whole records without a restart: 0 of 2 to the end, the others for 0.12 s in the "
     )
     true = [
         replace(s, simulated=np.hstack([e.q, e.q])) for e, s in zip(records, whole, strict=True)
@@ -76,6 +76,14 @@ def test_a_record_is_followed_until_a_coordinate_is_far_off():
     for score in true:
         score.simulated[:20, 0] += 0.5
     assert seconds_followed(records, true) == pytest.approx([4.0, 4.0])
+
+
+def test_how_long_a_record_is_followed_depends_on_no_other_record():
+    t = 0.01 * np.arange(401)
+    small, large = record(0.2 * np.sin(3 * t)), record(5 * np.sin(3 * t), "b")
+    whole = list(find_reference([small, large], None).scores)
+    alone = seconds_followed([small], whole[:1])
+    assert seconds_followed([small, large], whole)[0] == alone[0] < 1.0
 
 
 def test_errors_grow_with_the_horizon_beside_the_reference():

@@ -437,6 +437,23 @@ TREE = (
     tn.Link("tail", (0, -1, 0), (0, 0, -0.3), parent="cart", at=(-0.1, 0, 0)),
     tn.Link("crank", (0, 2, 0), (0.5, 0, 0), parent="base", at=(1, 0, -1)),
 )
+
+
+@pytest.mark.parametrize(("span", "turning"), [((-0.03, 0.03), False), ((-4.0, 1.0), True)])
+def test_an_angle_that_moves_little_is_drawn_over_what_was_recorded(span, turning):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    assets = resources.files("tustinnet.report.page").joinpath("assets")
+    (line,) = re.findall(r"^const isTurning.*", assets.joinpath("data.js").read_text(), re.M)
+    code = f"{line} console.log(isTurning('angular', {list(span)}));"
+    done = subprocess.run(["node", "--eval", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == turning
+    for name in ("states.js", "playground.js"):
+        source = assets.joinpath(name).read_text()
+        assert "isTurning(" in source
+        subprocess.run(["node", "--check", "-"], input=source, text=True, check=True)
+
+
 PLACED = """
 const TURN = 2 * Math.PI, endsOf = () => [0, 1];
 const placed = ({ links, coordinates, q }) =>

@@ -35,7 +35,7 @@ from tustinnet.selection.plan import read_plan
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.selection.scoring import Scorer
 from tustinnet.selection.select import Reporter, SelectionOptions, select_model
-from tustinnet.store.header import read_header
+from tustinnet.store.header import find_fitted, read_header
 from tustinnet.store.kept_system import HEADER
 from tustinnet.store.model_file import read_system_name
 from tustinnet.store.run_folder import Earlier, find_rivals
@@ -655,6 +655,8 @@ def test_no_unfinished_search_from_all_records_is_taken_instead_of_finished_ones
     )
     assert choice.origins["grey"].startswith("the model of one fold")
     assert choice.origins["grey"].endswith("no time was left to identify it from all records")
+    fitted = find_fitted(tn.read_header(tmp_path / "run" / "model.safetensors"), swings())
+    assert 0 < len(fitted) < len(swings())
 
 
 @pytest.mark.thorough

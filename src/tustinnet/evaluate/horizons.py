@@ -63,22 +63,23 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
     """How long the free run of each whole record follows it [s]; to its end at most.
 
     It follows as long as the errors of all coordinates, their root mean squares from the beginning
-    on, are within `FOLLOWED` of the coordinates' standard deviations (the root mean squares of
-    those in all records), even where a shorter part is not.
+    on, are within `FOLLOWED` of the coordinates' standard deviations in the record, or within a
+    step of the sensor, even where a shorter part is not.
 
     Args:
         records: the records.
         whole: scores of their free runs as a whole.
     """
     channels = records[0].channels
-    spread = np.sqrt(np.mean([np.var(e.q, axis=0) for e in records], axis=0))
+    step = np.array([r or 0.0 for r in channels.resolution])
     seconds = []
     for e, score in zip(records, whole, strict=True):
         first = start_named(score.start).first
         with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
             squares = np.cumsum((score.simulated[first:, channels.position] - e.q[first:]) ** 2, 0)
         rms = np.sqrt(squares / np.arange(1, len(squares) + 1)[:, None])
-        follows = (rms <= FOLLOWED * spread)[:, spread > 0].all(axis=1)
+        spread = np.std(e.q, axis=0)
+        follows = (rms <= np.maximum(FOLLOWED * spread, step))[:, spread > 0].all(axis=1)
         seconds.append(float(e.dt * max(np.flatnonzero(follows), default=0)))
     return seconds
 
@@ -90,11 +91,11 @@ def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> 
         e.dt * (len(e) - 1 - start_named(s.start).first)
         for e, s in zip(records, whole, strict=True)
     ]
-    to_the_end = sum(a >= b for a, b in zip(seconds, lengths, strict=True))
+    shorter = [a for a, b in zip(seconds, lengths, strict=True) if a < b]
     return make_finding(
-        "follows to the end" if to_the_end == len(records) else "follows for",
+        "follows for" if shorter else "follows to the end",
         records=len(records),
         limit=FOLLOWED,
-        seconds=np.median(seconds),
-        to_the_end=to_the_end,
+        seconds=np.median(shorter) if shorter else None,
+        to_the_end=len(records) - len(shorter),
     )

@@ -185,7 +185,7 @@ def _readme(source: Source) -> str:
         period=float(source.channels.dt),
         states="\n".join(states),
         inputs="\n".join(inputs) or "| none | | | |",
-        notes="\n".join(f"- {note}" for note in source.notes) or "None.",
+        notes="\n".join(f"- {note}" for note in source.notes) or "Nothing beyond this file.",
     )
 
 

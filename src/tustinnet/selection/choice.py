@@ -290,7 +290,7 @@ class Choice(Shown):
         rmse = result.rmse()
         return {
             **final.header,
-            "data": data_header(data.name, list(data)),
+            "data": data_header(data.name, final.records or list(data)),
             RANGE: recorded_range(final.model, self._records, self._cloud).as_header(),
             "selection": {
                 "plan": self.candidates.plan.name,

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
 from tustinnet.evaluate.scores import rmse_by_record, score_runs
@@ -62,11 +63,13 @@ class FinalModel:
         model: the model.
         origin: how it was made, in words.
         header: the header of its fit, where it was one.
+        records: those it was made from, where these are not all.
     """
 
     model: Model
     origin: str
     header: Mapping[str, Any] = field(default_factory=dict)
+    records: Sequence[Experiment] = ()
 
 
 def make_final_models(
@@ -131,7 +134,10 @@ def _possible_models(
         else:
             why = f"; {made}"
     for fit in single:
-        yield FinalModel(context.load_model(fit.model), f"the model of one fold{why}")
+        fold = next(k for k, fits in result.fits_by_fold.items() if fit in fits)
+        records = context.splits[fold].roles.all
+        origin = f"the model of one fold{why}"
+        yield FinalModel(context.load_model(fit.model), origin, records=records)
 
 
 def _average(models: Sequence[Model]) -> Model:

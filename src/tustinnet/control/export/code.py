@@ -264,5 +264,5 @@ def make_readme(
         inputs="\n".join(inputs),
         gate=f"{GATE:g}",
         scripts="\n".join(f"| `{name}` | {_SCRIPTS[name]} |" for name in scripts),
-        notes="\n".join(f"- {note}" for note in notes) or "None.",
+        notes="\n".join(f"- {note}" for note in notes) or "Nothing beyond this file.",
     )

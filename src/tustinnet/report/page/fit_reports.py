@@ -52,7 +52,7 @@ def write_scored_report(
 
 
 def write_choice_report(choice: Choice, command: str) -> Path:
-    """Writes the report of a selection's chosen model, on records that it was fitted to.
+    """Writes the report of a selection's chosen model, on some of the scored records.
 
     Args:
         choice: the choice, with its files written.

@@ -4,6 +4,9 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
 const TURN = 2 * Math.PI;
 
+// Whether an angle moves so far that it is shown within a turn; any other as it was recorded.
+const isTurning = (kind, [low, high]) => kind === "angular" && high - low > Math.PI;
+
 // An element with attributes and children; text stays text.
 function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);

@@ -118,7 +118,7 @@ function beginPlayground() {
   };
 
   const travel = travelOf().map(([low, high], j) =>
-    (data.coordinates[j].kind === "angular" ? [begin[j] - Math.PI, begin[j] + Math.PI]
+    (isTurning(data.coordinates[j].kind, [low, high]) ? [begin[j] - Math.PI, begin[j] + Math.PI]
       : high > low ? [low, high] : [low - 1, high + 1]));
   const starts = data.coordinates.map((c, j) =>
     slider($("toy-starts"), `${c.name} [${c.unit}]`, travel[j], begin[j], (x) => {

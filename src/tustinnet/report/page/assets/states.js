@@ -31,13 +31,14 @@ function stateChart(host, j) {
   const range = data.ranges.find(Boolean), points = pointsOf(data.clouds[range?.cloud], j);
   const packed = (key) => data.records.map((r) => [r[key][j].low, r[key][j].high]);
   const frame = range && { q: range.q[j], v: range.v[j] };
+  const ends = endsOf([...packed("q"), ...(frame ? [frame.q] : [])]), turning = isTurning(c.kind, ends);
   const pad = ([low, high]) => [low - 0.06 * (high - low), high + 0.06 * (high - low)];
   // in the middle of a turn is where an angle is most
   const most = data.records.map((r) => unpacked(r.q[j])).flat().reduce((sum, q) => sum + Math.cos(q), 0);
-  const middle = most < 0 ? Math.PI : 0;
+  const middle = turning ? (most < 0 ? Math.PI : 0) : (ends[0] + ends[1]) / 2;
   const turns = [-1, -0.5, 0, 0.5, 1].map((k) => [middle + k * Math.PI, (k + middle / Math.PI)])
     .map(([x, k]) => [x, k ? `${k < 0 ? "\u2212" : ""}${{ 0.5: "\u03c0/2", 1: "\u03c0", 1.5: "3\u03c0/2", 2: "2\u03c0" }[Math.abs(k)]}` : "0"]);
-  const qs = pad(angular ? [middle - Math.PI, middle + Math.PI] : endsOf([...packed("q"), ...(frame ? [frame.q] : [])]));
+  const qs = pad(turning ? [middle - Math.PI, middle + Math.PI] : ends);
   const vs = pad(endsOf([...packed("v"), ...(frame ? [frame.v] : [])]));
   // what stays while time goes on
   const drawStill = (context, width, height, { left, right, top, bottom, px, py, place }) => {
@@ -47,7 +48,7 @@ function stateChart(host, j) {
     context.lineWidth = 1;
     context.beginPath();
     context.textAlign = "center";
-    for (const [x, text] of angular ? turns : ticksOf(...qs).map((x) => [x, told(x)])) {
+    for (const [x, text] of turning ? turns : ticksOf(...qs).map((x) => [x, told(x)])) {
       context.moveTo(px(x), top);
       context.lineTo(px(x), bottom);
       context.fillText(text, px(x), bottom + 14);
@@ -67,7 +68,7 @@ function stateChart(host, j) {
     context.fillText(`velocity [${c.unit}/s]`, 0, 0);
     context.restore();
     if (frame) {
-      const [low, high] = angular ? [middle - Math.PI, middle + Math.PI] : frame.q;
+      const [low, high] = turning ? [middle - Math.PI, middle + Math.PI] : frame.q;
       context.setLineDash([4, 3]);
       context.strokeStyle = colours.quiet;
       context.strokeRect(px(low), py(frame.v[1]), px(high) - px(low), py(frame.v[0]) - py(frame.v[1]));
@@ -80,7 +81,7 @@ function stateChart(host, j) {
     context.beginPath();
     let before = null;
     of.q[j].forEach((q, k) => {
-      const turn = angular ? Math.round((q - middle) / TURN) : 0;
+      const turn = turning ? Math.round((q - middle) / TURN) : 0;
       if (before === turn) context.lineTo(place(q), py(of.v[j][k]));
       else context.moveTo(place(q), py(of.v[j][k]));
       before = turn;
