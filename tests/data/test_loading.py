@@ -479,6 +479,12 @@ CART = {"name": "cart", "kind": "linear", "column": "x"}
             r"samples 0\.02 s apart; expected 0\.01",
         ),
         (
+            {},
+            {},
+            {**timed(irregular="resample"), "dt": 2},
+            r"samples 0\.01 s apart; expected 2 s as in the card; correct `dt`$",
+        ),
+        (
             {"time": at(20, TIMES[19], TIMES)},
             {},
             timed(irregular="keep"),

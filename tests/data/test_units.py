@@ -48,6 +48,7 @@ def test_a_unit_is_a_factor_and_an_si_unit_which_is_itself_known(unit, factor, s
         ("degC", "has a zero or a scale of its own"),
         ("dB", "has a zero or a scale of its own"),
         ("knots/foo", "'knots/foo' is not known"),
+        ("µmm", "is not known, e.g. mm, µm"),
         ("kkm", "is not known"),
         ("mdeg", "is not known"),
         ("", "is none"),

@@ -127,6 +127,9 @@ def test_errors_of_different_units_are_not_added_up():
     table = comparison_table(records, {"one": scores}, "file")
     assert table.columns == ["record", "split", "one [m]", "one [rad]"]
     assert table.rows[-1] == ["mean", "all", "0.0200", "0.300"]
+    far = [mixed_score("a", 1.0, 3.0, 4.0), mixed_score("b", 3.0, 0.0, 1.0)]
+    both = comparison_table(records, {"one": scores, "far": far}, "file")
+    assert both.rows[-1] == ["mean", "all", "0.0200", "0.300", "2.0000", "3.000"]
     ahead = np.array([[0.1, 0.3, 0.4]])
     np.testing.assert_allclose(rmse_ahead_by_unit(ahead, channels), [[0.1, 0.5]])
     np.testing.assert_allclose(joint_rmse(ahead), [np.sqrt(0.26)])

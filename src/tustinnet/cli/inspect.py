@@ -205,7 +205,7 @@ def time_table(reports: list["check_report.ExperimentReport"]) -> "tables.Table"
             f"{r.seconds:.2f}",
             f"{1e3 * r.dt:.4g}",
             f"{1e3 * r.recording.median_dt:.4g}",
-            f"{1e6 * r.recording.jitter:.3g}",
+            f"{round(1e6 * r.recording.jitter, 3):.3g}",
             str(len(r.recording.gaps)),
             f"{r.rest_share:.0%}",
             f"{r.k_bar}{' (card)' if r.k_bar_declared else ''}",

@@ -31,6 +31,7 @@ from tustinnet.errors import InputError
 from tustinnet.signals import resampling
 from tustinnet.wording import counted
 
+_MOST_THINNED = 50  # samples of a log for one of a grid
 _IRREGULAR_REMEDY = 'set `irregular = "resample"` (onto a grid) or "keep" under [time]'
 
 
@@ -525,7 +526,8 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
         return replace(record, notes=(*record.notes, note))
     worst = resampling.describe_worst(t, times)
     ratio = max(times.median_dt / dt, 1e-300)
-    if card.irregular != "resample" and abs(ratio - 1) > card.tolerance:
+    is_far = ratio * _MOST_THINNED < 1  # hardly a sample would be left
+    if is_far or (card.irregular != "resample" and abs(ratio - 1) > card.tolerance):
         power = round(np.log10(ratio) / 3)
         is_other_unit = power != 0 and abs(ratio / 1000.0**power - 1) < 0.2
         raise InputError(
@@ -534,6 +536,8 @@ def _check_times(record: Experiment, card: TimeCard, reader: _ColumnReader) -> E
             f"{dt:g} s as in the card",
             f"check `unit` under [time] (it is {1000.0**power:g} times dt)"
             if is_other_unit
+            else "correct `dt`"
+            if is_far
             else 'correct `dt`, or set `irregular = "resample"` under [time]',
         )
     if card.irregular == "refuse":

@@ -124,7 +124,7 @@ def _multiply(unit: str, units: Mapping[str, tuple[float, Powers]]) -> tuple[flo
     factor, powers = 1.0, Counter[str]()
     for mark, name, power in _FACTOR.findall(unit):
         if name not in units:
-            raise ValueError(f"unit '{unit}' is not known")
+            raise ValueError(f"unit '{unit}' is not known, e.g. mm, µm, deg, mV, N*m, m/s^2")
         size, parts = units[name]
         exponent = int(power or 1) * (-1 if mark == "/" else 1)
         factor = factor * size**exponent if exponent > 0 else factor / size**-exponent

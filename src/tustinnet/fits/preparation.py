@@ -51,7 +51,7 @@ class PreparationOptions:
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
         selection_budget: how long the whole selection may take [s], of which the search for parts
             that no model explains takes a fifth at most; None for no limit.
-        listener: gets sentences on what is being done, and on what was found; asked often in that
+        listener: gets sentences on what is being done; asked often in that
             search whether it ends early.
         on_step: called with the name of each step at its end.
     """
@@ -78,15 +78,10 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
     system = None if isinstance(options.system, SystemTemplate) else options.system
     records = PreparedRecords(data)
 
-    def report(name: str, findings: tuple[Finding, ...]) -> None:
-        for finding in findings:
-            options.listener.on_message(finding.text)
-        options.on_step(name)
-
     if options.leaves_out_spoiled:
         data, visible = leave_out_visible(data)
         records = replace(records, data=data, left_out=visible)
-        report(_LEFT_OUT, visible)
+        options.on_step(_LEFT_OUT)
     if options.finds_timing:
         timing = determine_timing(
             records.data, system, keeps_unknown_delays=options.keeps_unknown_delays
@@ -98,7 +93,7 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
             lags=timing.lags,
             delays=timing.delays,
         )
-        report("holds and delays", records.timing)
+        options.on_step("holds and delays")
     if options.leaves_out_spoiled:
         budget = options.selection_budget
         deadline = NEVER if budget is None else Deadline.after(_SHARE * budget)
@@ -113,5 +108,5 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
         if not unexplained and not records.left_out:
             unexplained = (make_finding("spoiled none"),)
         records = replace(records, data=data, left_out=(*records.left_out, *unexplained))
-        report(_LEFT_OUT, unexplained)
+        options.on_step(_LEFT_OUT)
     return records

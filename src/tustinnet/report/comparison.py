@@ -30,7 +30,12 @@ def comparison_table(
         ]
         for unit in channels.units
     }
-    scales = {unit: scale_of(x for row in rows for x in row) for unit, rows in errors.items()}
+    by_model = {
+        unit: [scale_of(column) for column in zip(*rows, strict=True)]
+        for unit, rows in errors.items()
+    }
+    # three digits of the best model, too, unless others are a thousand times as far off
+    scales = {unit: max(min(sizes), 1e-3 * max(sizes)) for unit, sizes in by_model.items()}
 
     def cells(chosen: Sequence[int]) -> list[str]:
         """Means over some records: for each model one of each unit."""
