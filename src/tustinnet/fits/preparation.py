@@ -51,8 +51,8 @@ class PreparationOptions:
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
         selection_budget: how long the whole selection may take [s], of which the search for parts
             that no model explains takes a fifth at most; None for no limit.
-        listener: gets sentences on what is being done; asked often in that
-            search whether it ends early.
+        listener: gets sentences on what is being done; asked often in that search whether it ends
+            early.
         on_step: called with the name of each step at its end.
     """
 
