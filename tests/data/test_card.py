@@ -136,7 +136,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(
         ),
         (
             {"inputs": [{"name": "u", "column": 1, "unit": "V", "limits": [0, 1, 2]}]},
-            "limits: 3 values, at most 2",
+            "limits: 3 values, expected at most 2 items",
         ),
         ({"dt": 0}, "dt: "),
         ({"dt": -0.01}, "dt: "),

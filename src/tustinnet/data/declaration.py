@@ -212,7 +212,9 @@ def declare(
             raise InputError(f"{where}, {key}", "missing", "a value for this key") from None
         message = first["msg"].removeprefix("Value error, ").removeprefix(": ")
         if first["type"] == "too_long":
-            message = "{actual_length} values, at most {max_length}".format(**first.get("ctx", {}))
+            message = "{actual_length} values, expected at most {max_length} items".format(
+                **first.get("ctx", {})
+            )
         received = first.get("input")
         if isinstance(received, dict):  # a whole table: name it instead of printing it
             name = f" '{received['name']}'" if "name" in received else ""
