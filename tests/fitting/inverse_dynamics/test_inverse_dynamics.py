@@ -382,6 +382,8 @@ def test_a_joint_that_sticks_tells_its_friction_while_it_moves(tmp_path):
         )
     result = tn.identify(tn.DataSet("table", tuple(records)), system, ALONE)
     for name, true in (("axis.viscous", viscous), ("axis.coulomb", coulomb)):
-        low, high = next(e.interval for e in result.estimates if e.name == name)
+        interval = next(e.interval for e in result.estimates if e.name == name)
+        assert interval is not None
+        low, high = interval
         assert low < true < high
         assert result.values[name] == pytest.approx(true, rel=0.02)
