@@ -296,7 +296,7 @@ def _examine(
     logs: Sequence[Log],
     notes: Sequence[str],
     answers: Mapping[str, str],
-    by_velocities: float | None = None,
+    by_velocities: tuple[float, str] | None = None,
 ) -> Examination:
     """Examines logs that were read; by velocities they may have a period [s] that nothing says."""
     readings = read_names(logs)
@@ -339,7 +339,10 @@ def _examine(
 
 
 def _find_period(
-    folder: Path, logs: Sequence[Log], answers: Mapping[str, str], by_velocities: float | None
+    folder: Path,
+    logs: Sequence[Log],
+    answers: Mapping[str, str],
+    by_velocities: tuple[float, str] | None,
 ) -> tuple[float, str]:
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
     if PERIOD in answers:
@@ -347,7 +350,7 @@ def _find_period(
     if (period := _said_period(folder, logs)) is not None:
         return period, "by the sampling rate that the files say"
     if by_velocities is not None:
-        return by_velocities, "by the velocities, which are slopes of the positions"
+        return by_velocities
     return _only_period({period_in_name(log.file) for log in logs}) or _USUAL_PERIOD, ""
 
 

@@ -441,17 +441,19 @@ def describe_speed(column: str, name: str, findings: Findings, choice: Choice) -
     )
 
 
-def period_by_velocities(dt: float, findings: Findings) -> float | None:
-    """The sampling period [s] at which velocities are the slopes of their positions.
+def period_by_velocities(dt: float, findings: Findings) -> tuple[float, str] | None:
+    """The sampling period [s] at which velocities are the slopes of their positions, and why.
 
     Args:
         dt: the period by which the slopes were computed [s].
         findings: what is known of the columns.
 
     Returns:
-        The period; None where no velocity has a known unit, or two say different periods.
+        The period, and the reason; without one where no unit is known, so that both are taken for
+        the same: it is assumed. None where two velocities say different periods.
     """
     periods: list[tuple[float, float]] = []  # what a slope leaves of its velocity, and the period
+    reason = ""
     sizes = {**ANGULAR_SPEEDS, **LINEAR_SPEEDS}
     for velocity, verdict in findings.verdicts.items():
         if verdict.role != "velocity" or (position := verdict.partner) is None:
@@ -466,6 +468,7 @@ def period_by_velocities(dt: float, findings: Findings) -> float | None:
             if speed not in sizes or unit not in (*ANGLE, *LENGTH):
                 continue
             factor *= sizes[speed] / (ANGLE | LENGTH)[unit]
+            reason = "by the velocities, which are slopes of the positions"
         periods.append((math.sqrt(max(1 - correlation**2, 0.0)), dt / factor))
     if not periods:
         return None
@@ -474,4 +477,4 @@ def period_by_velocities(dt: float, findings: Findings) -> float | None:
         return None
     usual = float(f"{period:.2g}")
     period = usual if abs(period / usual - 1) < _SAME_FACTOR else float(f"{period:.4g}")
-    return period if 1e-4 <= period <= 1.0 else None
+    return (period, reason) if 1e-4 <= period <= 1.0 else None
