@@ -109,12 +109,13 @@ function beginPlayground() {
   const begin = [...at(recordAt(0).t, recordAt(0).q, 0)];
 
   const slider = (host, name, [low, high], value, tell) => {
-    const out = element("output", {}, told(value));
+    const shown = (x) => told(Math.abs(x) < 1e-3 * (high - low) ? 0 : x); // no digits of rounding
+    const out = element("output", {}, shown(value));
     const input = element("input", { type: "range", min: low, max: high, step: "any", "aria-label": name });
     input.value = value;
-    input.addEventListener("input", () => { out.textContent = told(Number(input.value)); tell(Number(input.value)); });
+    input.addEventListener("input", () => { out.textContent = shown(Number(input.value)); tell(Number(input.value)); });
     host.append(element("label", { class: "slide" }, element("span", {}, name), input, out));
-    return { set(x) { input.value = x; out.textContent = told(x); } };
+    return { set(x) { input.value = x; out.textContent = shown(x); } };
   };
 
   const travel = travelOf().map(([low, high], j) =>
