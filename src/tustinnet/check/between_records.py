@@ -187,7 +187,7 @@ def compare_records(views: Sequence[RecordView]) -> Iterator[Finding]:
         if not verdicts:
             break
         r = max(verdicts, key=lambda r: verdicts[r].before / verdicts[r].after)
-        if not (verdicts[r].may_be_machine and _is_known_other(parts[r], parts)):
+        if not (verdicts[r].may_be_machine and _is_in_other_groups(parts[r], parts)):
             yield from (_describe(view, verdicts[r]) for view in parts[r])
         weights[r] = 0.0
         model = fit_motion_model(equations, weights)
@@ -323,7 +323,7 @@ def _of_other_machine(e: Experiment) -> str:
     return f'in the entry of {e.name}: groups = {{ "machine" = "other" }}'
 
 
-def _is_known_other(file: Sequence[RecordView], files: Sequence[Sequence[RecordView]]) -> bool:
+def _is_in_other_groups(file: Sequence[RecordView], files: Sequence[Sequence[RecordView]]) -> bool:
     """Whether the card has a file in other groups than most."""
     groups = Counter(part[0].experiment.groups for part in files)
     return file[0].experiment.groups != groups.most_common(1)[0][0]
@@ -338,7 +338,7 @@ def _other_machines(model: MotionModel, files: Sequence[Sequence[RecordView]]) -
             of_others > LEVELS.poorer * usual
             and of_own < min(LEVELS.usual * usual, LEVELS.drop * of_others)
             and model.novelty(equations, r) < LEVELS.novel
-            and not _is_known_other(files[r], files)
+            and not _is_in_other_groups(files[r], files)
         ):
             for view in files[r]:
                 yield view.finding(

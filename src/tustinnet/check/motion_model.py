@@ -207,8 +207,8 @@ class MotionModel:
         right, reference = equations.right / scale, reference / scale
         gram = reference.T @ reference / len(reference) + LEVELS.ridge * np.eye(len(scale))
         leverage = np.einsum("mp,pm->m", right, np.linalg.solve(gram, right.T))
-        left = (equations.left - equations.right @ self.others[index]) / self.noise
-        weights = np.sum(left**2, axis=1) + 1e-300
+        misfit = (equations.left - equations.right @ self.others[index]) / self.noise
+        weights = np.sum(misfit**2, axis=1) + 1e-300
         return float(np.average(leverage, weights=weights)) / len(scale)
 
 

@@ -177,7 +177,9 @@ class _FreeRuns:
         scores = {}
         for label, (path, model) in models.items():
             try:
-                scores[label] = tn.evaluate(model, runs.records, runs.start, horizon=runs.horizon)
+                scores[label] = scoring.score_runs(
+                    model, runs.records, runs.start, horizon=runs.horizon
+                )
             except InputError as error:  # names the model
                 if len(models) == 1:
                     raise
@@ -245,7 +247,7 @@ def _evaluate_one(
     runs, scores = of_runs.runs, of_runs.scores[label]
     records, start, is_whole = runs.records, runs.start, runs.horizon is None
     training = [e for e in data if e.split == "train"]
-    whole = scores if is_whole else tn.evaluate(model, records, start)
+    whole = scores if is_whole else scoring.score_runs(model, records, start, horizon=None)
     horizons = error_horizons.errors_over_horizons(model, records, start, whole)
     names = {e.name for e in records}
     return evaluation_report.Evaluation(

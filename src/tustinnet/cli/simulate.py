@@ -12,6 +12,7 @@ from tustinnet.cli.free_runs import choose_free_runs, compute_bands, make_band_o
 from tustinnet.cli.models import load_model
 from tustinnet.cli.records import load_records
 from tustinnet.evaluate import bands as free_run_bands
+from tustinnet.evaluate import scores as scoring
 from tustinnet.report import extrapolation, tables
 from tustinnet.simulate import horizon as horizons
 from tustinnet.simulate import range as training_ranges
@@ -62,7 +63,7 @@ def simulate(
     require_no_new_records(paths, data, card)
     with disk.lock_folder(out):
         disk.require_outputs(paths, overwrite=overwrite)  # another command may have been faster
-        scores = tn.evaluate(simulator, records, runs.start, horizon=runs.horizon)
+        scores = scoring.score_runs(simulator, records, runs.start, horizon=runs.horizon)
         bands: list[free_run_bands.Band | None] = [None] * len(records)
         if band_options is not None:
             bands = [*compute_bands(model, simulator, records, scores, band_options)]

@@ -230,7 +230,7 @@ def design_controller(
     own = _usual_deviations(model, task, bounds)
     weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
     speeds = weights.usual_speeds(model.channels)
-    sizes = None if range is None else range.spans(model.channels) / 2
+    sizes = None if range is None else range.share_of_spans(0.5, model.channels, np.pi)
     find = partial(find_equilibrium, model, limits=task.limits, speeds=speeds, sizes=sizes)
     point = find(task.at)
     for mode in point.modes:
@@ -552,9 +552,8 @@ def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict
     """Distances within which a position counts as held, by name."""
     channels = model.channels
     unknown = np.where(channels.angular, WINDOW, DESIGN.unknown_window)
-    spans = np.zeros(channels.n_q) if range is None else range.spans(channels)
-    of_records = np.where(spans > 0, DESIGN.window * spans, unknown)
-    windows = np.where(channels.angular, np.minimum(of_records, WINDOW), of_records)
+    windows = unknown if range is None else range.share_of_spans(DESIGN.window, channels, WINDOW)
+    windows = np.where(windows > 0, windows, unknown)
     names = [c.name for c in channels.coordinates]
     return {n: float(w) for n, w in zip(names, windows, strict=True) if n in at}
 

@@ -107,9 +107,8 @@ def try_design(
 
 
 def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.ndarray, " n_q"]:
-    """How far from where it is designed for a run may begin, for each coordinate."""
-    usual = np.full(design.model.channels.n_q, _START_SPREAD)
+    """Largest distances of a run's beginning from where it is designed for, by coordinate."""
+    channels = design.model.channels
     if training_range is None:
-        return usual
-    of_records = _START_SPREAD * training_range.spans(design.model.channels)
-    return np.where(design.model.channels.angular, np.minimum(usual, of_records), of_records)
+        return np.full(channels.n_q, _START_SPREAD)
+    return training_range.share_of_spans(_START_SPREAD, channels, _START_SPREAD)

@@ -288,8 +288,8 @@ def _find_rows(
         lines = [(row, line) for row, line in lines if line.strip()]
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
-    lines, left_out = _without_further_names(_without_last_marks(lines, dialect), dialect)
-    remark = "; ".join(filter(None, (remark, left_out)))
+    lines, omission = _without_further_names(_without_last_marks(lines, dialect), dialect)
+    remark = "; ".join(filter(None, (remark, omission)))
     skipped, above, described, pairs = 0, [], None, None
     if header is not False:
         shape = find_table([dialect.split(line) for _, line in lines[-LAST_ROWS:]], dialect)
@@ -412,9 +412,9 @@ def _without_further_names(lines: Lines, dialect: Dialect) -> tuple[Lines, str]:
 
     begin = more if rises(clock - more) and not rises(clock) else 0
     kept = names[begin : begin + table.width]
-    left_out = ", ".join(f"'{name}'" for name in names[:begin] + names[begin + table.width :])
+    omitted = ", ".join(f"'{name}'" for name in names[:begin] + names[begin + table.width :])
     header = lines[first - 1][0], dialect.delimiter.join(kept)
-    remark = f"more names than cells in a row: {left_out} left out"
+    remark = f"more names than cells in a row: {omitted} left out"
     return [*lines[: first - 1], header, *lines[first:]], remark
 
 

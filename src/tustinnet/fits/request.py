@@ -138,8 +138,8 @@ def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
         data = replace(data, experiments=tuple(e.with_timing(model.inputs) for e in data))
     records = prepare_records(data, options)
     if records.delays and isinstance(recipe, IdentificationRecipe):
-        found = [f"{name}.delay" for name in records.delays]
-        free = tuple(dict.fromkeys((*recipe.model.free, *found)))
+        delays = [f"{name}.delay" for name in records.delays]
+        free = tuple(dict.fromkeys((*recipe.model.free, *delays)))
         model = recipe.model.model_copy(update={"free": free})
         task = replace(task, recipe=recipe.model_copy(update={"model": model}))
     if records.data is not request.data:

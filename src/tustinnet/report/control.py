@@ -23,7 +23,7 @@ from tustinnet.report.extrapolation import describe_extrapolation
 from tustinnet.report.tables import Table
 from tustinnet.wording import join_words
 
-_TOLD = 0.05  # of the window of a goal: less that friction may hold back is not told
+_NEGLIGIBLE = 0.05  # of the window of a goal: smaller distances from it are not reported
 
 
 def point_table(design: ControlDesign) -> Table:
@@ -253,7 +253,7 @@ def sentences(design: ControlDesign) -> list[str]:
     """Sentences on what is known of a controller."""
     point, channels = design.point, design.model.channels
     place = ", ".join(
-        f"{c.name} = {x:.4g} {c.unit}{_asked(design, c.name, x)}"
+        f"{c.name} = {x:.4g} {c.unit}{_requested_position(design, c.name, x)}"
         for c, x in zip(channels.coordinates, point.x[channels.position], strict=True)
     )
     inputs = ", ".join(
@@ -300,10 +300,10 @@ def sentences(design: ControlDesign) -> list[str]:
     return lines
 
 
-def _asked(design: ControlDesign, name: str, value: float) -> str:
+def _requested_position(design: ControlDesign, name: str, value: float) -> str:
     """The position that was named, in brackets, where the equilibrium is beside it."""
     goal = design.goal
-    is_there = abs(value - goal.at.get(name, value)) <= _TOLD * goal.window.get(name, np.inf)
+    is_there = abs(value - goal.at.get(name, value)) <= _NEGLIGIBLE * goal.window.get(name, np.inf)
     return (
         "" if is_there else f" (asked: {goal.at[name]:.4g}, where the model does not stand still)"
     )
@@ -323,15 +323,15 @@ def _sticking(design: ControlDesign) -> list[str]:
     """A sentence on where dry friction holds the machine, as simulations do not show it."""
     distances = sticking_distances(design.model, design.own_feedback, design.task.delay)
     units = {c.name: c.unit for c in design.model.channels.coordinates}
-    told = [
+    large = [
         f"{name} up to {d:.2g} {units[name]}"
         for name, d in distances.items()
-        if d > _TOLD * design.goal.window.get(name, np.inf)
+        if d > _NEGLIGIBLE * design.goal.window.get(name, np.inf)
     ]
-    if not told:
+    if not large:
         return []
     return [
-        f"dry friction may hold {join_words(told)} from the goal, where simulations creep on to "
+        f"dry friction may hold {join_words(large)} from the goal, where simulations creep on to "
         "it; integral action (`integral=`) takes that away"
     ]
 

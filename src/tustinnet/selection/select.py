@@ -285,11 +285,10 @@ def _choose(
         reporter.on_message(make_finding("no bands", why=error_message(error)).text)
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
-    if left_out:
-        pass  # they were searched for before
-    elif deadline.has_passed():
+    is_searched = bool(left_out)  # before the candidates were fitted
+    if not is_searched and deadline.has_passed():
         reporter.on_message(make_finding("spoiled no time").text)
-    else:
+    elif not is_searched:
         spoiled = _find_spoiled(candidates, best.name, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}

@@ -88,10 +88,18 @@ class Range:
             header["recorded_states"] = self.recorded_states.tolist()
         return header
 
-    def spans(self, channels: Channels) -> Float[np.ndarray, " n_q"]:
-        """How far each coordinate moved [rad or m], of an angle a turn at most, (n_q,)."""
-        spans = np.ptp(self.states[channels.position], axis=1)
-        return np.where(channels.angular, np.minimum(spans, 2 * np.pi), spans)
+    def share_of_spans(
+        self, share: float, channels: Channels, largest_angle: float
+    ) -> Float[np.ndarray, " n_q"]:
+        """A share of the recorded span of each coordinate [rad or m], (n_q,).
+
+        Args:
+            share: the share.
+            channels: of the model.
+            largest_angle: the largest result of an angle [rad].
+        """
+        shares = share * np.ptp(self.states[channels.position], axis=1)
+        return np.where(channels.angular, np.minimum(shares, largest_angle), shares)
 
     def extrapolation_point(
         self,

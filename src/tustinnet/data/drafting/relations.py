@@ -182,10 +182,10 @@ def find_sums(records: Sequence[Table]) -> list[tuple[int, int, int | None]]:
         residual[[i, j]] = np.inf
         third = int(np.argmin(residual))
         # differences of larger squares are rounded
-        is_told = limit > 1e-12 * max(squares[i], squares[j], squares[third])
-        if total < limit and is_told:
+        is_resolved = limit > 1e-12 * max(squares[i], squares[j], squares[third])
+        if total < limit and is_resolved:
             sums.append((i, j, None))
-        elif residual[third] < limit and is_told and not are_one:
+        elif residual[third] < limit and is_resolved and not are_one:
             sums.append((i, j, third))
     return sums
 

@@ -69,9 +69,9 @@ def make_identification(
         correlation = uncertainty.trusted / np.outer(errors, errors)
     # without a prior the range is what was known, as a uniform distribution
     priors = np.array([p.prior or np.nan for p in space.free_parameters])
-    known = priors / np.abs(space.derivatives(result.vector))
-    known = np.where(np.isnan(known), (space.upper - space.lower) / np.sqrt(12), known)
-    informed = errors < INFORMED * known
+    spread = priors / np.abs(space.derivatives(result.vector))
+    spread = np.where(np.isnan(spread), (space.upper - space.lower) / np.sqrt(12), spread)
+    informed = errors < INFORMED * spread
     quantiles = _quantiles(problem, space, uncertainty)
     estimates = make_estimates(space, result.vector, errors, naive_errors, quantiles, informed)
 
