@@ -29,7 +29,6 @@ from tustinnet.wording import counted
 # the plan, with a system that lacks the cable's relaxation and dry friction; its time limit
 _PLAN, _SYSTEM, _SECONDS = "quick", "qube-servo2", 105.0
 _CHOICE = "twin_choice"
-_START = "derived-6"  # the twin moves when its records begin, and `file` would say it does not
 _REPORTED = 2  # models: the chosen one and one beside it; each takes seconds
 _DRAWN = ("twin_fall_test1", "twin_noise_test2")
 # the controller: on the identified equations, for a swing-up of the twin that they do not know
@@ -84,12 +83,12 @@ def demo(
         earlier = "discard" if overwrite else "refuse"
         models = _select_and_score(data, out, quiet=quiet, json=json, earlier=earlier)
         scores = {model.label: model.scores for model in models}
-        tests = list(data.split("test"))
+        tests, start = list(data.split("test")), models[0].scores[0].start
         print_step(f"4/6 free runs of the {len(tests)} test records")
         content = {
             "data": data.name,
             "split": "test",
-            "start": _START,
+            "start": start,
             "units": data.channels.unit,
             "models": {
                 label: {
@@ -99,7 +98,7 @@ def demo(
                 for label, model_scores in scores.items()
             },
         }
-        table = comparison.comparison_table(tests, scores, _START)
+        table = comparison.comparison_table(tests, scores, start)
         table = replace(table, title=f"Twin (simulated, favours Lagrangian models). {table.title}")
         disk.write_into(out, "twin_table.md", table.markdown())
         disk.write_into(out, "twin_table.json", disk.to_json(content))
@@ -124,7 +123,7 @@ def demo(
             [model.file for model in reported if model.file is not None],
             page,
             lambda command: fit_reports.write_scored_report(reported, tests, page, command),
-            {"--split": "test", "--start": _START},
+            {"--split": "test"},
         )
         print_step(f"6/6 a controller that swings the twin up: {out / _CONTROLLER}")
         swing_up = _swing_up(models, list(data.split("train")), out, overwrite=overwrite)
@@ -166,7 +165,7 @@ def _select_and_score(
             [choice.context.folder / choice.file(name)], [model]
         )
         label = f"{name} (chosen)" if is_chosen else name
-        models.append(replace(reported, label=label, scores=tn.evaluate(model, tests, _START)))
+        models.append(replace(reported, label=label, scores=tn.evaluate(model, tests)))
     return models
 
 

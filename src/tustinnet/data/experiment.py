@@ -433,8 +433,7 @@ class Experiment(HasChannels, Plotted):
             sources = ", ".join(get_args(VelocitySource))
             raise InputError(self.name, f"velocities by '{source}'", f"one of {sources}")
         if source == "auto":
-            usable = self.v is not None and self.v_measured and self.padded_rows == (0, 0)
-            source = "file" if usable else "stencil"
+            source = "stencil" if self.sensor_velocities is None else "file"
         if source == "file":
             if self.v is None:
                 raise InputError(
@@ -453,6 +452,11 @@ class Experiment(HasChannels, Plotted):
             )
         method: VelocityMethod = source
         return differentiate(self.q, self.dt, method, self.channels.resolution)
+
+    @property
+    def sensor_velocities(self) -> Float[np.ndarray, "n n_q"] | None:
+        """Stored velocities, (n, n_q), where a sensor measured them and no row is padding."""
+        return self.v if self.v_measured and self.padded_rows == (0, 0) else None
 
     @property
     def padded_rows(self) -> tuple[int, int]:

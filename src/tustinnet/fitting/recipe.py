@@ -320,7 +320,7 @@ class FreeRunRecipe(Recipe):
     Attributes:
         velocity: where the velocities come from (`Experiment.velocities`).
         start: where these free runs start; when left out, the model's warm-up if it needs one, else
-            `file` where velocities are stored, else `derived-6`.
+            `file` where a sensor measured velocities, else `derived-6`.
         horizon: how long such a free run lasts at most [s]: longer records are cut end to end into
             segments with a start each; none for whole records.
     """

@@ -24,7 +24,7 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     """The start that is used where none is named, the same for all of some models.
 
     A warm-up where a model needs one; `model-20` where internal states are to be searched for, as
-    those of a controller; else `file` where every record stores velocities; else
+    those of a controller; else `file` where a sensor measured the velocities of every record; else
     `derived-6`, or `model-20` where a coordinate swings with few samples in a period: a parabola
     through 6 samples is then far from the motion.
     """
@@ -34,7 +34,7 @@ def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
     if is_long and any(model.searched_internal.any() for model in models):
         return FITTED.usual
-    if all(e.v is not None for e in experiments):
+    if all(e.sensor_velocities is not None for e in experiments):
         return STORED.usual
     is_fast = is_long and any(
         scales.is_fast for scales in coordinate_timescales(experiments).values()

@@ -62,7 +62,8 @@ def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
                 folder,
                 "no logs",
                 "files of columns, such as .csv, .parquet or .mat",
-                "check the folder; other formats: docs/how-to/add-a-reader.md",
+                "check the folder, add .txt to text files without an ending; other formats: "
+                "docs/how-to/add-a-reader.md",
             )
         return folder, files
     for path in paths:

@@ -225,8 +225,8 @@ def _law_along(
     # means over both ends of a period: the mean of velocities is there the difference of
     # positions, exactly so under a force that is held
     velocity = np.diff(e.q[:, j]) / e.dt
-    if e.v is not None and e.v_measured and e.padded_rows == (0, 0):
-        velocity = (e.v[1:, j] + e.v[:-1, j]) / 2
+    if (speeds := e.sensor_velocities) is not None:
+        velocity = (speeds[1:, j] + speeds[:-1, j]) / 2
     if loop.velocity_filter:
         import scipy.signal  # takes a second, and few controllers filter
 
