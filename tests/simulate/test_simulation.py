@@ -84,7 +84,10 @@ def test_other_starts_are_refused(start):
         initial_state(parabola(), start)
 
 
-def test_default_start_is_file_only_where_every_record_stores_velocities():
-    stored = parabola(v=np.zeros(30))
+def test_default_start_is_file_only_where_a_sensor_measured_all_velocities():
+    v = 2.0 - 8.0 * 0.01 * np.arange(30)
+    stored = parabola(v=v)
     assert default_start([stored]) == "file"
     assert default_start([stored, parabola()]) == "derived-6"
+    assert default_start([parabola(v=v, v_measured=False)]) == "derived-6"  # late, if filtered
+    assert default_start([parabola(v=np.zeros(30))]) == "derived-6"  # rows that are padding
