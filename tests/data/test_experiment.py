@@ -440,3 +440,15 @@ def test_kalman_uses_the_counts_of_the_coordinates() -> None:
 
 def test_the_text_of_a_record_says_what_it_is() -> None:
     assert repr(record()) == "Experiment('experiment', 200 samples of 0.02 s, angle)"
+
+
+@pytest.mark.parametrize("hold", ["zero-order", "first-order", "band-limited"])
+def test_a_part_of_a_record_has_the_inputs_of_the_record(hold):
+    u = np.random.default_rng(0).normal(size=(200, 1))
+    voltage = tn.Input("u", "V", hold=hold, delay=0.025)
+    q = np.zeros((200, 1))
+    e = tn.from_arrays(q, u, dt=0.01, coordinates={"x": "linear"}, inputs=[voltage])
+    part = e[60:75][3:9]  # fewer samples than a band-limited input is interpolated from
+    whole = e.excitation()
+    np.testing.assert_array_equal(part.excitation().samples, whole.samples[63:69])
+    np.testing.assert_array_equal(part.excitation().pieces, whole.pieces[63:68])

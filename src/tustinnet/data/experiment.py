@@ -245,7 +245,7 @@ class Experiment(HasChannels, Plotted):
                 )
         k_bar = None if self.k_bar is None else max(0, min(self.k_bar, stop) - start)
         part = slice(start, stop, stride)
-        return replace(
+        cut = replace(
             self,
             t=self.t[part],
             q=self.q[part],
@@ -256,6 +256,9 @@ class Experiment(HasChannels, Plotted):
             k_bar=None if k_bar is None else -(-k_bar // stride),
             first_row=self.first_row + start,
         )
+        if stride == 1:
+            vars(cut)["_cut_from"] = self, part
+        return cut
 
     def resample(self, dt: float) -> "Experiment":
         """The record on a regular grid of period `dt` [s] from its first timestamp on.
@@ -351,6 +354,8 @@ class Experiment(HasChannels, Plotted):
     def excitation(self, inputs: Sequence[Input] | None = None) -> Excitation:
         """The inputs as a function of time: at the samples and between them.
 
+        A part of a record has those of the record, whose samples before and behind it are known.
+
         Args:
             inputs: the inputs of the model to simulate. Its delays are used, and its holds where
                 the record declares none. By default the record's own.
@@ -359,6 +364,10 @@ class Experiment(HasChannels, Plotted):
             InputError: an input whose hold or delay is unknown; a record too short to interpolate
                 a band-limited input, or shorter than a delay.
         """
+        if "_cut_from" in vars(self):
+            whole, part = vars(self)["_cut_from"]
+            samples, periods = whole.excitation(inputs)
+            return Excitation(samples[part], periods[part.start : max(part.stop - 1, part.start)])
         inputs = self.inputs if inputs is None else merge_timing(self.inputs, inputs)
         self._require_holds(inputs, "simulating", delays=True)
         # `unknown` was refused
@@ -377,9 +386,7 @@ class Experiment(HasChannels, Plotted):
                     f"more than {HALF}",
                     "leave the record out, or declare another hold",
                 )
-        if "band-limited" not in holds:
-            return excitation(self.u, holds, delays)
-        # its interpolation takes longer than a free run, and every free run needs it
+        # every free run needs it, and a record's parts; interpolation takes longer than a run
         key, kept = (tuple(holds), tuple(delays)), vars(self).get("_interpolated")
         if kept is None or kept[0] != key:
             kept = key, excitation(self.u, holds, delays)
