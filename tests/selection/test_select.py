@@ -17,6 +17,7 @@ from swinging import SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.control.plants import load_rivals
+from tustinnet.data.spoiled import spoiled_record
 from tustinnet.errors import InputError
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.metrics import mean_and_error
@@ -27,7 +28,7 @@ from tustinnet.models.physical_values import equations_in
 from tustinnet.report.selection import candidates_table
 from tustinnet.report.tables import Table
 from tustinnet.selection import choice as chosen
-from tustinnet.selection import final_models, jobs, queue, scoring
+from tustinnet.selection import final_models, jobs, queue, scoring, select
 from tustinnet.selection.applicability import applicable_candidates
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.jobs import Job, RunContext
@@ -305,7 +306,7 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     two = with_errors(made.choice, *(0.01, 5) * 3, kinds="ab").findings[4].text
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9
-    assert with_errors(made.choice, 0.1, 0.2).claim is None
+    assert with_errors(made.choice, 0.1, 0.2).findings[3].code == "expected"
     cut = replace(even, is_cut=True).findings
     assert [f.code for f in cut].count("pieces are alike") == 1
 
@@ -478,6 +479,18 @@ def test_an_identification_from_all_records_that_raises_leaves_the_models_of_fol
         "; not identified from all records: FloatingPointError: overflow"
     )
     assert (tmp_path / "run" / "model.safetensors").is_file()
+
+
+def test_a_record_that_is_simulated_as_well_as_others_is_not_spoiled(tmp_path, monkeypatch):
+    def every_record(model, records):
+        return tuple(spoiled_record(e, "other conditions", "another payload?") for e in records)
+
+    monkeypatch.setattr(select, "find_spoiled", every_record)
+    plan = plan_in(tmp_path, GREY_ONCE)
+    choice = select_model(swings(), tmp_path / "run", SelectionOptions(plan, SWING))
+    scored = choice.result("grey").rmse().keys()
+    assert scored
+    assert {part.record for part in choice.spoiled} == {e.name for e in swings()} - scored
 
 
 def test_an_interruption_before_the_first_score_ends_the_selection(tmp_path, monkeypatch):

@@ -13,6 +13,9 @@ Trajectory = Float[np.ndarray, "n n_q"]
 PerCoordinate = Float[np.ndarray, " n_q"]
 Key = TypeVar("Key")
 
+# logarithms of the errors of a machine's records usually spread so much; counts as so many records
+_PRIOR_SPREAD, _PRIOR_RECORDS = 0.7, 2
+
 
 def rmse(simulated: Trajectory, measured: Trajectory) -> float:
     """Root mean square over samples of the 2-norm of the position error, not wrapped [rad or m].
@@ -71,24 +74,27 @@ def expected_range(errors: Iterable[float], level: float = 0.9) -> ErrorRange | 
     """The range in which the error of a new record lies, where those of some records are known.
 
     Errors of records differ by factors rather than by sums, so their logarithms are taken as
-    normally distributed: the prediction interval of one more value, by Student's t.
+    normally distributed: the prediction interval of one more value, by Student's t. Their spread is
+    estimated with that of usual machines as a prior: a few errors that are alike by chance say as
+    little of it as a few that are far apart.
 
     Args:
         errors: of records of the same kinds [rad or m], none of which a model was fitted to.
         level: the share of new records that the range is for.
 
     Returns:
-        None of fewer than three records, and where an error is not finite or 0.
+        None of no records, and where an error is not finite or 0.
     """
     values = np.array(list(errors))
-    # of fewer errors nothing says how they differ
-    if len(values) < 3 or not (np.isfinite(values).all() and (values > 0).all()):
+    if not (len(values) and np.isfinite(values).all() and (values > 0).all()):
         return None
     from scipy.special import stdtrit  # few calls need it, and SciPy takes time to load
 
     logs, n = np.log(values), len(values)
-    half = stdtrit(n - 1, (1 + level) / 2) * logs.std(ddof=1) * np.sqrt(1 + 1 / n)
-    low, typical, high = np.exp(logs.mean() + np.array([-half, 0.0, half])).tolist()
+    centre, freedom = logs.mean(), n - 1 + _PRIOR_RECORDS
+    variance = (_PRIOR_RECORDS * _PRIOR_SPREAD**2 + np.sum((logs - centre) ** 2)) / freedom
+    half = stdtrit(freedom, (1 + level) / 2) * np.sqrt(variance * (1 + 1 / n))
+    low, typical, high = np.exp(centre + np.array([-half, 0.0, half])).tolist()
     return ErrorRange(typical, low, high, level)
 
 

@@ -217,7 +217,7 @@ class Choice(Shown):
 
     @property
     def claim(self) -> ErrorRange | None:
-        """The error that a new record is expected to have; None where too few were scored."""
+        """The error that a new record is expected to have; None where one is lost."""
         return expected_range(self._rmse.values())
 
     @property

@@ -7,12 +7,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from tustinnet.cores import OtherPrograms
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.spoiled import SpoiledPart
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.reference import find_reference
-from tustinnet.evaluate.spoiled import find_spoiled
+from tustinnet.evaluate.spoiled import MISFIT, find_spoiled
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, OVER, Deadline, Stopwatch
 from tustinnet.fits.preparation import PreparationOptions, prepare_records
@@ -27,7 +29,7 @@ from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.queue import NO_TIME, CandidateQueue
-from tustinnet.selection.ranking import find_simplest, rank
+from tustinnet.selection.ranking import CandidateResult, find_simplest, rank
 from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import Scorer
 from tustinnet.simulate.horizon import effective_horizon
@@ -289,7 +291,7 @@ def _choose(
     if not is_searched and deadline.has_passed():
         reporter.on_message(make_finding("spoiled no time").text)
     elif not is_searched:
-        spoiled = _find_spoiled(candidates, best.name, models, context)
+        spoiled = _find_spoiled(candidates, best, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
     errors = best.rmse()
@@ -316,14 +318,18 @@ def _choose(
 
 
 def _find_spoiled(
-    candidates: SelectionResults, best: str, models: Mapping[str, FinalModel], context: RunContext
+    candidates: SelectionResults,
+    best: CandidateResult,
+    models: Mapping[str, FinalModel],
+    context: RunContext,
 ) -> tuple[SpoiledPart, ...]:
     """Parts of records that the chosen model does not explain.
 
     Where that has weights, those of the best one that was identified: its parameters say which
-    records were made under other conditions. None where nothing was.
+    records were made under other conditions. None where nothing was. What the chosen one simulates
+    as well as other records, without having seen it, is not spoiled: that one lacks something.
     """
-    ranked = [best, *(r.name for r in rank(candidates.choosable) if r.name != best)]
+    ranked = [best.name, *(r.name for r in rank(candidates.choosable) if r.name != best.name)]
     identified = [
         name
         for name in ranked
@@ -331,7 +337,10 @@ def _find_spoiled(
     ]
     if not identified:
         return ()
-    return find_spoiled(models[identified[0]].model, records_without_test(context.data))
+    errors = best.rmse()
+    usual = MISFIT.unlike * float(np.median([*errors.values()]))
+    parts = find_spoiled(models[identified[0]].model, records_without_test(context.data))
+    return tuple(part for part in parts if errors.get(part.record, np.inf) > usual)
 
 
 def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:
