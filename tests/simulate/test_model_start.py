@@ -1,5 +1,7 @@
 """Initial states by least squares through the model."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,6 +59,15 @@ def test_encoder_counts_hurt_it_less_than_the_parabola():
             result.append(start_states(model, [e], start)[0] - truth)
     rms = {start: np.sqrt(np.mean(np.square(result), axis=0)) for start, result in errors.items()}
     assert rms["model-20"][1] < 0.3 * rms["derived-6"][1], rms
+
+
+def test_a_model_that_forgets_its_start_does_not_begin_far_away():
+    servo = tn.discretise(grey_box(damping=60 * TRUTH["damping"]), DT, substeps=4)
+    e = simulated(servo, np.array([0.3, 0.0]))
+    off = replace(e, q=e.q + 0.004 * np.sin(np.arange(SAMPLES) * 0.7)[:, None])  # unmodelled
+    start = start_states(servo, [off], f"model-{SAMPLES}")[0]
+    assert abs(start[0] - off.q[0, 0]) < 0.02
+    assert abs(start[1]) < 1.0
 
 
 def error_after_a_hand(model, x0: np.ndarray, held_samples: int) -> float:

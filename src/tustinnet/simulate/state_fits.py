@@ -49,6 +49,30 @@ def sample_shares(
     return places ** min(_RISING, samples / _SAMPLES_A_POWER), np.ones(samples)
 
 
+def state_spread(
+    xp: Any,
+    model: Model,
+    q: Float[Array | np.ndarray, "records samples n_q"],
+    internal: Float[Array | np.ndarray, " n_z"],
+) -> Any:
+    """Standard deviations of states about a guess from the first samples, (records, n_x).
+
+    Positions and velocities are as far off as the samples move, and as fast; else those of which a
+    stiff model keeps nothing would be anywhere.
+
+    Args:
+        xp: NumPy, or JAX's.
+        model: the model.
+        q: the samples.
+        internal: those of internal states.
+    """
+    error = 1 / position_weights(model)
+    travel = error + xp.sqrt(xp.mean((q - q[:, :1]) ** 2, axis=1))
+    speed = (error + xp.sqrt(xp.mean(xp.diff(q, axis=1) ** 2, axis=1))) / model.channels.dt
+    of_internal = xp.broadcast_to(internal, (len(q), len(internal)))
+    return xp.concatenate([travel, speed, of_internal], axis=1)
+
+
 @lru_cache  # so that it is read and compiled once
 def position_residual(n_q: int) -> ResidualFormula:
     """The residual of positions: their errors as they are."""
@@ -64,8 +88,8 @@ def fit_states(
     """Initial states by least squares through the model.
 
     Minimises the squared position errors over the samples, each over the encoder's standard
-    deviation; internal states are kept near the guess, with the model's `internal_spread` as
-    standard deviations. Errors weigh the more, the later they are: that of the k-th of N samples
+    deviation; states are kept near the guess, internal ones with the model's `internal_spread` as
+    standard deviations, others with what the samples move and how fast. Errors weigh the more, the later they are: that of the k-th of N samples
     (k/N)^4, or (k/N)^(N/5) where there are fewer than 20. The first samples are often disturbed, as
     a rule by the hand that releases the system, and a model that is nearly right can take that for
     an internal state. Where errors of more than 2.5 standard deviations (root mean square, weighed)
@@ -107,7 +131,7 @@ def fit_states_traced(
         variants.repeat(jax.tree.map(jnp.asarray, a)) for a in (guess.astype(kind), signal, q)
     )
     weight = jnp.asarray(variants.share[:, :, None] * position_weights(model), kind)
-    spread = model.internal_spread.astype(kind)
+    spread = state_spread(jnp, model, measured, model.internal_spread).astype(kind)
     engine_steps = None
     if signal.periods is None:
         engine_steps = layered_steps(model, repeated.u.shape[2:], kind)
@@ -128,8 +152,8 @@ def fit_states_traced(
             terms = engine_steps.compare(x, repeated.u, residual, measured.astype(kind), weight)
         else:
             terms = jax.vmap(products_by_jax)(x, repeated, measured, weight)
-        departure = (x - start)[:, model.channels.internal]
-        return _with_departures(jnp, terms, departure, (constraint[:, None] / spread) ** 2)
+        precision = _departure_precision(jnp, model, spread, constraint)
+        return _with_departures(jnp, terms, x - start, precision)
 
     x, cost = variants.search(squares, start, jax.lax.fori_loop)
     return x[variants.choose(cost, q.shape[2])]
@@ -166,11 +190,8 @@ def fit_states_with_derivatives(
     seeds[:, n_p:] = np.eye(n_x)
     products, _, _ = squares.evaluate(x, ones, Directions(seeds, parameters=True))
     mixed = products[:, n_p:, :n_p]
-    internal = model.channels.internal
-    # the guess itself moves, and with it the states near which internal ones are kept
-    mixed[:, internal] -= squares.precision(ones)[:, :, None] * np.swapaxes(
-        by_guess[:, :, internal], 1, 2
-    )
+    # the guess itself moves, and with it the states near which they are kept
+    mixed -= squares.precision(ones)[:, :, None] * np.swapaxes(by_guess, 1, 2)
     columns = [
         -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], _LEAST_DAMPING * ones)
         for i in range(n_p)
@@ -207,24 +228,37 @@ def _fit(
     return x[best], variants.share[best]
 
 
+def _departure_precision(xp: Any, model: Model, spread: Any, constraint: Any) -> Any:
+    """Weights of squared departures of states, internal ones kept so many times as near.
+
+    Args:
+        xp: NumPy, or JAX's.
+        model: the model.
+        spread: standard deviations of the states, (records, n_x).
+        constraint: how many times as near, (records,).
+    """
+    is_internal = np.arange(spread.shape[1]) >= model.channels.internal.start
+    return (xp.where(is_internal, constraint[:, None], 1.0) / spread) ** 2
+
+
 def _with_departures(
     xp: Any, terms: tuple[Any, Any, Any], departure: Any, precision: Any
 ) -> tuple[Any, Any, Any]:
-    """Products, gradient and cost of errors, with squared departures of internal states added.
+    """Products, gradient and cost of errors, with squared departures of states added.
 
     Args:
         xp: NumPy, or JAX's.
         terms: products of derivatives (records, n_d, n_d), of derivatives and errors
-            (records, n_d), and the cost (records,); the last directions are internal states.
-        departure: how far these are from the guess, (records, n_z).
-        precision: weights of their squares, (records, n_z).
+            (records, n_d), and the cost (records,); the last directions are the states.
+        departure: how far these are from the guess, (records, n_x).
+        precision: weights of their squares, (records, n_x).
     """
     products, gradient, cost = terms
-    n_d, n_z = gradient.shape[1], departure.shape[1]
-    internal = np.eye(n_d, dtype=gradient.dtype)[n_d - n_z :]
+    n_d, n_x = gradient.shape[1], departure.shape[1]
+    states = np.eye(n_d, dtype=gradient.dtype)[n_d - n_x :]
     return (
-        products + (internal.T * precision[:, None]) @ internal,
-        gradient + (precision * departure) @ internal,
+        products + (states.T * precision[:, None]) @ states,
+        gradient + (precision * departure) @ states,
         cost + xp.sum(precision * departure**2, axis=1),
     )
 
@@ -311,7 +345,7 @@ class _Variants:
 
 
 class _Squares:
-    """Squares of position errors and of departures of internal states, at given states."""
+    """Squares of position errors and of departures of states, at given states."""
 
     def __init__(
         self,
@@ -326,15 +360,15 @@ class _Squares:
         engine_model = model_equations(model, signal)
         self._equations, self._guess, self._substeps = equations, guess, engine_model.substeps
         self._runs = replace(engine_model.runs(guess, signal), parameters=parameters)
-        self._internal = model.channels.internal
-        self._spread = np.asarray(model.internal_spread, np.float64)
+        self._model = model
+        self._spread = state_spread(np, model, q, np.asarray(model.internal_spread, np.float64))
         weight, n_q = share[:, :, None] * position_weights(model), q.shape[2]
         self._samples = Samples(q.reshape(-1, n_q), weight.reshape(-1, n_q))
         self._residual = position_residual(n_q)
 
-    def precision(self, constraint: np.ndarray) -> Float[np.ndarray, "records n_z"]:
-        """Weights of squared departures of internal states, kept so many times as near."""
-        return (constraint[:, None] / self._spread) ** 2
+    def precision(self, constraint: np.ndarray) -> Float[np.ndarray, "records n_x"]:
+        """Weights of squared departures, see `_departure_precision`."""
+        return _departure_precision(np, self._model, self._spread, constraint)
 
     def evaluate(
         self, x: np.ndarray, constraint: np.ndarray, directions: Directions
@@ -345,9 +379,8 @@ class _Squares:
             self._equations, self._residual, runs, self._substeps, directions, self._samples
         )
         terms = errors.products, errors.gradient, errors.cost
-        departure = (x - self._guess)[:, self._internal]
         with np.errstate(over="ignore", invalid="ignore"):
-            return _with_departures(np, terms, departure, self.precision(constraint))
+            return _with_departures(np, terms, x - self._guess, self.precision(constraint))
 
 
 def newton_step(
