@@ -89,11 +89,12 @@ def fit_states(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; states are kept near the guess, internal ones with the model's `internal_spread` as
-    standard deviations, others with what the samples move and how fast. Errors weigh the more, the later they are: that of the k-th of N samples
-    (k/N)^4, or (k/N)^(N/5) where there are fewer than 20. The first samples are often disturbed, as
-    a rule by the hand that releases the system, and a model that is nearly right can take that for
-    an internal state. Where errors of more than 2.5 standard deviations (root mean square, weighed)
-    remain, the fault is the model's, and all samples weigh the same.
+    standard deviations, others with what the samples move and how fast. Errors weigh the more, the
+    later they are: that of the k-th of N samples (k/N)^4, or (k/N)^(N/5) where there are fewer than
+    20. The first samples are often disturbed, as a rule by the hand that releases the system, and a
+    model that is nearly right can take that for an internal state. Where errors of more than 2.5
+    standard deviations (root mean square, weighed) remain, the fault is the model's, and all
+    samples weigh the same.
 
     Levenberg-Marquardt with exact derivatives, in few iterations. Where a hand acted, the parabola
     may be far from the motion after it, and internal states then grow to explain that, from where

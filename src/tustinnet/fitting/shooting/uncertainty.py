@@ -135,11 +135,10 @@ def estimate_uncertainty(
         with np.errstate(over="ignore", invalid="ignore"):
             jackknife = (n - 1) / n * steps.T @ steps + inverse @ by_prior @ inverse
         # no other record contradicts the only one of a group, so its residuals have to say it
-        lifts = np.ones(len(jackknife))
-        alone = is_alone.any(axis=0)
-        lifts[alone] = np.sqrt(
-            np.maximum(np.diag(naive)[inside] / np.maximum(np.diag(jackknife), 1e-300), 1.0)
-        )[alone]
+        lifts, alone = np.ones(len(jackknife)), is_alone.any(axis=0)
+        by_residuals = np.diag(naive)[inside][alone]
+        ratios = by_residuals / np.maximum(np.diag(jackknife)[alone], 1e-300)
+        lifts[alone] = np.sqrt(np.maximum(ratios, 1.0))
         covariance = np.full((n_p, n_p), np.nan)
         covariance[np.ix_(inside, inside)] = jackknife * np.outer(lifts, lifts)
         return covariance
