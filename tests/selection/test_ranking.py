@@ -71,6 +71,13 @@ def test_how_far_a_lost_run_is_off_decides_nothing():
     assert diverged.compared() == {"r": math.inf}
 
 
+def test_a_candidate_that_is_lost_on_every_record_follows_none():
+    of = replace(standing("a", {"r": 0.5, "s": math.inf}), lost=1.0)
+    assert of.follows_some
+    assert not replace(of, lost=0.4).follows_some
+    assert not CandidateResult("b").follows_some
+
+
 def test_what_left_all_bounds_comes_last_and_what_was_not_scored_not_at_all():
     found = rank([standing("a", {"r": math.inf}), standing("b", {"r": 7.0}), CandidateResult("c")])
     assert [s.name for s in found] == ["b", "a"]

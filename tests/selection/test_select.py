@@ -210,6 +210,20 @@ def test_candidates_for_fast_records_are_left_out_of_slow_ones(tmp_path):
     assert [c.name for c in candidates] == ["fast", "network"]
 
 
+def test_a_mechanism_of_too_many_coordinates_is_left_out_before_anything_is_fitted():
+    t = np.arange(200)[:, None] + np.arange(7)
+    many = tn.from_arrays(
+        np.sin(0.1 * t), dt=0.02, coordinates={f"q{i}": "angular" for i in range(7)}
+    )
+    records = tn.DataSet("many", tuple(replace(many, name=f"r{i}") for i in range(3)))
+    context = RunContext(records, Scorer(3, "model-10"))
+    candidates, left_out = applicable_candidates(read_plan("usual"), context, None)
+    assert not [c.name for c in candidates if "mechanism" in c.name or "hybrid" in c.name]
+    (reason,) = [str(line) for line in left_out if "coordinates" in str(line)]
+    assert "7 coordinates; expected 6 at most" in reason
+    assert reason.endswith(": mechanism, mechanism + end stops")
+
+
 # --- what is written and told ---
 
 

@@ -14,6 +14,7 @@ from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import resolve_system
 from tustinnet.models.forces import LAWS
+from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
 from tustinnet.systems.files import SystemTemplate
@@ -84,11 +85,24 @@ def _reason_against(
         reason = "without the controller of the data card"
     elif candidate.when == "no-system" and context.system is not None:
         reason = "only without a system"
-    elif _identifies(candidate) and context.system_for(candidate.content) is None:
-        reason = "requires a system (`system=`)"
-    elif candidate.when == "fully-actuated" and (problem := _inverse_dynamics_problem(context)):
-        reason = f"no inverse dynamics {problem}"
+    elif _identifies(candidate):
+        reason = _system_problem(context.system_for(candidate.content), context)
+    if not reason and candidate.when == "fully-actuated":
+        problem = _inverse_dynamics_problem(context)
+        reason = f"no inverse dynamics {problem}" if problem else ""
     return reason
+
+
+def _system_problem(system: LagrangianSystem | SystemTemplate | None, context: RunContext) -> str:
+    """Why a system cannot be identified from the records, empty if it can."""
+    if system is None:
+        return "requires a system (`system=`)"
+    if isinstance(system, SystemTemplate):
+        try:
+            system.for_records(records_without_test(context.data))
+        except InputError as error:
+            return str(error)
+    return ""
 
 
 def adds_lag(candidate: Candidate) -> bool:

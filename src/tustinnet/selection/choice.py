@@ -119,7 +119,7 @@ class Choice(Shown):
         """Whether the chosen one follows the records better than a trivial predictor."""
         best = self.result(self.best)
         mean, _ = mean_and_error(best.compared().values())
-        return mean < self.reference.mean and min(best.compared().values()) < best.lost
+        return mean < self.reference.mean and best.follows_some
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -267,7 +267,7 @@ class Choice(Shown):
         ]
 
     def _comparison_with_next(self, best: CandidateResult) -> Finding:
-        others = [r for r in self.candidates.results if r.fits_by_fold and r is not best]
+        others = [r for r in self.candidates.results if r.follows_some and r is not best]
         differences = {r.name: paired_difference(r, best) for r in others}
         if not differences:
             return make_finding("compared with nothing")

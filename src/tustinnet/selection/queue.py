@@ -160,8 +160,7 @@ class CandidateQueue:
         Lost is what is lost on every record.
         """
         ranking = self._rank()
-        kept = [r for r in ranking if min(r.compared().values()) < r.lost]
-        return kept or ranking
+        return [r for r in ranking if r.follows_some] or ranking
 
     def seconds_for_final(self, name: str) -> float:
         """Expected time of fitting a candidate once more, to all records; 0 where that is not done.

@@ -97,6 +97,11 @@ class CandidateResult:
         return {r: min(x, self.lost) if np.isfinite(x) else np.inf for r, x in rmse.items()}
 
     @property
+    def follows_some(self) -> bool:
+        """Whether it follows a record: free runs of it that are not lost."""
+        return min(self.compared().values(), default=math.inf) < self.lost
+
+    @property
     def unexplained(self) -> dict[str, float]:
         """Share of the force at each coordinate that equations of motion do not explain.
 

@@ -52,7 +52,7 @@ SELECTION = {
         "no candidate follows these records closely", "{remedies:or}"
     ),
     # --- the choice ---
-    "compared with nothing": note("nothing else was scored to compare it with"),
+    "compared with nothing": note("no other candidate that follows a record was scored"),
     "clearly better": note("clearly better than the next, {other}: " + _DIFFERENCE),
     "not clearly better": note("not clearly better than the next, {other}: " + _DIFFERENCE),
     "not clearly better few": note(
