@@ -152,14 +152,12 @@ def _why_unused(
         rest = [u for u in near if stage_of(findings.readings[u]) != stage_of(reading)]
         return f"an effect of '{rest[0]}'" if rest else f"beside the input '{near[0]}'"
     if "velocity" in (verdict.role, reading.quantity):
-        for position in motion:
-            correlation, _ = findings.slopes.between(position, name)
-            if abs(correlation) > 0.9:
-                return (
-                    f"a second velocity of '{position}'"
-                    if correlation > 0
-                    else f"a velocity in the other direction than '{position}'"
-                )
+        slopes = {position: findings.slopes.between(position, name)[0] for position in motion}
+        nearest = max(slopes, key=lambda position: abs(slopes[position]), default="")
+        if nearest and slopes[nearest] > 0.9:
+            return f"a second velocity of '{nearest}'"
+        if nearest and slopes[nearest] < -0.9:
+            return f"a velocity in the other direction than '{nearest}'"
         return "a velocity, and the slope of no position"
     article = "an" if verdict.role[0] in "aei" else "a"
     what = "no quantity of the motion" if verdict.role == "other" else f"{article} {verdict.role}"
