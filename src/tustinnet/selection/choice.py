@@ -114,12 +114,18 @@ class Choice(Shown):
     def _rmse(self) -> dict[str, float]:
         return self.result(self.best).rmse()
 
+    @cached_property
+    def _share_of_half(self) -> float:
+        """What half of the records are off by at least, by what a trivial predictor is."""
+        errors, reference = self._rmse, self.reference.rmse
+        both = errors.keys() & reference.keys()
+        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in both]
+        return median(shares or [0.0])
+
     @property
     def follows(self) -> bool:
-        """Whether the chosen one follows the records better than a trivial predictor."""
-        best = self.result(self.best)
-        mean, _ = mean_and_error(best.compared().values())
-        return mean < self.reference.mean and best.follows_some
+        """Whether the chosen one follows most records better than a trivial predictor."""
+        return self._share_of_half < 1
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -174,10 +180,7 @@ class Choice(Shown):
     @property
     def _shortfall(self) -> Iterator[Finding]:
         """The remedy where the chosen candidate is of little use on half of the records."""
-        errors, reference = self._rmse, self.reference.rmse
-        both = errors.keys() & reference.keys()
-        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in both]
-        if self.follows and median(shares or [0.0]) <= _POOR:
+        if self._share_of_half <= _POOR:
             return
         remedies = ["look at them (inspect)"]
         remedies += [] if self.budget is None else ["give more time (`budget=`)"]
