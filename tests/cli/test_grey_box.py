@@ -7,6 +7,7 @@ from dataclasses import replace
 from hashlib import sha256
 from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import SYSTEM
@@ -21,6 +22,8 @@ from tustinnet.fitting.recipe_reading import read_recipe
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.store.header import read_header
 from tustinnet.systems import qube_servo2_twin, twin
+from tustinnet.systems.files import find_system
+from tustinnet.systems.loading import load_system
 
 TRUTH = {"gravity": 20.0, "damping": 0.8, "gain": 4.0}
 QUIET = ("--quiet", "--no-report")
@@ -81,6 +84,19 @@ def test_residuals_show_the_stretches_that_weighed_little(
     assert "Down-weighted in identification" in out
     code, out, _ = tustinnet(capsys, *arguments, "--json")
     assert name in {s["record"] for s in json.loads(out)["residuals"]["downweighted"]}
+
+
+def test_a_model_that_runs_away_is_scored_without_residuals(folder, system, tmp_path, capsys):
+    equations = load_system(find_system(system))
+    values = equations.nominal() | {"damping": -1000.0}
+    values = {name: jnp.asarray(value) for name, value in values.items()}
+    model = tn.discretise(equations.model(values), 0.02, substeps=1)
+    tn.save(model, tmp_path / "model.safetensors")
+    asked = ("evaluate", tmp_path / "model.safetensors", folder, "--system", system, "--residuals")
+    code, out, err = tustinnet(capsys, *asked)
+    assert code == 0
+    assert "diverged" in out
+    assert "note: no residuals of " in err
 
 
 def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(

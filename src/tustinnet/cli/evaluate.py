@@ -1,5 +1,6 @@
 """`tustinnet evaluate`: score models on records."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,7 @@ from tustinnet.report import residuals as residual_report
 from tustinnet.report.page import reported_model
 from tustinnet.store import header, model_file
 from tustinnet.systems import files as system_files
+from tustinnet.wording import counted
 
 _AHEAD_FIGURE, _RESIDUAL_FIGURE = "ahead", "residuals"
 _LAGS = 50  # samples
@@ -250,6 +252,10 @@ def _evaluate_one(
     whole = scores if is_whole else scoring.score_runs(model, records, start, horizon=None)
     horizons = error_horizons.errors_over_horizons(model, records, start, whole)
     names = {e.name for e in records}
+    finite = [e for e, score in zip(records, scores, strict=True) if math.isfinite(score.rmse)]
+    if lags is not None and len(finite) < len(records):
+        lost = ", ".join(e.name for e in records if e not in finite)
+        terminal.messages().print(f"note: no residuals of {lost}: the free run diverges")
     return evaluation_report.Evaluation(
         channels=model.channels,
         records=records,
@@ -271,8 +277,8 @@ def _evaluate_one(
         if forces
         else [],
         residuals=[]
-        if lags is None
-        else residual_tests.residual_reports(model, records, start, lags, horizon=runs.horizon),
+        if lags is None or not finite
+        else residual_tests.residual_reports(model, finite, start, lags, horizon=runs.horizon),
         downweighted=[s for s in model_file.read_downweighted(path) if s.record in names],
     )
 
@@ -288,7 +294,8 @@ def _draw(
         errors = {label: predictions_ahead.rmse_ahead_by_unit(evaluation.ahead, channels)}
         yield _AHEAD_FIGURE, result_figures.ahead_figure(errors, channels)
     if evaluation.residuals:
-        title = f"Residuals of {len(evaluation.records)} free runs, start '{evaluation.start}'"
+        count = sum(math.isfinite(score.rmse) for score in evaluation.scores)
+        title = f"Residuals of {counted(count, 'free run')}, start '{evaluation.start}'"
         yield (
             _RESIDUAL_FIGURE,
             residual_report.residual_figure(evaluation.residuals, channels, title),
