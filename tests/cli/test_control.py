@@ -328,13 +328,14 @@ def test_what_cannot_be_is_said_in_a_line_and_nothing_is_written(
     assert not out.exists()
 
 
-def test_an_input_without_limits_is_refused(model, tmp_path, capsys):
-    code, _, messages = tustinnet(
-        capsys, "control", model, "--at", "angle=0", "--out", tmp_path / "none"
+def test_an_input_without_limits_stays_within_what_was_recorded(model, tmp_path, capsys):
+    code, printed, messages = tustinnet(
+        capsys, "control", model, "--at", "angle=0", "--out", tmp_path / "controller"
     )
-    assert code == 1
-    assert "torque" in messages
-    assert "limits" in messages
+    assert code == 0
+    assert "limits of torque as recorded, as none are declared" in messages
+    low, high = tn.read_header(model)["range"]["inputs"][0]
+    assert f"limits of inputs: torque {low:.4g} to {high:.4g} N m" in printed
 
 
 def test_a_network_holds_no_point_that_its_records_do_not_have(run_folder, tmp_path, capsys):

@@ -17,7 +17,7 @@ from tustinnet.cli.records import load_records
 from tustinnet.cli.values import OptionReader, parse_pairs
 from tustinnet.cli.verb import refuse_options
 from tustinnet.control import design as controller_design
-from tustinnet.control import replaying
+from tustinnet.control import dynamics, replaying
 from tustinnet.control import trial as trials
 from tustinnet.control.export import compiled
 from tustinnet.control.export import gains as gain_files
@@ -234,7 +234,9 @@ def control(
         reference = tn.control.read_reference(follow, simulator.channels, factors)
         start, positions = ({name: float(q[k]) for name, q in reference.items()} for k in (0, -1))
     elif swing_up:
-        start = controller_design.find_rest(simulator, positions, input_limits)
+        start = controller_design.find_rest(
+            simulator, positions, dynamics.recorded_limits(simulator, input_limits, training_range)
+        )
     elif to is not None:
         start, positions = positions, positions | values.read_point("--to", to, known)
     records: Sequence[tn.Experiment] = ()

@@ -12,7 +12,13 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import WINDOW, Goal
 from tustinnet.control.computed_torque import computed_torque, smooth_motion
 from tustinnet.control.disturbances import cancel_disturbances, observe_disturbances
-from tustinnet.control.dynamics import InputLimits, Limits, controlled, input_limits
+from tustinnet.control.dynamics import (
+    InputLimits,
+    Limits,
+    controlled,
+    input_limits,
+    recorded_limits,
+)
 from tustinnet.control.equilibrium import OperatingPoint, find_equilibrium
 from tustinnet.control.estimator import FilterConsistency, check_filter, find_noise, usual_noise
 from tustinnet.control.ilqr import follow, ilqr
@@ -77,7 +83,8 @@ class ControlTask:
             inputs by default a quarter of their limits' range.
         integral: names of coordinates with integral action.
         delay: samples from when an input is computed to when it acts.
-        limits: limits of inputs by name, instead of those that the model declares.
+        limits: limits of inputs by name, instead of those that the model declares; where neither
+            says any, those that its training records have.
         within: limits of states by name, which a motion and predictive control keep.
         trust_beyond: whether a motion may leave the range of the training records, and a network
             hold a point that they do not have.
@@ -221,6 +228,7 @@ def design_controller(
             of the records; names that the model does not have; disturbances or integrals beside
             predictive control.
     """
+    task = _with_limits(task, model, range, on_message)
     bounds = input_limits(model, task.limits)
     if task.mpc is not None and task.observer:
         raise InputError(
@@ -311,6 +319,16 @@ def design_controller(
         goal,
         beyond,
     )
+
+
+def _with_limits(
+    task: ControlTask, model: Model, range: Range | None, on_message: Callable[[str], None]
+) -> ControlTask:
+    """The task with limits of all inputs, where nothing says them those of the records."""
+    limits = recorded_limits(model, task.limits, range)
+    if assumed := limits.keys() - (task.limits or {}).keys():
+        on_message(f"limits of {', '.join(sorted(assumed))} as recorded, as none are declared")
+    return replace(task, limits=limits)
 
 
 def _require_recorded(model: Model, point: OperatingPoint, range: Range) -> None:

@@ -17,6 +17,7 @@ from tustinnet.errors import InputError
 from tustinnet.export.source import step_by_samples
 from tustinnet.models.contract import Model
 from tustinnet.models.physical_values import with_values
+from tustinnet.simulate.range import Range
 from tustinnet.simulate.recent import keep_latest
 
 Limits = Mapping[str, tuple[float, float]]
@@ -281,6 +282,23 @@ def input_limits(model: Model, limits: Limits | None = None) -> InputLimits:
             )
         pairs.append(pair)
     return InputLimits(*np.array(pairs, float).reshape(-1, 2).T)
+
+
+def recorded_limits(
+    model: Model, limits: Limits | None, range: Range | None
+) -> dict[str, tuple[float, float]]:
+    """Limits of inputs that are given, and as recorded those of inputs that declare none.
+
+    Args:
+        model: the model.
+        limits: smallest and largest value of inputs by name.
+        range: the range of the model's training records, None where it is not known.
+    """
+    recorded = {}
+    if range is not None:
+        ends = zip(model.channels.inputs, range.inputs.tolist(), strict=True)
+        recorded = {i.name: (low, high) for i, (low, high) in ends if i.limits is None}
+    return recorded | dict(limits or {})
 
 
 def safe_inputs(

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from tustinnet.channels import Channels
 from tustinnet.control.closed_loop import ClosedLoopResult
 from tustinnet.control.design import ControlDesign
+from tustinnet.control.dynamics import input_limits
 from tustinnet.control.export.write import ControllerExport
 from tustinnet.control.frequency import LoopResponses
 from tustinnet.control.robustness import Robustness
@@ -263,6 +264,7 @@ def sentences(design: ControlDesign) -> list[str]:
     lines = [
         f"equilibrium: {place}, with {inputs}",
         f"it is {point.stability}; {point.controllable}; {point.observable}",
+        f"limits of inputs: {_limits(design)}",
         f"a run meets the goal where it ends {_windows(design)} for {design.goal.hold:.3g} s",
         *_sticking(design),
     ]
@@ -316,6 +318,15 @@ def _windows(design: ControlDesign) -> str:
     return " and ".join(
         f"within {w:.3g} {units[name]} of {name} = {design.goal.at[name]:.4g}"
         for name, w in windows
+    )
+
+
+def _limits(design: ControlDesign) -> str:
+    """The limits of the inputs, with their units."""
+    limits = input_limits(design.model, design.task.limits)
+    return ", ".join(
+        f"{i.name} {low:.4g} to {high:.4g} {i.unit}".rstrip()
+        for i, low, high in zip(design.model.channels.inputs, *limits, strict=True)
     )
 
 

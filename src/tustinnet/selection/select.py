@@ -329,18 +329,23 @@ def _find_spoiled(
     records were made under other conditions. None where nothing was. What the chosen one simulates
     as well as other records, without having seen it, is not spoiled: that one lacks something.
     """
-    ranked = [best.name, *(r.name for r in rank(candidates.choosable) if r.name != best.name)]
+    ranked = [best, *(r for r in rank(candidates.choosable) if r.name != best.name)]
     identified = [
-        name
-        for name in ranked
-        if name in models and "system" in candidates.plan.candidate(name).content.family.needs
+        r.name
+        for r in ranked
+        if r.name in models and "system" in candidates.plan.candidate(r.name).content.family.needs
     ]
     if not identified:
         return ()
-    errors = best.rmse()
-    usual = MISFIT.unlike * float(np.median([*errors.values()]))
+
+    def is_missed(record: str) -> bool:
+        """Whether the best one that was scored on a record simulates it worse than others."""
+        scored = (errors for errors in (r.rmse() for r in ranked) if record in errors)
+        errors = next(scored, None)
+        return errors is None or errors[record] > MISFIT.unlike * np.median([*errors.values()])
+
     parts = find_spoiled(models[identified[0]].model, records_without_test(context.data))
-    return tuple(part for part in parts if errors.get(part.record, np.inf) > usual)
+    return tuple(part for part in parts if is_missed(part.record))
 
 
 def _make_specification(plan: SelectionPlan, context: RunContext) -> Specification:
