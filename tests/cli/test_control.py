@@ -64,6 +64,7 @@ def test_a_controller_holds_the_pendulum_upright(held_once):
     assert "no records were given (--data)" in text
     nominal = next(line for line in text.splitlines() if line.strip().startswith("nominal"))
     assert "5 of 5" in nominal
+    assert "without feedback, its inputs held, the model alone does in 0 of 5" in text
     names = {path.name for path in out.iterdir()}
     assert {
         "controller.c",
@@ -334,6 +335,7 @@ def test_an_input_without_limits_stays_within_what_was_recorded(model, tmp_path,
     )
     assert code == 0
     assert "limits of torque as recorded, as none are declared" in messages
+    assert "without feedback, its inputs held, the model alone does in 20 of 20" in printed
     low, high = tn.read_header(model)["range"]["inputs"][0]
     assert f"limits of inputs: torque {low:.4g} to {high:.4g} N m" in printed
 

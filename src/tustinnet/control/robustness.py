@@ -90,10 +90,12 @@ class Robustness:
     Attributes:
         goal: what it was to reach.
         rows: a row for each kind of variant.
+        without: the same on the model with the inputs held instead, None where that is not known.
     """
 
     goal: Goal
     rows: tuple[RobustnessRow, ...]
+    without: RobustnessRow | None = None
 
     def __getitem__(self, kind: str) -> RobustnessRow:
         """The row of a kind."""
@@ -129,13 +131,18 @@ class Robustness:
     @property
     def sentence(self) -> str:
         """The verdict in a sentence."""
-        worst = self.worst_kind
+        worst, without = self.worst_kind, ""
         runs = sum(len(row.outcomes) for row in self.rows)
+        if self.without is not None:
+            held, count = self.without.successes, len(self.without.outcomes)
+            without = (
+                f"; without feedback, its inputs held, the model alone does in {held} of {count}"
+            )
         if worst.share == 1:
-            return f"all {runs} runs on plants of {len(self.rows)} kinds meet the goal"
+            return f"all {runs} runs on plants of {len(self.rows)} kinds meet the goal{without}"
         return (
-            f"{sum(row.successes for row in self.rows)} of {runs} runs meet the goal; fewest on "
-            f"plants of the kind '{worst.kind}' ({worst.help}): {worst.successes} of "
+            f"{sum(row.successes for row in self.rows)} of {runs} runs meet the goal{without}; "
+            f"fewest on plants of the kind '{worst.kind}' ({worst.help}): {worst.successes} of "
             f"{len(worst.outcomes)}, {worst.failures}"
         )
 

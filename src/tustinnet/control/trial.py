@@ -1,7 +1,7 @@
 """Trials of a design: closed loops on plants that differ from its model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from tustinnet.control.closed_loop import ClosedLoopResult, closed_loop
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.export.compiled import compile_loop
+from tustinnet.control.mpc import make_controller
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
 from tustinnet.control.sampled_plant import PlantOptions, SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
@@ -87,6 +88,12 @@ def try_design(
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
     )
+    if variants and design.plan is None:
+        held = replace(design.feedback, gain=np.zeros_like(design.feedback.gain))
+        (row,) = assess_robustness(
+            kinds[:1], make_controller(held), estimator, places, design.goal, design.steps, seed
+        ).rows
+        robustness = replace(robustness, without=row)
     runs = {}
     for kind, row in zip(kinds, robustness.rows, strict=True):
         failed = [i for i, outcome in enumerate(row.outcomes) if not outcome.is_success]
