@@ -297,7 +297,9 @@ def recorded_limits(
     recorded = {}
     if range is not None:
         ends = zip(model.channels.inputs, range.inputs.tolist(), strict=True)
-        recorded = {i.name: (low, high) for i, (low, high) in ends if i.limits is None}
+        recorded = {
+            i.name: (low, high) for i, (low, high) in ends if i.limits is None and low < high
+        }
     return recorded | dict(limits or {})
 
 

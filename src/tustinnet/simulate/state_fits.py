@@ -49,7 +49,7 @@ def sample_shares(
     return places ** min(_RISING, samples / _SAMPLES_A_POWER), np.ones(samples)
 
 
-def state_spread(
+def _state_spread(
     xp: Any,
     model: Model,
     q: Float[Array | np.ndarray, "records samples n_q"],
@@ -132,7 +132,7 @@ def fit_states_traced(
         variants.repeat(jax.tree.map(jnp.asarray, a)) for a in (guess.astype(kind), signal, q)
     )
     weight = jnp.asarray(variants.share[:, :, None] * position_weights(model), kind)
-    spread = state_spread(jnp, model, measured, model.internal_spread).astype(kind)
+    spread = _state_spread(jnp, model, measured, model.internal_spread).astype(kind)
     engine_steps = None
     if signal.periods is None:
         engine_steps = layered_steps(model, repeated.u.shape[2:], kind)
@@ -362,7 +362,7 @@ class _Squares:
         self._equations, self._guess, self._substeps = equations, guess, engine_model.substeps
         self._runs = replace(engine_model.runs(guess, signal), parameters=parameters)
         self._model = model
-        self._spread = state_spread(np, model, q, np.asarray(model.internal_spread, np.float64))
+        self._spread = _state_spread(np, model, q, np.asarray(model.internal_spread, np.float64))
         weight, n_q = share[:, :, None] * position_weights(model), q.shape[2]
         self._samples = Samples(q.reshape(-1, n_q), weight.reshape(-1, n_q))
         self._residual = position_residual(n_q)
