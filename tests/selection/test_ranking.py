@@ -71,6 +71,12 @@ def test_how_far_a_lost_run_is_off_decides_nothing():
     assert diverged.compared() == {"r": math.inf}
 
 
+def test_what_is_lost_on_every_record_is_not_the_simplest_that_is_as_good():
+    lost = replace(standing("a", {"r": 90.0, "s": 80.0}), lost=1.0)
+    best = replace(standing("b", {"r": 3.0, "s": 2.0}), lost=1.0)
+    assert find_simplest([lost, best], best) is best
+
+
 def test_a_candidate_that_is_lost_on_every_record_follows_none():
     of = replace(standing("a", {"r": 0.5, "s": math.inf}), lost=1.0)
     assert of.follows_some

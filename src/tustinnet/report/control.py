@@ -10,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tustinnet.channels import Channels
+from tustinnet.channels import Channels, Input
 from tustinnet.control.closed_loop import ClosedLoopResult
 from tustinnet.control.design import ControlDesign
 from tustinnet.control.dynamics import input_limits
@@ -258,8 +258,7 @@ def sentences(design: ControlDesign) -> list[str]:
         for c, x in zip(channels.coordinates, point.x[channels.position], strict=True)
     )
     inputs = ", ".join(
-        f"{i.name} = {u:.4g} {i.unit}".rstrip()
-        for i, u in zip(channels.inputs, point.u, strict=True)
+        f"{i.name} = {u:.4g}{_unit(i)}" for i, u in zip(channels.inputs, point.u, strict=True)
     )
     lines = [
         f"equilibrium: {place}, with {inputs}",
@@ -284,7 +283,7 @@ def sentences(design: ControlDesign) -> list[str]:
     if (plan := design.plan) is not None:
         largest = np.abs(plan.u).max(axis=0)
         used = ", ".join(
-            f"{i.name} up to {u:.3g} {i.unit}".rstrip()
+            f"{i.name} up to {u:.3g}{_unit(i)}"
             for i, u in zip(channels.inputs, largest, strict=True)
         )
         how = (
@@ -321,11 +320,16 @@ def _windows(design: ControlDesign) -> str:
     )
 
 
+def _unit(channel: Input) -> str:
+    """The unit of an input behind a number; empty where it has none."""
+    return "" if channel.unit in ("", "1") else f" {channel.unit}"
+
+
 def _limits(design: ControlDesign) -> str:
     """The limits of the inputs, with their units."""
     limits = input_limits(design.model, design.task.limits)
     return ", ".join(
-        f"{i.name} {low:.4g} to {high:.4g} {i.unit}".rstrip()
+        f"{i.name} {low:.4g} to {high:.4g}{_unit(i)}"
         for i, low, high in zip(design.model.channels.inputs, *limits, strict=True)
     )
 

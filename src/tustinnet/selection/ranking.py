@@ -168,7 +168,8 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
 def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> CandidateResult:
     """The first of some candidates that is as good as the best.
 
-    That is: worse by no more than a standard error of the difference, or by a fiftieth.
+    That is: worse by no more than a standard error of the difference, or by a fiftieth. What is
+    lost on every record is as good as nothing.
 
     Args:
         results: from the simplest to the most complex.
@@ -177,7 +178,7 @@ def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> 
     level = LEVEL * mean_and_error(best.compared().values())[0]
     for result in results:
         difference = paired_difference(result, best)
-        as_good = difference.mean <= max(difference.standard_error, level)
+        as_good = difference.mean <= max(difference.standard_error, level) and result.follows_some
         if result is best or (difference.records > 1 and as_good):
             return result
     return best

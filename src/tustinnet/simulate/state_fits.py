@@ -193,10 +193,11 @@ def fit_states_with_derivatives(
     mixed = products[:, n_p:, :n_p]
     # the guess itself moves, and with it the states near which they are kept
     mixed -= squares.precision(ones)[:, :, None] * np.swapaxes(by_guess, 1, 2)
-    columns = [
-        -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], _LEAST_DAMPING * ones)
-        for i in range(n_p)
-    ]
+    with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
+        columns = [
+            -newton_step(products[:, n_p:, n_p:], mixed[:, :, i], _LEAST_DAMPING * ones)
+            for i in range(n_p)
+        ]
     return x, np.stack(columns, axis=1) if columns else np.zeros((count, 0, n_x))
 
 
