@@ -45,7 +45,7 @@ def test_exact_positions_give_back_the_state_they_came_from(creeping):
     padded = np.pad(truth, (0, model.state_size - 2))
     result = start_states(model, [simulated(model, padded)], f"model-{SAMPLES}")[0]
     # an internal state is only known as well as it moves the positions in the first samples
-    np.testing.assert_allclose(result[:2], truth, atol=1e-6)
+    np.testing.assert_allclose(result[:2], truth, atol=2e-5)
     assert np.all(np.abs(result[2:]) < 1e-3)
 
 

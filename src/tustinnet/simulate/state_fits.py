@@ -27,6 +27,7 @@ CONSTRAINT = 30.0  # times as near to it as in the end
 FIRST_DAMPING = 1e-3
 _RISING = 4  # power of its place among the samples with which one weighs
 _SAMPLES_A_POWER = 5  # samples for each of these powers: those that weigh must say a velocity, too
+_REACH = 10.0  # times what the samples move, and how fast: as far a start may be from its guess
 EXPLAINED = 2.5  # standard deviations (root mean square) of errors that a model explains
 _UNKNOWN_ERROR = 1e-3  # [rad or m], of positions whose resolution nobody declared
 _LEAST_DAMPING = 1e-12  # with which states that samples cannot tell apart stay finite
@@ -57,8 +58,9 @@ def _state_spread(
 ) -> Any:
     """Standard deviations of states about a guess from the first samples, (records, n_x).
 
-    Positions and velocities are as far off as the samples move, and as fast; else those of which a
-    stiff model keeps nothing would be anywhere.
+    Positions and velocities are some times as far off as the samples move, and as fast; else those
+    of which a stiff model keeps nothing would be anywhere. Means, as a sample that jumps says
+    nothing of the others.
 
     Args:
         xp: NumPy, or JAX's.
@@ -67,10 +69,10 @@ def _state_spread(
         internal: those of internal states.
     """
     error = 1 / position_weights(model)
-    travel = error + xp.sqrt(xp.mean((q - q[:, :1]) ** 2, axis=1))
-    speed = (error + xp.sqrt(xp.mean(xp.diff(q, axis=1) ** 2, axis=1))) / model.channels.dt
+    travel = error + xp.mean(xp.abs(q - q[:, :1]), axis=1)
+    speed = (error + xp.mean(xp.abs(xp.diff(q, axis=1)), axis=1)) / model.channels.dt
     of_internal = xp.broadcast_to(internal, (len(q), len(internal)))
-    return xp.concatenate([travel, speed, of_internal], axis=1)
+    return xp.concatenate([_REACH * travel, _REACH * speed, of_internal], axis=1)
 
 
 @lru_cache  # so that it is read and compiled once
@@ -89,12 +91,12 @@ def fit_states(
 
     Minimises the squared position errors over the samples, each over the encoder's standard
     deviation; states are kept near the guess, internal ones with the model's `internal_spread` as
-    standard deviations, others with what the samples move and how fast. Errors weigh the more, the
-    later they are: that of the k-th of N samples (k/N)^4, or (k/N)^(N/5) where there are fewer than
-    20. The first samples are often disturbed, as a rule by the hand that releases the system, and a
-    model that is nearly right can take that for an internal state. Where errors of more than 2.5
-    standard deviations (root mean square, weighed) remain, the fault is the model's, and all
-    samples weigh the same.
+    standard deviations, others with ten times what the samples move and how fast. Errors weigh the
+    more, the later they are: that of the k-th of N samples (k/N)^4, or (k/N)^(N/5) where there are
+    fewer than 20. The first samples are often disturbed, as a rule by the hand that releases the
+    system, and a model that is nearly right can take that for an internal state. Where errors of
+    more than 2.5 standard deviations (root mean square, weighed) remain, the fault is the model's,
+    and all samples weigh the same.
 
     Levenberg-Marquardt with exact derivatives, in few iterations. Where a hand acted, the parabola
     may be far from the motion after it, and internal states then grow to explain that, from where
