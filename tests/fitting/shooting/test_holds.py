@@ -63,7 +63,8 @@ def test_the_right_hold_is_found_and_told(hold):
     data = tn.DataSet("d", tuple(without_hold(logged(hold, seed)) for seed in range(2)))
     result = tn.identify(data, SYSTEM)
     assert result.model.inputs[0].hold == hold
-    assert result.findings[0].text.startswith(f"input 'force' acts without delay; hold {hold}")
+    told = f"input 'force' acts without delay; hold {hold}"
+    assert any(finding.text.startswith(told) for finding in result.findings)
     for name, value in TRUTH.items():
         assert result.values[name] == pytest.approx(value, rel=0.01)
 
