@@ -62,8 +62,8 @@ def test_a_controller_holds_the_pendulum_upright(held_once):
     assert "unstable" in text
     assert "controllable; observable" in text
     assert "no records were given (--data)" in text
-    nominal = next(line for line in text.splitlines() if line.strip().startswith("nominal"))
-    assert "5 of 5" in nominal
+    rows = [line for line in text.splitlines() if line.strip().startswith("nominal")]
+    assert "5 of 5" in " ".join(rows)  # a table wider than the terminal is printed in parts
     assert "without feedback, its inputs held, the model alone does in 0 of 5" in text
     names = {path.name for path in out.iterdir()}
     assert {

@@ -238,8 +238,12 @@ def find_reversed_signs(
         return estimate_by_equation_error(system, space, vector, flipped_motion).unexplained
 
     before = unexplained(())
-    if np.median(before) < WELL_EXPLAINED * before.max():
-        return ()
+
+    def concerns_most(after: np.ndarray) -> bool:
+        """Whether most records that change with the sign are explained poorly as they are."""
+        changed = before[np.abs(after - before) > 0.01 * before.max()]
+        return bool(len(changed) and np.median(changed) >= WELL_EXPLAINED * before.max())
+
     for count in (1, 2):
         shares = {
             flipped: unexplained(flipped) for flipped in combinations(range(len(names)), count)
@@ -247,7 +251,11 @@ def find_reversed_signs(
         # the record that is explained worst decides: others may not move what is reversed, but
         # none that was explained well may suffer
         allowed = np.maximum(before, WELL_EXPLAINED)
-        worst = {flipped: x.max() for flipped, x in shares.items() if np.all(x <= allowed)}
+        worst = {
+            flipped: x.max()
+            for flipped, x in shares.items()
+            if np.all(x <= allowed) and concerns_most(x)
+        }
         best = min(worst.values(), default=np.inf)
         if best < _REVERSED * before.max():
             alike = [flipped for flipped, value in worst.items() if value < 1.1 * best]
