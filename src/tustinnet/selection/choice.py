@@ -115,8 +115,8 @@ class Choice(Shown):
         return self.result(self.best).rmse()
 
     @cached_property
-    def _share_of_half(self) -> float:
-        """What half of the records are off by at least, by what a trivial predictor is."""
+    def _median_share(self) -> float:
+        """Median over the records of the error by that of the trivial predictor."""
         errors, reference = self._rmse, self.reference.rmse
         both = errors.keys() & reference.keys()
         shares = [errors[n] / reference[n] if reference[n] else math.inf for n in both]
@@ -125,7 +125,7 @@ class Choice(Shown):
     @property
     def follows(self) -> bool:
         """Whether the chosen one follows most records better than a trivial predictor."""
-        return self._share_of_half < 1
+        return self._median_share < 1
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -180,7 +180,7 @@ class Choice(Shown):
     @property
     def _shortfall(self) -> Iterator[Finding]:
         """The remedy where the chosen candidate is of little use on half of the records."""
-        if self._share_of_half <= _POOR:
+        if self._median_share <= _POOR:
             return
         remedies = ["look at them (inspect)"]
         remedies += [] if self.budget is None else ["give more time (`budget=`)"]
