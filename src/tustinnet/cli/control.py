@@ -111,7 +111,8 @@ def control(
         typer.Option(
             metavar="NAME=VALUE,..",
             help="Acceptable deviation of a state, an input or integral_NAME, e.g. theta=0.1rad: "
-            "smaller is stricter. May be repeated. Default: half of the recorded range.",
+            "smaller is stricter. May be repeated. Default: half of the recorded range, of an "
+            "angle at most 1 rad.",
         ),
     ] = None,
     integral: Annotated[

@@ -56,8 +56,9 @@ def bryson_weights(
     """Weights `1 / d^2` by acceptable deviations `d`.
 
     Those that are given count first. Others are half of the range of the training records, where it
-    is known; else 1 rad or m, ten times that in a second for velocities. An input may use half of
-    its limits' range. Internal states have no weight unless they are named.
+    is known, of an angle at most 1 rad: a wheel may have turned a hundred times. Else they are 1
+    rad or m, ten times that in a second for velocities. An input may use half of its limits' range.
+    Internal states have no weight unless they are named.
 
     Args:
         system: the model.
@@ -84,7 +85,8 @@ def bryson_weights(
         position = given.get(c.name, _POSITION)
         states[[i, i + channels.n_q]] = position, position / _MOTION_SECONDS
     if range is not None:
-        half = (range.states[:, 1] - range.states[:, 0]) / 2
+        half = np.ptp(range.states, axis=1) / 2
+        half[channels.position] = range.share_of_spans(0.5, channels, _POSITION)
         measured = channels.measured
         states[measured] = np.where(half[measured] > 0, half[measured], states[measured])
     states = np.array([given.get(name, d) for name, d in zip(system.names, states, strict=True)])
