@@ -64,6 +64,18 @@ def test_weights_follow_from_the_records_and_from_what_is_named():
     assert stiffer.gain[0, 0] > 2 * named.gain[0, 0]
 
 
+def test_a_wheel_that_turned_a_hundred_times_is_held_as_tightly_as_one_that_turned_once():
+    model = double_integrator()
+    channels = replace(model.channels, coordinates=(tn.Coordinate("s", "angular"),))
+    wheel = LinearMachine(model.a, model.b, channels)
+
+    def gain(range=None, **deviations):
+        return lqr(wheel, np.zeros(2), np.zeros(1), range=range, deviations=deviations).gain
+
+    far = Range(np.array([[-300.0, 300.0], [-2.0, 2.0]]), np.array([[-1.0, 1.0]]))
+    np.testing.assert_allclose(gain(far), gain(s=1.0, der_s=2.0))
+
+
 @pytest.mark.thorough
 def test_dry_friction_is_a_force_whatever_the_speed_at_which_it_is_rounded():
     """At the point itself it is viscous friction of `force / width`, here up to 5000 N s/m."""
@@ -197,6 +209,7 @@ def test_margins_of_a_loop():
 
     assert is_stable(0.999 * at_input.gain_up)
     assert not is_stable(1.001 * at_input.gain_up)
+    assert at_input.gain_down == 0.0  # at the poles of both integrators
     loop = control.StateSpace(model.a, model.b, feedback.gain, [[0.0]], model.dt)
     assert at_input.phase == pytest.approx(np.radians(control.margin(loop)[1]), rel=1e-3)
     # the distance from -1 bounds what the margins can be

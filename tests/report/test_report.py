@@ -31,6 +31,7 @@ from tustinnet.report.tables import Table, number, numbers
     [
         (0.1664, "0.166"),
         (12.0, "12.000"),
+        (-7.5416e23, "-7.54e+23"),
         (0.0012345, "0.00123"),
         (0.0, "0.000"),
         (None, "–"),

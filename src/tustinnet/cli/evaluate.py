@@ -39,7 +39,6 @@ from tustinnet.systems import files as system_files
 from tustinnet.wording import counted
 
 _AHEAD_FIGURE, _RESIDUAL_FIGURE = "ahead", "residuals"
-_LAGS = 50  # samples
 _Systems = Annotated[
     list[str] | None,
     typer.Option(
@@ -73,7 +72,8 @@ _Lags = Annotated[
     typer.Option(
         min=1,
         metavar="L",
-        help=f"With --residuals: largest lag of the correlations, in samples. Default: {_LAGS}.",
+        help="With --residuals: largest lag of the correlations, in samples. Default: 50, or as "
+        "many as the shortest record has.",
     ),
 ]
 
@@ -137,7 +137,8 @@ def evaluate(
             band_options,
             ahead=ahead,
             forces=forces,
-            lags=(lags or _LAGS) if residuals else None,
+            residuals=residuals,
+            lags=lags,
         )
     runs.print_notes()
     if json:
@@ -233,6 +234,7 @@ def _evaluate_one(
     *,
     ahead: int | None,
     forces: bool,
+    residuals: bool,
     lags: int | None,
 ) -> "evaluation_report.Evaluation":
     """All that is said of one model.
@@ -243,7 +245,8 @@ def _evaluate_one(
         band_options: of the bands, None without.
         ahead: steps up to which predictions are scored, None for none.
         forces: whether forces along the records are compared.
-        lags: largest lag of the tests of its errors, None for no tests.
+        residuals: whether its errors are tested.
+        lags: largest lag of these tests, None for the usual one.
     """
     ((label, (path, model)),) = of_runs.models.items()
     runs, scores = of_runs.runs, of_runs.scores[label]
@@ -253,7 +256,7 @@ def _evaluate_one(
     horizons = error_horizons.errors_over_horizons(model, records, start, whole)
     names = {e.name for e in records}
     finite = [e for e, score in zip(records, scores, strict=True) if math.isfinite(score.rmse)]
-    if lags is not None and len(finite) < len(records):
+    if residuals and len(finite) < len(records):
         lost = ", ".join(e.name for e in records if e not in finite)
         terminal.messages().print(f"note: no residuals of {lost}: the free run diverges")
     return evaluation_report.Evaluation(
@@ -276,9 +279,9 @@ def _evaluate_one(
         )
         if forces
         else [],
-        residuals=[]
-        if lags is None or not finite
-        else residual_tests.residual_reports(model, finite, start, lags, horizon=runs.horizon),
+        residuals=residual_tests.residual_reports(model, finite, start, lags, horizon=runs.horizon)
+        if residuals and finite
+        else [],
         downweighted=[s for s in model_file.read_downweighted(path) if s.record in names],
     )
 

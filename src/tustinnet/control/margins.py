@@ -12,6 +12,8 @@ from tustinnet.control.lqr import Feedback, LoopMatrices, loop_matrices
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 
+_POLE = -1 / np.sqrt(np.finfo(float).eps)  # responses beyond are those at a pole, but for rounding
+
 Numbers = Float[np.ndarray, " n"]
 Matrix = Float[np.ndarray, "n m"]
 
@@ -141,7 +143,7 @@ def _input_margins(name: str, loop: Response, frequencies: Numbers) -> InputMarg
         *np.real(respond(turns)),
         *(respond(np.array([w]))[0].real for w in (0.0, np.pi / loop.dt)),
     ]
-    gains = np.array([-1 / value for value in values if -np.inf < value < 0])
+    gains = np.array([-1 / value for value in values if _POLE < value < 0])
     nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
     return InputMargins(
         input=name,

@@ -15,6 +15,7 @@ from tustinnet.models.contract import Model
 from tustinnet.shown import Brief
 from tustinnet.simulate.starts import start_named
 
+USUAL_LAGS = 50  # samples
 LAG_CONFIDENCE = 0.99  # share of the lags of independent residuals that is inside
 _QUANTILE = NormalDist().inv_cdf((1 + LAG_CONFIDENCE) / 2)
 
@@ -79,7 +80,7 @@ def residual_reports(
     model: Model,
     experiments: Sequence[Experiment],
     start: str,
-    lags: int = 50,
+    lags: int | None = None,
     *,
     horizon: float | None = None,
     runs: Sequence[Float[np.ndarray, "_ n_x"]] | None = None,
@@ -92,7 +93,7 @@ def residual_reports(
         model: the model.
         experiments: records.
         start: where the free runs start, the name of a start.
-        lags: largest lag in samples.
+        lags: largest lag in samples; by default 50, or as many as the shortest record has.
         horizon: how long a free run lasts at most [s], see `free_run`; correlations reach across
             the segments of a record.
         runs: the free runs, if they were computed before.
@@ -105,11 +106,12 @@ def residual_reports(
         Söderström, Stoica (1989), System Identification, section 11.2.
         Ljung (1999), System Identification: Theory for the User, section 16.6.
     """
-    shortest = min(len(e) for e in experiments)
-    if not 1 <= lags < shortest:
-        raise InputError("lags", f"{lags} samples", f"1 to {shortest - 1}")
-    runs = runs or free_run(model, experiments, start, horizon=horizon)
     begin, at = start_named(start).first, model.channels.position
+    most = min(map(len, experiments)) - begin - 1
+    lags = min(USUAL_LAGS, most) if lags is None else lags
+    if not 1 <= lags <= most:
+        raise InputError("lags", f"{lags} samples", f"1 to {most}")
+    runs = runs or free_run(model, experiments, start, horizon=horizon)
     residuals = [e.q[begin:] - x[begin:, at] for e, x in zip(experiments, runs, strict=True)]
     for e, r in zip(experiments, residuals, strict=True):
         if not np.isfinite(r).all():

@@ -23,6 +23,7 @@ from tustinnet.program.reading import read
 from tustinnet.signals.excitation import DeclaredHold, Excitation, excitation
 from tustinnet.simulate.range import Range
 from tustinnet.simulate.simulation import step_equations
+from tustinnet.wording import counted
 
 _PLACES = 9  # decimals of a delay in periods
 _DEFAULT_RANGE = 1.0  # of states and inputs to both sides of 0, where their range is unknown
@@ -261,8 +262,9 @@ class Source:
             )
         if (ahead := max(self.input_layout.offsets)) > 0:
             notes.append(
-                f"a step takes inputs up to {ahead} samples ahead: it can be made once they are "
-                "known, and an FMU holds the last ones where its importer tells no derivatives"
+                f"a step takes inputs up to {counted(ahead, 'sample')} ahead: it can be made once "
+                "they are known, and an FMU holds the last ones where its importer tells no "
+                "derivatives"
             )
         if self.range is None:
             notes.append(

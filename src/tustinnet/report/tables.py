@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+_LARGE = 1e6  # from here on numbers have an exponent
 _GAP = 3  # blanks between columns; a table has one before and one behind them
 _LATEX = {"&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$"}
 
@@ -103,7 +104,7 @@ class Table:
 
 
 def number(value: float | None, digits: int = 3, scale: float | None = None) -> str:
-    """Text of a number in a table: fixed decimals, or as many significant digits for small numbers.
+    """Text of a number in a table: fixed decimals; significant digits for small and large numbers.
 
     None and NaN become a dash, infinity the word "diverged".
 
@@ -119,8 +120,8 @@ def number(value: float | None, digits: int = 3, scale: float | None = None) -> 
         return "diverged"
     if scale is not None and 0 < scale < 1:
         return f"{value:.{digits - 1 - math.floor(math.log10(scale))}f}"
-    small = 0 < abs(value) < 10.0 ** (1 - digits)
-    return f"{value:.{digits}g}" if small else f"{value:.{digits}f}"
+    is_fixed = value == 0 or 10.0 ** (1 - digits) <= abs(value) < _LARGE
+    return f"{value:.{digits}f}" if is_fixed else f"{value:.{digits}g}"
 
 
 def amounts(values: Mapping[str, float]) -> str:

@@ -105,6 +105,15 @@ def test_adapted_windows_shrink_with_short_records(pendulum):
     assert draw_stage_windows(short, recipe, generator())[1] == adapt_length(short, 50)
 
 
+def test_windows_that_follow_the_records_fit_into_the_shortest(pendulum):
+    records = [*pendulum, pendulum["fall1"][:40]]
+    recipe = WindowRecipe(draw="strided", length=50, step=5, adapt=True)
+    windows, length = draw_stage_windows(records, recipe, generator())
+    assert length == 35
+    assert span_length(records, 100.0) < 40
+    assert {*windows[:, 0].tolist()} == {*range(len(records))}
+
+
 def test_adapted_windows_grow_when_little_happens_in_a_sample():
     t = np.arange(8000) * 0.001
     slow = tn.from_arrays(np.sin(2 * t), dt=0.001, coordinates={"a": "angular"})

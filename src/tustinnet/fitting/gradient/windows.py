@@ -161,16 +161,15 @@ def span_length(experiments: Sequence[Experiment], span: float) -> int:
     In that time every velocity is changed by what acts on it, so a window shows the forces and not
     the start alone. Where the slowest coordinate takes far longer than it makes sense to simulate
     in a step of the optimiser, and where the fastest one would be seen too shortly, lengths end at
-    25 and 200 steps; and at a quarter of the median record. Lengths are steps of a geometric
-    series, so that folds of the records have the same one.
+    25 and 200 steps; and at a quarter of the median record and below the shortest. Lengths are
+    steps of a geometric series, so that folds of the records have the same one.
 
     Args:
         experiments: the records.
         span: how many correlation times.
     """
     slowest = max(correlation_times(experiments).values(), default=1.0)
-    median = int(np.median([len(e) for e in experiments]))
-    longest = min(_LONGEST_SPAN, max(median // _RECORD_SHARE, _ROUND))
+    longest = min(_LONGEST_SPAN, max(_room(experiments), _ROUND))
     length = min(max(span * slowest, _SHORTEST_SPAN), longest)
     step = int(np.log2(length / _SHORTEST_SPAN) * _STEPS_AN_OCTAVE + 0.5)
     rounded = int(_SHORTEST_SPAN * 2.0 ** (step / _STEPS_AN_OCTAVE)) // _ROUND * _ROUND
@@ -183,8 +182,9 @@ def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
     The faster a log is sampled compared to the motion, the less happens in a window. The length
     grows, up to four times, towards the samples in which the slowest coordinate covers one
     standard deviation of its positions at its typical speed; and shrinks to a quarter of the
-    median record. Where a coordinate has few samples in a period, the velocity with which a window
-    starts is uncertain: the window then lasts until that is forgotten, too.
+    median record, and below the shortest. Where a coordinate has few samples in a period, the
+    velocity with which a window starts is uncertain: the window then lasts until that is forgotten,
+    too.
     """
     q = np.concatenate([e.q - e.q.mean(axis=0) for e in experiments])
     v = np.concatenate([e.velocities() for e in experiments])
@@ -194,10 +194,14 @@ def adapt_length(experiments: Sequence[Experiment], length: int) -> int:
     fast_decays = [s.decay for s in coordinate_timescales(experiments).values() if s.is_fast]
     # by then a wrong start has decayed to 5 %
     until_forgotten = 3 * max(fast_decays, default=0.0)
-    median = int(np.median([len(e) for e in experiments]))
-    longest = min(4 * length, median // _RECORD_SHARE)
-    adapted = min(max(length, slowest, until_forgotten), longest)
+    adapted = min(max(length, slowest, until_forgotten), 4 * length, _room(experiments))
     return max(_ROUND, int(adapted) // _ROUND * _ROUND)
+
+
+def _room(experiments: Sequence[Experiment]) -> int:
+    """Steps of the longest window that all records have, and most have room for several of."""
+    lengths = [len(e) for e in experiments]
+    return min(int(np.median(lengths)) // _RECORD_SHARE, min(lengths) - 1)
 
 
 def describe_windows(experiments: Sequence[Experiment], recipe: WindowRecipe) -> str:

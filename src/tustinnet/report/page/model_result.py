@@ -17,7 +17,6 @@ from tustinnet.evaluate.scores import Score, score_runs
 from tustinnet.families.family import family_of
 from tustinnet.report.page.reported_model import ReportedModel
 from tustinnet.simulate.range import ExtrapolationPoint, Range
-from tustinnet.simulate.starts import start_named
 
 Energies = Sequence[Float[np.ndarray, " _"]]
 
@@ -84,9 +83,7 @@ def compute_model_result(
     ]
     residuals: list[ResidualReport] = []
     try:
-        # residuals are correlated at 50 lags
-        lags = min(50, min(map(len, records)) - start_named(start).first - 1)
-        residuals = residual_reports(model, records, start, lags, horizon=horizon, runs=runs)
+        residuals = residual_reports(model, records, start, horizon=horizon, runs=runs)
     except InputError as error:
         notes.append(f"no residuals: {error}")
     bands: list[Band] = []
