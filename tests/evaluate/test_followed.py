@@ -55,6 +55,15 @@ def test_every_score_stands_beside_its_reference():
         tn.mean_rmse([])
 
 
+def test_nothing_follows_the_noise_of_a_record_at_rest():
+    noise = 1e-3 * np.random.default_rng(0).normal(size=400)
+    (score,) = tn.evaluate(Persistence(record(noise).channels, False), [record(noise)])
+    assert seconds_followed([record(noise)], [score]) == [pytest.approx(3.99)]
+    drift = noise + np.linspace(0, 0.1, 400)
+    (score,) = tn.evaluate(Persistence(record(drift).channels, False), [record(drift)])
+    assert seconds_followed([record(drift)], [score])[0] < 2
+
+
 def test_a_record_is_followed_until_a_coordinate_is_far_off():
     t = 0.01 * np.arange(401)
     records = [record(np.sin(3 * t)), record(np.sin(3 * t), "b")]

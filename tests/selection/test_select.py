@@ -295,6 +295,9 @@ def test_words_say_of_how_many_records_and_when_no_candidate_is_close(made, monk
     lost = replace(choice, reference=replace(choice.reference, scores=(small,)))
     (short,) = [f.text for f in lost.findings if f.code == "nothing follows"]
     assert short.startswith("nothing follows these records better than standing still; look at ")
+    # a record at rest beside one that moves tells nothing
+    both = replace(choice.reference, scores=(small, choice.reference.scores[1]))
+    assert not [f for f in replace(choice, reference=both).findings if f.code == "nothing follows"]
 
 
 def with_errors(choice: Choice, *errors: float, kinds: str = "r") -> Choice:

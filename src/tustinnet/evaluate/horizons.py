@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit, score_runs
 from tustinnet.finding import Finding, make_finding
 from tustinnet.models.contract import Model
+from tustinnet.signals.outliers import white_noise
 from tustinnet.simulate.horizon import FOLLOWED
 from tustinnet.simulate.starts import start_named
 
@@ -63,25 +65,29 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
     """How long the free run of each whole record follows it [s]; to its end at most.
 
     It follows as long as the errors of all coordinates, their root mean squares from the beginning
-    on, are within `FOLLOWED` of the coordinates' standard deviations in the record, or within a
-    step of the sensor, even where a shorter part is not.
+    on, are within `FOLLOWED` of the coordinates' standard deviations in the record, or within what
+    the sensor does not see, even where a shorter part is not.
 
     Args:
         records: the records.
         whole: scores of their free runs as a whole.
     """
-    channels = records[0].channels
-    step = np.array([r or 0.0 for r in channels.resolution])
-    seconds = []
+    position, seconds = records[0].channels.position, []
     for e, score in zip(records, whole, strict=True):
         first = start_named(score.start).first
         with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
-            squares = np.cumsum((score.simulated[first:, channels.position] - e.q[first:]) ** 2, 0)
+            squares = np.cumsum((score.simulated[first:, position] - e.q[first:]) ** 2, 0)
         rms = np.sqrt(squares / np.arange(1, len(squares) + 1)[:, None])
         spread = np.std(e.q, axis=0)
-        follows = (rms <= np.maximum(FOLLOWED * spread, step))[:, spread > 0].all(axis=1)
+        follows = (rms <= np.maximum(FOLLOWED * spread, unseen(e)))[:, spread > 0].all(axis=1)
         seconds.append(float(e.dt * max(np.flatnonzero(follows), default=0)))
     return seconds
+
+
+def unseen(record: Experiment) -> Float[np.ndarray, " n_q"]:
+    """Distances that a sensor does not see: a step, or twice the deviation of its noise, (n_q,)."""
+    step = np.array([r or 0.0 for r in record.channels.resolution])
+    return np.maximum(step, 2 * white_noise(record.q))
 
 
 def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> Finding:

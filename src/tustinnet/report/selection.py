@@ -67,7 +67,7 @@ def candidates_table(choice: Choice) -> Table:
         return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
 
     def against_best(c: dict[str, Any]) -> str:
-        if c["is_chosen"] or c["difference"] is None:
+        if c["is_chosen"] or c["difference"] is None or math.isinf(c["difference"]):
             return ""
         sign = "+" if c["difference"] >= 0 else ""
         shared, most = c["difference_records"], max(c["records"], candidates[0]["records"])

@@ -7,11 +7,13 @@ from functools import cached_property
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.horizons import describe_followed
+from tustinnet.evaluate.horizons import describe_followed, unseen
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.scores import Score, scores_header
@@ -116,11 +118,15 @@ class Choice(Shown):
 
     @cached_property
     def _median_share(self) -> float:
-        """Median over the records of the error by that of the trivial predictor."""
-        errors, reference = self._rmse, self.reference.rmse
+        """Median over the records of the error by that of the trivial predictor.
+
+        Records that move no further than sensors see tell nothing, unless none does.
+        """
+        errors, reference, data = self._rmse, self.reference.rmse, self.context.data
         both = errors.keys() & reference.keys()
-        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in both]
-        return median(shares or [0.0])
+        moving = [n for n in both if reference[n] > np.linalg.norm(unseen(data[n]))]
+        shares = [errors[n] / reference[n] for n in moving]
+        return median(shares or [math.inf if both else 0.0])
 
     @property
     def follows(self) -> bool:

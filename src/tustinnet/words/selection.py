@@ -8,12 +8,12 @@ SELECTION = {
     # --- how good ---
     "follows to the end": note(
         "follows {records:whole record} to the end without a restart: no coordinate's RMS error "
-        "reaches {limit:percent} of its standard deviation in the record"
+        "is {limit:percent} of its standard deviation in the record, and more than noise"
     ),
     "follows for": note(
         "follows whole records without a restart: {to_the_end} of {records} to the end, the others "
         "for {seconds:.2g} s in the median, until a coordinate's RMS error so far is "
-        "{limit:percent} of its standard deviation in the record"
+        "{limit:percent} of its standard deviation in the record, and more than noise"
     ),
     "chosen": note("chosen: {name}, {made}"),
     "records diverge": warning("free runs of some records diverge", "set `horizon` in the plan"),
