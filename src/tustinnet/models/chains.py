@@ -379,14 +379,18 @@ def standard_inertia(
         Mass [kg], first moments [kg m] and the inertia about the origin of the frame in which the
         centre is given [kg m^2], as `STANDARD` names them; their derivatives by `values`.
     """
+    derivatives = evaluate(_STANDARD, values, derivatives=True)
+    return evaluate(_STANDARD, values), derivatives.reshape(-1, 10, 10)
 
-    def standard(values: Array) -> Array:
-        mass, moment, tensor = _inertia(values, np.zeros(3))
-        return jnp.stack([mass, *moment, *(tensor[place] for place in _PLACES.values())])
 
-    formula = Formula(standard, len(INERTIAL), where="an inertia")
-    derivatives = evaluate(formula, values, derivatives=True)
-    return evaluate(formula, values), derivatives.reshape(-1, 10, 10)
+def _standard(values: Float[Array, " 10"]) -> Float[Array, " 10"]:
+    """The standard inertial parameters of a body, by the values of `INERTIAL`."""
+    mass, moment, tensor = _inertia(values, np.zeros(3))
+    return jnp.stack([mass, *moment, *(tensor[place] for place in _PLACES.values())])
+
+
+# it is read and compiled once: a search asks for it at each step
+_STANDARD = Formula(_standard, len(INERTIAL), where="an inertia")
 
 
 def _in_parent(inertia: BodyInertia, placement: _Placement) -> BodyInertia:
