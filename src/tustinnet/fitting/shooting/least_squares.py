@@ -256,22 +256,41 @@ def solve_in_box(
 ) -> Float[np.ndarray, " m"]:
     """The least of a quadratic form within bounds.
 
+    By active sets of primal and dual variables, which take a few steps, whatever the number of
+    bounds; where these come round to sets that were tried, by bounded least squares, which free one
+    variable at a time.
+
     Args:
         matrix: second derivatives, positive definite but for rounding.
         gradient: first derivatives at 0.
         lower: lower bounds.
         upper: upper bounds.
-    """
-    import scipy.optimize  # takes half a second, and what is not identified needs none of it
 
+    References:
+        Hintermüller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth
+        Newton method.
+    """
     unit = 1 / np.sqrt(np.maximum(np.diag(matrix), _TINY))
     values, vectors = np.linalg.eigh(matrix * np.outer(unit, unit))
-    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    # the form as the square of a residual, which bounded linear least squares takes
-    solution = scipy.optimize.lsq_linear(
-        (vectors * root).T,
-        -(vectors.T @ (unit * gradient)) / root,
-        bounds=(lower / unit, upper / unit),
-        method="bvls",
-    )
-    return np.clip(unit * solution.x, lower, upper)
+    sizes = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    # the form as the square of a residual
+    root, target = (vectors * sizes).T, -(vectors.T @ (unit * gradient)) / sizes
+    low, high = lower / unit, upper / unit
+    x, slope, tried = vectors @ (target / sizes), np.zeros_like(unit), list[bytes]()
+    while True:
+        at_low, at_high = x - slope < low, x - slope > high
+        sets = np.concatenate([at_low, at_high]).tobytes()
+        if sets in tried or len(tried) > len(unit):
+            break
+        tried.append(sets)
+        free = ~(at_low | at_high)
+        x = np.where(at_low, low, np.where(at_high, high, 0.0))
+        q, r = np.linalg.qr(root[:, free])
+        x[free] = np.linalg.solve(r, q.T @ (target - root @ x))
+        slope = root.T @ (root @ x - target)
+        slope[free] = 0.0
+    if sets != tried[-1]:
+        import scipy.optimize  # takes half a second, and is rarely needed
+
+        x = scipy.optimize.lsq_linear(root, target, bounds=(low, high), method="bvls").x
+    return np.clip(unit * x, lower, upper)
