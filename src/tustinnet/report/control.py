@@ -35,8 +35,11 @@ def point_table(design: ControlDesign) -> Table:
     names = [*point.names, *design.estimated.internal[len(design.model.internal) :]]
     units += [""] * (len(names) - len(units))
     inputs = [i.name for i in channels.inputs]
+    sizes = np.abs(feedback.gain)
+    # what is so much smaller than other gains of an input is what rounding leaves of none
+    gain = np.where(sizes > 1e-12 * sizes.max(axis=1, keepdims=True), feedback.gain, 0.0)
     rows = [
-        [name, f"{value:.4g}", unit, *(f"{g:.4g}" for g in feedback.gain[:, j])]
+        [name, f"{value:.4g}", unit, *(f"{g:.4g}" for g in gain[:, j])]
         for j, (name, value, unit) in enumerate(zip(names, feedback.x0, units, strict=True))
     ]
     n_x = len(names)
@@ -48,8 +51,7 @@ def point_table(design: ControlDesign) -> Table:
         for i in channels.inputs
     ]
     rows += [
-        [name, "0", "", *(f"{g:.4g}" for g in feedback.gain[:, n_x + j])]
-        for j, name in enumerate(extra)
+        [name, "0", "", *(f"{g:.4g}" for g in gain[:, n_x + j])] for j, name in enumerate(extra)
     ]
     return Table(
         ["state", "value", "unit", *(f"gain of {name}" for name in inputs)],
