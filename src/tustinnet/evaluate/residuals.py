@@ -15,7 +15,7 @@ from tustinnet.models.contract import Model
 from tustinnet.shown import Brief
 from tustinnet.simulate.starts import start_named
 
-USUAL_LAGS = 50  # samples
+_USUAL_LAGS = 50  # samples
 LAG_CONFIDENCE = 0.99  # share of the lags of independent residuals that is inside
 _QUANTILE = NormalDist().inv_cdf((1 + LAG_CONFIDENCE) / 2)
 
@@ -108,7 +108,7 @@ def residual_reports(
     """
     begin, at = start_named(start).first, model.channels.position
     most = min(map(len, experiments)) - begin - 1
-    lags = min(USUAL_LAGS, most) if lags is None else lags
+    lags = min(_USUAL_LAGS, most) if lags is None else lags
     if not 1 <= lags <= most:
         raise InputError("lags", f"{lags} samples", f"1 to {most}")
     runs = runs or free_run(model, experiments, start, horizon=horizon)

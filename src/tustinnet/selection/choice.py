@@ -125,8 +125,8 @@ class Choice(Shown):
         errors, reference, data = self._rmse, self.reference.rmse, self.context.data
         both = errors.keys() & reference.keys()
         moving = [n for n in both if reference[n] > np.linalg.norm(unseen(data[n]))]
-        shares = [errors[n] / reference[n] for n in moving]
-        return median(shares or [math.inf if both else 0.0])
+        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in moving or both]
+        return median(shares or [0.0])
 
     @property
     def follows(self) -> bool:
