@@ -35,6 +35,7 @@ def test_there_are_multisines_and_noise_that_grows(twin):
     assert noise.max() < max(np.abs(e.q).max() for e in twin.split("train"))
 
 
+@pytest.mark.thorough
 def test_the_seed_decides_everything(twin):
     again, other = duffing_twin(), duffing_twin(1)
     assert all(np.array_equal(a.q, b.q) for a, b in zip(twin, again, strict=True))
