@@ -1,4 +1,4 @@
-"""Tests of residuals."""
+"""Correlations of the errors of free runs: over how many lags."""
 
 import numpy as np
 import pytest

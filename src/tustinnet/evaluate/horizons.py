@@ -62,11 +62,11 @@ def _horizon_error(
 
 
 def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> list[float]:
-    """How long the free run of each whole record follows it [s]; to its end at most.
+    """Durations for which the free runs of whole records follow them [s]; to their ends at most.
 
-    It follows as long as the errors of all coordinates, their root mean squares from the beginning
-    on, are within `FOLLOWED` of the coordinates' standard deviations in the record, or within what
-    the sensor does not see, even where a shorter part is not.
+    A run follows as long as the errors of all coordinates, their root mean squares from the
+    beginning on, are within `FOLLOWED` of the coordinates' standard deviations in the record, or
+    within what the sensor does not see, even where a shorter part is not.
 
     Args:
         records: the records.
@@ -86,12 +86,11 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
 
 def unseen(record: Experiment) -> Float[np.ndarray, " n_q"]:
     """Distances that a sensor does not see: a step, or twice the deviation of its noise, (n_q,)."""
-    step = np.array([r or 0.0 for r in record.channels.resolution])
-    return np.maximum(step, 2 * white_noise(record.q))
+    return np.maximum(record.channels.resolution, 2 * white_noise(record.q))
 
 
 def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> Finding:
-    """How long free runs of whole records follow them."""
+    """The finding on how long free runs of whole records follow them."""
     seconds = seconds_followed(records, whole)
     lengths = [
         e.dt * (len(e) - 1 - start_named(s.start).first)
