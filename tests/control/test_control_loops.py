@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 import scipy.linalg
 from every_family import example
-from swinging import CART
+from swinging import CART, DT, SWING, TRUTH
 
 import tustinnet as tn
 from tustinnet.control.closed_loop import ClosedLoopResult, Goal, closed_loop
+from tustinnet.control.design import ControlTask, design_controller
 from tustinnet.control.estimator import ExtendedKalmanFilter
 from tustinnet.control.plants import ModelPlant, qube_twin
 from tustinnet.control.robustness import Robustness, assess_robustness, draw_starts
 from tustinnet.control.sampled_plant import PlantOptions
+from tustinnet.control.trial import try_design
 from tustinnet.control.variants import FRICTION, make_variants, with_friction_factor
 from tustinnet.errors import InputError
 from tustinnet.models.physical_values import with_values
@@ -24,6 +26,7 @@ from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_VALUES
 NOISE = FilterNoise(
     np.array([COUNT, COUNT, 1.0, 1.0]), np.array([1e-4, 1e-4, 0.05, 0.05]), np.full(2, COUNT / 3)
 )
+LEVEL = {"gravity": jnp.zeros(())}
 UPRIGHT = Goal({"alpha": 0.0}, hold=1.0, limits={"theta": (-2.5, 2.5)})
 
 
@@ -292,6 +295,21 @@ def test_what_holds_its_own_model_alone_is_no_promise():
     assert alone["delay 2"].share < 0.5
     assert not alone.problem
     assert "runs on the model" in play(Regulator(model, limit=0.1), "nominal").problem
+
+
+def test_what_stays_where_it_is_put_is_to_be_brought_to_its_goal():
+    """Runs begin outside of the window, and last as long as the loop is slow."""
+    motor = tn.discretise(SWING.model({k: jnp.asarray(v) for k, v in TRUTH.items()} | LEVEL), DT)
+    for limit in (5.0, 0.2):
+        task = ControlTask({"angle": 0.0}, limits={"voltage": (-limit, limit)}, trust_beyond=True)
+        design = design_controller(motor, task)
+        robustness = try_design(design, count=6).robustness
+        assert robustness["nominal"].successes == 6
+        assert robustness.without is not None
+        assert robustness.without.successes < 6
+        settling = max(design.goal.hold, 3 * design.margins.slowest)
+        assert design.steps * DT == pytest.approx(design.goal.hold + settling, abs=DT)
+    assert settling > design.goal.hold
 
 
 def test_encoders_of_variants_count_as_the_filter_assumes():

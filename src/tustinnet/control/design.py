@@ -54,6 +54,8 @@ class DesignDefaults(NamedTuple):
         window: deviation within which a position counts as held, as a share of its recorded
             range; of an angle at most 0.2 rad.
         unknown_window: this deviation of a length whose range is not known [m].
+        settling: time constants of the slowest mode of a loop in which it comes to its point.
+        longest_settling: longest such time [s].
     """
 
     swings: float = 6.0
@@ -65,6 +67,8 @@ class DesignDefaults(NamedTuple):
     followed: float = 0.01
     window: float = 0.1
     unknown_window: float = 0.05
+    settling: float = 3.0
+    longest_settling: float = 60.0
 
 
 DESIGN = DesignDefaults()
@@ -187,8 +191,11 @@ class ControlDesign:
     def steps(self) -> int:
         """The periods of a run that shows whether the goal is met: the motion, and the hold."""
         planned = 0 if self.plan is None else len(self.plan.u)
-        # without a plan, as long again to get there
-        settling = 0.2 * self.goal.hold if planned else self.goal.hold
+        # without a plan, as long again to get there, and longer where the loop is slow
+        slow = np.clip(
+            DESIGN.settling * self.margins.slowest, self.goal.hold, DESIGN.longest_settling
+        )
+        settling = 0.2 * self.goal.hold if planned else slow
         return planned + round((self.goal.hold + settling) / self.model.dt)
 
     @property

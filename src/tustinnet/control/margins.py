@@ -49,11 +49,13 @@ class Margins:
         sensitivity_peak: the largest singular value of the sensitivity at the inputs over all
             frequencies; 1 / peak is the distance of the loop from the point -1.
         peak_frequency: the frequency of that peak [rad/s].
+        slowest: time constant of the closed loop's slowest mode [s].
     """
 
     inputs: tuple[InputMargins, ...]
     sensitivity_peak: float
     peak_frequency: float
+    slowest: float
 
 
 def margins(model: Model, feedback: Feedback) -> Margins:
@@ -86,7 +88,8 @@ def margins(model: Model, feedback: Feedback) -> Margins:
     )
     peaks = sensitivity(loop, feedback, frequencies)
     highest = int(np.argmax(peaks))
-    return Margins(inputs, float(peaks[highest]), float(frequencies[highest]))
+    slowest = -feedback.dt / np.log(largest) if largest else 0.0
+    return Margins(inputs, float(peaks[highest]), float(frequencies[highest]), float(slowest))
 
 
 def usual_frequencies(dt: float) -> Numbers:

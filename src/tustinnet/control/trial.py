@@ -18,6 +18,7 @@ from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
 
 _START_SPREAD = 0.05  # of the places where runs begin: share of the range; of an angle at most rad
+_START_WINDOWS = 2.0  # of these places in windows of the goal, where its point is not unstable
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,8 @@ def try_design(
     ]
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
+    for j, c in enumerate(design.model.channels.coordinates):
+        places[:, j] = np.clip(places[:, j], *design.goal.limits.get(c.name, (-np.inf, np.inf)))
     controller, estimator = compile_loop(design.controller, design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
@@ -116,6 +119,13 @@ def try_design(
 def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.ndarray, " n_q"]:
     """Largest distances of a run's beginning from where it is designed for, by coordinate."""
     channels = design.model.channels
-    if training_range is None:
-        return np.full(channels.n_q, _START_SPREAD)
-    return training_range.share_of_spans(_START_SPREAD, channels, _START_SPREAD)
+    spread = (
+        np.full(channels.n_q, _START_SPREAD)
+        if training_range is None
+        else training_range.share_of_spans(_START_SPREAD, channels, _START_SPREAD)
+    )
+    if design.plan is None and not design.point.is_unstable:
+        # within its window such a point needs no feedback to be held
+        windows = [design.goal.window.get(c.name, 0.0) for c in channels.coordinates]
+        spread = np.maximum(spread, _START_WINDOWS * np.array(windows))
+    return spread

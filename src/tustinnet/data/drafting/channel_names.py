@@ -38,7 +38,7 @@ def _is_name(text: str) -> bool:
 
 def _part_of_name(column: str, length: int, reading: NameReading, is_short: bool) -> str:
     """The last parts of a column's name as a channel's name, without its unit if `is_short`."""
-    name = reading.name or column
+    name = (reading.name or column).replace('"', "")  # quotes would need escapes in commands
     name = _without_unit(name, reading) if is_short else name
     parts = [part for part in re.split(r"[/.]", name) if part.strip()]
     return re.sub(r"[\s\\]+", "_", "_".join(parts[-length:]).strip())
