@@ -713,6 +713,7 @@ def test_derivatives_in_words_are_no_positions(tmp_path: Path) -> None:
         "Recorded in May.\nformat: time u angle",
         "| Column | Name | Unit |\n|---:|---|---|\n| 1 | `t` | s |\n| 2 | `u` | V |\n"
         "| 3 | `angle` | deg |",
+        "Columns:\n| time (in s) | u (in V) | angle (in deg) |\n|---|:---:|---|",
     ],
 )
 def test_a_readme_names_columns_that_have_no_header(text: str, tmp_path: Path) -> None:
@@ -728,6 +729,41 @@ def test_a_readme_names_columns_that_have_no_header(text: str, tmp_path: Path) -
     assert any(note.startswith("names of columns by README.md") for note in made.notes)
     (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
     assert tn.load(tmp_path)[0].coordinates[0].name == "angle"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "The rig.\n- `t`: time (s)\n- `y`: measured force\n- `d`: displacement (mm)\n"
+        "- `c`: control input (V)\n",
+        "| name | meaning | unit |\n|---|---|---|\n| t | time | s |\n| y | measured force | N |\n"
+        "| **d** | displacement | mm |\n| c | control input | V |",
+    ],
+)
+def test_a_readme_says_what_short_names_mean(text: str, tmp_path: Path) -> None:
+    u = levels(39)
+    x, v = moved_by(u)
+    (tmp_path / "README.md").write_text(text)
+    made = draft(tmp_path, {"y": u - 0.3 * v, "c": u, "d": x})
+    (place,) = made.choice.coordinates
+    assert (place.column, place.name, place.kind, place.unit) == ("d", "d", "linear", "mm")
+    assert [(i.column, i.unit) for i in made.choice.inputs] == [("c", "V")]
+    assert any(note.startswith("described by README.md") for note in made.notes)
+
+
+def test_joints_of_several_legs_are_told_by_leg_and_number(tmp_path: Path) -> None:
+    joints = [f"{leg}{k}" for leg in ("FL", "FR") for k in (0, 1)]
+    torques = {f"{joint}_torque": levels(40 + i) for i, joint in enumerate(joints)}
+    places = {f"{joint}_pos": moved_by(torques[f"{joint}_torque"])[0] for joint in joints}
+    made = draft(tmp_path, {**torques, **places})
+    assert [c.column for c in made.choice.coordinates] == [*places]
+    assert [i.column for i in made.choice.inputs] == [*torques]
+
+
+def test_a_duration_is_no_unit_of_a_position(tmp_path: Path) -> None:
+    u = levels(44)
+    made = draft(tmp_path, {"Swing Cmd": u, "Swing Ms": moved_by(u)[0]})
+    assert [(c.column, c.unit) for c in made.choice.coordinates] == [("Swing Ms", "rad")]
 
 
 def test_terms_of_a_controller_are_neither_inputs_nor_positions(tmp_path: Path) -> None:

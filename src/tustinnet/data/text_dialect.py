@@ -102,6 +102,8 @@ _UNITS = {
     "newton",
     "newtons",
     "km",
+    "inch",
+    "inches",
 }
 
 Lines = list[tuple[int, str]]  # rows of the file, counted from 1, and their text

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -60,6 +60,9 @@ _COMMENT = "\tComment"  # a last column of LabVIEW, of which rows may have no ce
 _PREAMBLE = 300  # lines above a table, at most
 _EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing else
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
+_MARKUP = " `*"
+_RULE = re.compile(r"[ |:]*-[-|: ]*\|[-|: ]*")  # below the head of a table in Markdown
+_IS = re.compile(r"\s*[:=]\s+|\s+[-\u2013\u2014]\s+")  # between a name and what it means
 _NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
 
 
@@ -462,12 +465,37 @@ def _names_in(comments: Sequence[str], dialect: Dialect, width: int) -> list[str
 def find_names(lines: Sequence[str], width: int) -> list[str] | None:
     """The names of some columns in lines of a text that describes them, None without any.
 
-    In one line, as `format: t angle u`, or one each, as `2: angle [rad]` or `| 2 | angle | rad |`.
+    In one line, as `format: t angle u`, in the head of a table in Markdown, or one each, as
+    `2: angle [rad]` or `| 2 | angle | rad |`.
     """
-    for names in map(_announced_names, lines):
-        if len(names) == width > 1 and len({*names}) == width:
+    heads = [_cells_in_text(a) for a, b in pairwise(lines) if _RULE.fullmatch(b)]
+    numbered = _numbered_names([_row_in_text(line) for line in lines], width)
+    for names in (*map(_announced_names, lines), numbered or [], *heads):
+        if len(names) == width > 1 and all(names) and len({*names}) == width:
             return names
-    return _numbered_names([_row_in_text(line) for line in lines], width)
+    return None
+
+
+def find_descriptions(lines: Sequence[str], names: Collection[str]) -> dict[str, str]:
+    """What lines of a text say of columns by their names; empty where it is of few of them.
+
+    As ``- `d`: displacement (mm)``, `d = displacement` or `| d | displacement | mm |`.
+    """
+    texts: dict[str, str] = {}
+    for line in lines:
+        cells = _cells_in_text(line)
+        if len(cells) < 2:
+            cells = [c.strip(_MARKUP) for c in _IS.split(line.strip(" *-+"), maxsplit=1)]
+        cells = cells[cells[0].isdigit() :]
+        if len(cells) > 1 and cells[0] in names and cells[1]:
+            unit = next((f" [{cell}]" for cell in cells[2:] if cell and is_unit(cell)), "")
+            texts.setdefault(cells[0], cells[1] + unit)
+    return texts if len(texts) >= max(2, len(names) / 3) else {}
+
+
+def _cells_in_text(line: str) -> list[str]:
+    """The cells of a row of a table in Markdown."""
+    return [cell.strip(_MARKUP) for cell in line.strip(" |").split("|")]
 
 
 def _announced_names(line: str) -> list[str]:
@@ -478,7 +506,7 @@ def _announced_names(line: str) -> list[str]:
 
 def _row_in_text(line: str) -> str:
     """A row of a table in Markdown as a number, a name and its unit; other lines without marks."""
-    number, name, unit, *_ = [*(c.strip(" `*") for c in line.strip(" |").split("|")), "", ""]
+    number, name, unit, *_ = [*_cells_in_text(line), "", ""]
     if not (number.isdigit() and name):
         return line.strip(" *-#")
     return f"{number}: {name}" + (f" [{unit}]" if unit and is_unit(unit) else "")

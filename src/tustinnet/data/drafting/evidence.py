@@ -346,9 +346,7 @@ class EvidenceTable:
         self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
         self.stage = [stage_of(r) for r in self.readings]
-        places = {_joint_of(r) for r in self.readings if r.quantity == "position"} - {frozenset()}
-        joints = [_joint_of(r) for r in self.readings]
-        self.joint = [joint if joint in places else None for joint in joints]
+        self.joint = find_joints(self.readings)
 
     def _sum_points(self) -> Float[np.ndarray, "c r"]:
         """The points of the evidence so far, by column and role."""
@@ -579,11 +577,14 @@ def find_families(
         is_multiple: which inputs repeat one another; the later one is of no family.
     """
     known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
+    known |= {"cos", "sin"}
+    # short words are symbols, unless they say of which joint a position is, as `FL`
+    places = {w for r in readings if r.quantity == "position" for w in r.object}
     groups: dict[tuple[str, ...], list[int]] = {}
     for i, reading in enumerate(readings):
         plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
         plain = [w for w in plain if w not in AXES] or plain
-        marks = [w for w in plain if w in known or len(w) <= 2 or w in ("cos", "sin")]
+        marks = [w for w in plain if w in known or (len(w) <= 2 and w not in places)]
         key = (*(marks or plain), reading.unit) if plain else (str(i),)
         groups.setdefault(key, []).append(i)
     families = [*range(len(readings))]
@@ -639,9 +640,26 @@ def find_blocks(
     return blocks
 
 
-def _joint_of(reading: NameReading) -> frozenset[str]:
-    """The words by which a name says at which of several joints it is: its number or its object."""
-    return frozenset(w for w in reading.object if w.isdigit()) or reading.object
+def find_joints(readings: Sequence[NameReading]) -> list[frozenset[str] | None]:
+    """The words by which each name says at which of several joints it is, None without any.
+
+    Those of a position: its number where no other has it, else all that it is the position of, as
+    `FL0`.
+    """
+    numbers = [frozenset(w for w in r.object if w.isdigit()) for r in readings]
+    positions = [i for i, r in enumerate(readings) if r.quantity == "position"]
+    objects: dict[frozenset[str], set[frozenset[str]]] = {}
+    for i in positions:
+        objects.setdefault(numbers[i], set()).add(readings[i].object)
+    places = {
+        n if n and len(joints) == 1 else joint for n, joints in objects.items() for joint in joints
+    }
+
+    def find_joint(reading: NameReading) -> frozenset[str] | None:
+        """The place of a position with most of the words of a name."""
+        return max((p for p in places if p and p <= reading.object), key=len, default=None)
+
+    return [find_joint(reading) for reading in readings]
 
 
 def stage_of(reading: NameReading) -> Stage:

@@ -19,7 +19,7 @@ from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.vocabulary import LINEAR, QUALIFIERS, Qualifier
 from tustinnet.data.readers import is_text, read_columns
 from tustinnet.data.text_dialect import decode
-from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER, find_names
+from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER, find_descriptions, find_names
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
@@ -108,6 +108,7 @@ class Log:
         units: units by column, where the file has them.
         has_damaged_rows: whether rows that are no samples are left out.
         labels: what the file calls columns in texts beside them.
+        descriptions: what a README says of columns by their names.
         clock_of: the column of the times of each column that has times of its own.
         spans: first and last time of each of these columns in the file.
         joined: other files of the record by their labels.
@@ -126,6 +127,7 @@ class Log:
     units: Mapping[str, str] = field(default_factory=dict)
     has_damaged_rows: bool = False
     labels: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
     clock_of: Mapping[str, str] = field(default_factory=dict)
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     joined: Mapping[str, JoinedFile] = field(default_factory=dict)
@@ -290,23 +292,27 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
 def name_as_described(
     folder: Path, logs: Sequence[Log], on_message: Callable[[str], None]
 ) -> Sequence[Log]:
-    """The logs; where no column has a name with labels that a README in their folder gives.
+    """The logs with what a README in their folder says of their columns.
+
+    Names of columns that have none, or descriptions of those that have.
 
     Args:
         folder: the folder of the card.
         logs: the logs, of the same columns.
-        on_message: called with a sentence on where the labels are from.
+        on_message: called with a sentence on what is from the README.
     """
     names = [*logs[0].values, *logs[0].texts]
-    if any(log.has_header is not False for log in logs) or not are_numbers(names):
-        return logs
+    is_bare = are_numbers(names) and all(log.has_header is False for log in logs)
     for path in sorted(folder.glob("[Rr][Ee][Aa][Dd][Mm][Ee]*")):
         with suppress(OSError, InputError):
             lines = decode(path, None)[0][:_LONGEST_README].splitlines()
-            if labels := find_names(lines, len(names)):
+            if is_bare and (labels := find_names(lines, len(names))):
                 on_message(f"names of columns by {path.name}: {', '.join(labels)}")
                 by_column = {f"{NUMBERED}{k}": text for k, text in enumerate(labels, start=1)}
                 return [replace(log, labels=by_column) for log in logs]
+            if not is_bare and (texts := find_descriptions(lines, names)):
+                on_message(f"described by {path.name}: {', '.join(texts)}")
+                return [replace(log, descriptions=texts) for log in logs]
     return logs
 
 
@@ -735,6 +741,8 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
         if rate and not any(re.match(rf"{re.escape(rate[1])}(?![A-Za-z])", n) for n in names):
             names[name] = text.replace(rate[0], rate[1], 1)  # as of `axisD`, a term of a controller
     readings = {name: read_name(text, units.get(name, "")) for name, text in names.items()}
+    for name in readings.keys() & logs[0].descriptions.keys():
+        readings[name] = readings[name].with_description(logs[0].descriptions[name])
     words = {word for r in readings.values() for word in r.words}
     for name, reading in [*readings.items()]:
         terms = {(*reading.words[:-1], term) for term in _TERMS}

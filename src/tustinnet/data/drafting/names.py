@@ -152,6 +152,18 @@ class NameReading:
         """The given quantities that a whole word of the name says, as `torque`, not a letter."""
         return [q for q in quantities if self.quantities.get(q, 0.0) >= _STATED]
 
+    def with_description(self, text: str) -> "NameReading":
+        """The reading, with the unit in a description; where the name says little, with all of it.
+
+        Args:
+            text: what is written of the column elsewhere.
+        """
+        described = read_name(text)
+        if described.quantities and not self.stated(self.quantities):
+            return replace(described, name=self.name)
+        has_unit = described.unit and described.in_brackets and not self.unit
+        return read_name(self.name, described.unit) if has_unit else self
+
 
 def read_name(name: str, file_unit: str = "") -> NameReading:
     """Reads the words and the unit in a column's name; a unit that the file says decides."""
@@ -281,7 +293,14 @@ def _object(words: Sequence[str]) -> frozenset[str]:
 
 def _look_up(text: str) -> tuple[str, Quantity | None] | None:
     """The unit that a text spells and its quantity (None for no unit at all); None if unknown."""
-    spelled = text.strip().lower().replace("²", "^2").replace("·", "*").replace("°/", "deg/")
+    spelled = (
+        text.strip()
+        .lower()
+        .removeprefix("in ")
+        .replace("²", "^2")
+        .replace("·", "*")
+        .replace("°/", "deg/")
+    )
     spelled = spelled.replace("⁻¹", "^-1").replace("\N{MICRO SIGN}", "u").rstrip(".")
     compact = spelled.replace(" ", "")
     for candidate in (spelled, compact):

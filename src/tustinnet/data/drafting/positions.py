@@ -21,7 +21,7 @@ from tustinnet.data.drafting.numbers import (
     is_decimal,
     is_power_of_ten,
 )
-from tustinnet.data.units import ANGLE, LENGTH, convert_to_si
+from tustinnet.data.units import ANGLE, LENGTH, TIME, convert_to_si
 
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
@@ -178,9 +178,11 @@ def _kind_of_unit(unit: str, kind: Kind | None) -> Kind:
 
 
 def _is_card_unit(unit: str) -> bool:
-    """Whether cards know a unit."""
+    """Whether cards know a unit of positions."""
     if unit in (*ANGLE, *LENGTH, "counts"):
         return True
+    if unit in TIME:  # a word, as of what was measured: `Boom Ms`
+        return False
     try:
         convert_to_si(unit)
     except ValueError:

@@ -41,7 +41,7 @@ _STRONG: dict[Quantity, str] = {
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
-    "power stell aktion pid",
+    "stell aktion pid",
     "torque": "torque torques tau moment drehmoment effort efforts motormoment trq",
     "force": "force forces kraft thrust schub antriebskraft",
     "current": "current currents strom motorstrom iq ankerstrom corriente",
@@ -64,7 +64,7 @@ _WEAK: dict[Quantity, str] = {
     "velocity": "w v n qd xd xp rpm gyro tachometer",
     "acceleration": "a imu",
     "voltage": "u v",
-    "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo",
+    "control": "u in motor drive actuator antrieb aktor prop propeller ventil valve servo power",
     "torque": "m",
     "force": "f",
     "current": "i",
