@@ -32,6 +32,20 @@ def test_seeds_are_averaged_record_by_record():
     assert of.rmse(start="file") == {"r": 2.0, "s": 5.0}
 
 
+def test_free_runs_are_judged_from_the_start_from_which_they_are_less_far_off():
+    """Over all folds, a lost run as far off as what is lost."""
+    fits = {
+        0: (FitScore(0, "", "", None, {"one": {"a": 0.1}, "other": {"a": 0.2}}),),
+        1: (FitScore(0, "", "", None, {"one": {"b": 9.0}, "other": {"b": 0.5}}),),
+    }
+    result = CandidateResult("c", {0: fits[0]})
+    assert (result.starts, result.mean) == (("one", "other"), 0.1)
+    result = CandidateResult("c", fits)
+    assert result.starts[0] == "other"
+    assert result.rmse() == {"a": 0.2, "b": 0.5}
+    assert CandidateResult("c", fits, lost=0.4).starts[0] == "one"
+
+
 def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():
     # the second fold is the harder one; only `b` has it
     a, b = standing("a", {"r": 2.0}), standing("b", {"r": 1.0}, {"s": 9.0})

@@ -26,10 +26,9 @@ def candidates_frame(choice: Choice) -> pl.DataFrame:
     for s in _sort_scored(choice):
         difference, shares = paired_difference(s, best), list(s.unexplained.values())
         row: dict[str, Any] = {"name": s.name, "is_chosen": s is best}
-        for start, names in _columns_by_start(choice).items():
-            scores = mean_and_error(s.rmse(start=start).values())
-            row |= dict(zip(names, scores if start in s.starts else (None, None), strict=True))
+        row |= dict(zip(("rmse", "standard_error"), mean_and_error(s.rmse().values()), strict=True))
         row |= {
+            "start": s.starts[0],
             "difference": difference.mean,
             "difference_error": difference.standard_error,
             "difference_records": difference.records,
@@ -47,19 +46,12 @@ def candidates_frame(choice: Choice) -> pl.DataFrame:
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
-def _columns_by_start(choice: Choice) -> dict[str, tuple[str, str]]:
-    """Columns of mean and standard error by start; those of the start that decides come first."""
-    first, *others = choice.starts
-    more = {start: (f"rmse from {start}", f"standard_error from {start}") for start in others}
-    return {first: ("rmse", "standard_error"), **more}
-
-
 def candidates_table(choice: Choice) -> Table:
     """Table of the candidates that have scores, the best first."""
-    candidates, starts = candidates_frame(choice).rows(named=True), _columns_by_start(choice)
+    candidates = candidates_frame(choice).rows(named=True)
     by_forces = any(c["unexplained"] is not None for c in candidates)
     scored = [c for c in candidates if c["records"] is not None]
-    scale = scale_of(c[mean] for c in scored for mean, _ in starts.values())
+    scale = scale_of(c["rmse"] for c in scored)
 
     def cell(mean: float | None, error: float) -> str:
         if mean is None:
@@ -80,7 +72,8 @@ def candidates_table(choice: Choice) -> Table:
     rows = [
         [
             c["name"],
-            *[cell(c[mean], c[error]) for mean, error in starts.values()],
+            cell(c["rmse"], c["standard_error"]),
+            c["start"] or "",
             against_best(c),
             *[text(c["unexplained"], 100, ".2g")] * by_forces,
             text(c["records"]) + (f", {c['lost']} lost" if c["lost"] else ""),
@@ -92,7 +85,8 @@ def candidates_table(choice: Choice) -> Table:
     unit = choice.unit
     columns = [
         "candidate",
-        *[f"RMSE [{unit}], {start}" for start in starts],
+        f"RMSE [{unit}]",
+        "start",
         f"worse than {choice.best} by",
         *["unexplained force [%]"] * by_forces,
         "records",
@@ -159,7 +153,10 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     shown_names = choose_shown_records(choice.result(choice.best).rmse())
     runs: dict[str, dict[str, Score]] = {}
     for label in labels:
-        fits, horizon = choice.result(label).fits_by_fold, choice.context.scoring.horizon
-        for name, score in choice.context.evaluate_folds(fits, horizon, shown_names).items():
+        result, context = choice.result(label), choice.context
+        scores = context.evaluate_folds(
+            result.fits_by_fold, result.starts[0], context.scoring.horizon, shown_names
+        )
+        for name, score in scores.items():
             runs.setdefault(name, {})[label] = score
     return runs

@@ -90,12 +90,6 @@ class Choice(Shown):
         """The unit of the RMSE."""
         return self.context.data.channels.unit
 
-    @property
-    def starts(self) -> tuple[str, ...]:
-        """The starts that candidates were scored from, first the one that decides."""
-        starts = [start for r in self.candidates.results for start in r.starts]
-        return tuple(dict.fromkeys([self.context.scoring.start, *starts]))
-
     def file(self, name: str) -> str:
         """The model file of a candidate that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"
@@ -324,7 +318,7 @@ class Choice(Shown):
             "data": self.context.data.name,
             "unit": self.unit,
             "folds": self.context.scoring.folds,
-            "start": self.context.scoring.start,
+            "start": best.starts[0],
             "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,

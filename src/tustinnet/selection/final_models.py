@@ -100,7 +100,7 @@ def make_final_models(
         listeners = make_listener if is_tried else None
         ways = _possible_models(candidates, result, context, listeners, deadline)
         models[result.name] = (
-            _first_as_promised(ways, result.mean, context, deadline) if is_tried else next(ways)
+            _first_as_promised(ways, result, context, deadline) if is_tried else next(ways)
         )
     return models
 
@@ -118,7 +118,7 @@ def _possible_models(
     all folds are averaged. Models of single folds come last, the one with the lowest error first.
     """
     fits, why = result.fits, ""
-    single = sorted(fits, key=lambda fit: mean_and_error(next(iter(fit.rmse.values())).values())[0])
+    single = sorted(fits, key=lambda fit: mean_and_error(fit.rmse[result.starts[0]].values())[0])
     recipe = context.recipe_of(candidates.plan.candidate(result.name))
     if recipe.family.averages_folds and len(fits) > 1:
         try:
@@ -159,7 +159,7 @@ def _average(models: Sequence[Model]) -> Model:
 
 
 def _first_as_promised(
-    ways: Iterator[FinalModel], promised: float, context: RunContext, deadline: Deadline
+    ways: Iterator[FinalModel], result: CandidateResult, context: RunContext, deadline: Deadline
 ) -> FinalModel:
     """The first model whose free runs of all records are about as good as folds promise.
 
@@ -168,8 +168,8 @@ def _first_as_promised(
     something is wrong with it.
     """
     records, tried = records_without_test(context.data), list[tuple[float, FinalModel]]()
+    start, promised = result.starts[0], result.mean
     for way in ways:
-        start, *_ = context.scoring.starts(way.model, context.data)
         scores = score_runs(way.model, records, start, horizon=context.scoring.horizon)
         error = mean_and_error(rmse_by_record(scores).values())[0]
         tried.append((error if math.isfinite(error) else math.inf, way))

@@ -297,6 +297,7 @@ class RunContext:
     def evaluate_folds(
         self,
         fits_by_fold: Mapping[int, Sequence[FitScore]],
+        start: str,
         horizon: float | None,
         names: Collection[str] | None = None,
     ) -> dict[str, Score]:
@@ -304,13 +305,14 @@ class RunContext:
 
         Args:
             fits_by_fold: what was fitted.
+            start: where the free runs start.
             horizon: how long a free run lasts at most [s], None for whole records.
             names: the records; None for all that the folds have.
         """
         scores: dict[str, Score] = {}
         for first, *_ in fits_by_fold.values():
-            start, rmse = next(iter(first.rmse.items()))
-            records = [self.data[name] for name in rmse if names is None or name in names]
+            scored = first.rmse[start]
+            records = [self.data[name] for name in scored if names is None or name in names]
             if records:
                 runs = score_runs(self.load_model(first.model), records, start, horizon=horizon)
                 scores |= {score.experiment: score for score in runs}

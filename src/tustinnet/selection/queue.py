@@ -397,8 +397,8 @@ class CandidateQueue:
         """
         if self.context.scoring.horizon is not None or not fit.unexplained:
             return False
-        mean = mean_and_error(next(iter(fit.rmse.values())).values())[0]
-        is_lost = not mean <= self.context.motion_within_turns
+        means = (mean_and_error(rmse.values())[0] for rmse in fit.rmse.values())
+        is_lost = not any(mean <= self.context.motion_within_turns for mean in means)
         return is_lost and fmean(fit.unexplained.values()) < OPTIONS.explained
 
     def _is_lost(self) -> bool:

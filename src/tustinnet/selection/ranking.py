@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -64,10 +65,15 @@ class CandidateResult:
         """The fits of all folds."""
         return tuple(fit for fold in sorted(self.fits_by_fold) for fit in self.fits_by_fold[fold])
 
-    @property
+    @cached_property
     def starts(self) -> tuple[str, ...]:
-        """The starts that its models were scored from, first the one that judges."""
-        return tuple(dict.fromkeys(start for fit in self.fits for start in fit.rmse))
+        """The starts that its models were scored from, first the one that judges.
+
+        That is the one from which its free runs are less far off: a model that is nearly right may
+        explain its first samples by a wrong speed, and few or coarse samples do not tell it.
+        """
+        starts = dict.fromkeys(start for fit in self.fits for start in fit.rmse)
+        return tuple(sorted(starts, key=lambda s: _mean(self._compared(self.rmse(start=s)))))
 
     def rmse(self, folds: Iterable[int] | None = None, start: str = "") -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
@@ -80,20 +86,22 @@ class CandidateResult:
             pair
             for fold in (self.fits_by_fold if folds is None else folds)
             for fit in self.fits_by_fold[fold]
-            for pair in fit.rmse.get(start or next(iter(fit.rmse)), {}).items()
+            for pair in fit.rmse.get(start or self.starts[0], {}).items()
         )
 
     @property
     def mean(self) -> float:
         """Mean over the records of their RMSE [rad or m]."""
-        return mean_and_error(self.rmse().values())[0]
+        return _mean(self.rmse())
 
     def compared(self, folds: Iterable[int] | None = None) -> dict[str, float]:
         """The RMSE by record that candidates are compared by: of a lost free run that of `lost`.
 
         How far a run is off that has left its record says nothing. One that is not finite counts.
         """
-        rmse = self.rmse(folds)
+        return self._compared(self.rmse(folds))
+
+    def _compared(self, rmse: Mapping[str, float]) -> dict[str, float]:
         return {r: min(x, self.lost) if np.isfinite(x) else np.inf for r, x in rmse.items()}
 
     @property
@@ -110,6 +118,11 @@ class CandidateResult:
         return mean_by_key(pair for fit in self.fits for pair in fit.unexplained.items())
 
 
+def _mean(rmse: Mapping[str, float]) -> float:
+    """Mean over the records."""
+    return mean_and_error(rmse.values())[0]
+
+
 def paired_difference(one: CandidateResult, other: CandidateResult) -> PairedDifference:
     """The excess error of one candidate over another on their shared records."""
     ours, theirs = one.compared(), other.compared()
@@ -123,7 +136,7 @@ def paired_difference(one: CandidateResult, other: CandidateResult) -> PairedDif
 
 def is_ahead(one: CandidateResult, other: CandidateResult) -> bool:
     """Whether a candidate is better than another on their shared records, by a fiftieth or more."""
-    level = LEVEL * mean_and_error(other.compared().values())[0]
+    level = LEVEL * _mean(other.compared())
     return bool(paired_difference(one, other).mean < -level)
 
 
@@ -140,7 +153,7 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
     most = max((len(r.fits_by_fold) for r in scored), default=0)
     longest = [r for r in scored if len(r.fits_by_fold) == most]
     shared = set.intersection(*(set(r.fits_by_fold) for r in longest)) if longest else None
-    means = {r.name: mean_and_error(r.compared(shared or None).values())[0] for r in longest}
+    means = {r.name: _mean(r.compared(shared or None)) for r in longest}
     finite = [r for r in longest if np.isfinite(means[r.name])]
     best = min(finite, key=lambda r: (means[r.name], r.mean), default=None)
 
@@ -148,7 +161,7 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
         if result.name in means:
             value = means[result.name]
         elif best is None:
-            value = mean_and_error(result.compared().values())[0]
+            value = _mean(result.compared())
         else:
             difference = paired_difference(result, best)
             doubt = difference.standard_error
@@ -175,7 +188,7 @@ def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> 
         results: from the simplest to the most complex.
         best: the best of them.
     """
-    level = LEVEL * mean_and_error(best.compared().values())[0]
+    level = LEVEL * _mean(best.compared())
     for result in results:
         difference = paired_difference(result, best)
         as_good = difference.mean <= max(difference.standard_error, level) and result.follows_some
