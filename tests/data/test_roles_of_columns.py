@@ -760,6 +760,13 @@ def test_joints_of_several_legs_are_told_by_leg_and_number(tmp_path: Path) -> No
     assert [i.column for i in made.choice.inputs] == [*torques]
 
 
+def test_times_that_would_be_faster_than_any_log_are_in_another_unit(tmp_path: Path) -> None:
+    u = levels(45)
+    made = draft(tmp_path, {"angle [deg]": moved_by(u)[0], "volts": u}, clock="Time [mS]")
+    assert 'unit = "s"' in made.text
+    assert any("Time [mS]" in line and "check the unit" in line for line in made.text.splitlines())
+
+
 def test_a_duration_is_no_unit_of_a_position(tmp_path: Path) -> None:
     u = levels(44)
     made = draft(tmp_path, {"Swing Cmd": u, "Swing Ms": moved_by(u)[0]})

@@ -29,7 +29,7 @@ _LONGEST_README = 100_000  # characters of it
 _SHORTEST_RECORD = 20  # samples of a record
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
-_LOGGED_PERIODS = (1e-5, 2.0)  # s, that logs of mechanisms have
+_LOGGED_PERIODS = (5e-5, 2.0)  # s, that logs of mechanisms have
 _VECTOR = re.compile("d{0,2}([xyz])(dot|ddot|p|pp|d|dd)?")  # and its derivatives
 _TICKS = re.compile(r"(?<![\d.])(10+)\s?([mun\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]s)(?![a-z])")
 _RATE = re.compile(r"(.*[a-z])D{1,2}(?![A-Za-z])")  # `angleD`, which is one beside `angle`
@@ -640,10 +640,11 @@ def _period(intervals: Values) -> tuple[float, float]:
 
 def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tuple[str, str, bool]:
     """The unit of times, the reason, and whether it is sure."""
-    if reading.unit in TIME and reading.quantity == "time":
-        return reading.unit, f"in {reading.unit} by its name", True
     steps = np.concatenate([np.diff(column) for column in columns])
     step, first = float(np.median(steps[steps > 0])), float(columns[0][0])
+    is_named = reading.unit in TIME and reading.quantity == "time"
+    if is_named and step * TIME[reading.unit] >= _LOGGED_PERIODS[0]:
+        return reading.unit, f"in {reading.unit} by its name", True
     for word, unit in (
         ("millis", "ms"),
         ("micros", "us"),
@@ -660,7 +661,7 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
         if low < first < high and _LOGGED_PERIODS[0] <= step * TIME[unit] <= _LOGGED_PERIODS[1]:
             return unit, f"in {unit}: it begins at {first:.4g}, a time since 1970", True
     if any((column != np.round(column)).any() for column in columns):
-        return "s", f"in s: intervals of {step:.4g}", step < _LOGGED_PERIODS[1]
+        return "s", f"in s: intervals of {step:.4g}", step < _LOGGED_PERIODS[1] and not is_named
     fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _LOGGED_PERIODS[1]]
     # of several the one whose period is nearest to 10 ms
     nearest = min(fits, key=lambda unit: abs(np.log(100 * step * TIME[unit])), default=None)

@@ -137,7 +137,8 @@ def _run_early_stages(
         if not stable and not later.is_stopped and later.has_diverged:
             shorter = run_stage(problem, state, replace(stage, quarter_swings=1))
             if not shorter.is_stopped and not shorter.has_diverged:
-                state, stable = shorter, problem.motion.quarter_swing
+                state = replace(shorter, stages=state.stages + 1)
+                stable = problem.motion.quarter_swing
                 later = run_stage(problem, state, stage)
         if later.is_stopped:
             return later, stable
