@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 
 from tustinnet.channels import Channels
 from tustinnet.data.inspection import transient_end
@@ -52,6 +53,7 @@ class UnfinishedSearchError(InputError):
     """A search was stopped before any of its stages was finished: there is no model."""
 
 
+@np.errstate(all="ignore")  # simulations may diverge: what they make is judged where it is used
 def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     """Identifies the system of a task from the records of a member's fold.
 

@@ -114,9 +114,8 @@ class _Errors(NamedTuple):
         """Covariance of normal errors with these intervals."""
         if self.between is None:
             return self.noise
-        with np.errstate(invalid="ignore"):
-            # rank is at most the number of records: in other directions the noise has to say it
-            scale = np.sqrt(np.maximum(np.diag(self.between) / np.diag(self.noise), 1.0))
+        # rank is at most the number of records: in other directions the noise has to say it
+        scale = np.sqrt(np.maximum(np.diag(self.between) / np.diag(self.noise), 1.0))
         return self.noise * np.outer(scale, scale)
 
     def deviation(self, row: Float[np.ndarray, " n_p"]) -> float:
@@ -324,8 +323,7 @@ def _make_identification(
     parameter_errors = _errors(fit)
     covariance = parameter_errors.covariance
     deviations = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(deviations, deviations)
+    correlation = covariance / np.outer(deviations, deviations)
     # values in range that a simulation can begin with, and its period's steps
     # nothing is searched for by simulation, so nothing is differentiated
     fixed = space.fixing(space.to_values_in_range(vector))

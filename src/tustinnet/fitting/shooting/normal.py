@@ -114,16 +114,15 @@ def compute_products(
     chain = equations.coordinate_derivatives(space, vector, segments.group_indices)
     free, n_p = equations.free_columns(space), equations.n_p
     by_free = result.products[:, free]
-    with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
-        return NormalProducts(
-            pp=by_free[:, :, free] * chain[:, :, None] * chain[:, None, :],
-            px=by_free[:, :, n_p:] * chain[:, :, None],
-            xx=result.products[:, n_p:, n_p:],
-            gp=result.gradient[:, free] * chain,
-            gx=result.gradient[:, n_p:],
-            cost=result.cost,
-            error=tuple(np.split(result.error, np.cumsum(segments.steps + 1)[:-1])),
-        )
+    return NormalProducts(
+        pp=by_free[:, :, free] * chain[:, :, None] * chain[:, None, :],
+        px=by_free[:, :, n_p:] * chain[:, :, None],
+        xx=result.products[:, n_p:, n_p:],
+        gp=result.gradient[:, free] * chain,
+        gx=result.gradient[:, n_p:],
+        cost=result.cost,
+        error=tuple(np.split(result.error, np.cumsum(segments.steps + 1)[:-1])),
+    )
 
 
 class ReducedProducts(NamedTuple):

@@ -341,7 +341,6 @@ def score_validation(problem: Problem, state: SearchState) -> float:
         segments = segments.with_fixed_states(start_states(model, all_parts, start))
     errors = position_errors(problem, state, segments, state.substeps)
     record = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    with np.errstate(over="ignore"):
-        squares = np.bincount(record, [float(np.sum(error**2)) for error in errors])
+    squares = np.bincount(record, [float(np.sum(error**2)) for error in errors])
     rmse = float(np.mean(np.sqrt(squares / [len(e) for e in problem.validation])))
     return rmse if np.isfinite(rmse) else np.inf

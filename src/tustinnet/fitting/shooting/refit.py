@@ -257,12 +257,9 @@ def _make_simulation(
             problem.system, residual, space, vector, x0, segments, model.substeps, fit_states
         )
         chain = unit / space.derivatives(vector)
-        with np.errstate(over="ignore", invalid="ignore"):  # of simulations that diverged
-            matrix = products.pp * share[:, None, None] * np.outer(chain, chain)
-            gradient, cost = products.gp * share[:, None] * chain, products.cost * share
-            cost, matrix, gradient = (
-                np.add.reduceat(x, first_parts) for x in (cost, matrix, gradient)
-            )
+        matrix = products.pp * share[:, None, None] * np.outer(chain, chain)
+        gradient, cost = products.gp * share[:, None] * chain, products.cost * share
+        cost, matrix, gradient = (np.add.reduceat(x, first_parts) for x in (cost, matrix, gradient))
         return _FreeRunProducts(np.sqrt(cost), matrix, gradient)
 
     return simulate

@@ -62,12 +62,9 @@ def make_identification(
     # a search that was stopped has no minimum about which the records could be compared
     disagreements = () if state.is_stopped else find_disagreements(problem, state)
     # a variance that rounding has made negative is unknown, as a correlation above 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        errors, naive_errors = (
-            np.sqrt(np.diag(x)) for x in (uncertainty.trusted, uncertainty.naive)
-        )
-        correlation = uncertainty.trusted / np.outer(errors, errors)
-        correlation[np.abs(correlation) > 1 + 1e-6] = np.nan
+    errors, naive_errors = (np.sqrt(np.diag(x)) for x in (uncertainty.trusted, uncertainty.naive))
+    correlation = uncertainty.trusted / np.outer(errors, errors)
+    correlation[np.abs(correlation) > 1 + 1e-6] = np.nan
     # without a prior the range is what was known, as a uniform distribution
     priors = np.array([p.prior or np.nan for p in space.free_parameters])
     spread = priors / np.abs(space.derivatives(result.vector))
