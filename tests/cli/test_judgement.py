@@ -5,9 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from every_family import example
 from test_verbs import tustinnet
 
-from tustinnet.store.header import Judgement, judgement_in_header, read_header
+import tustinnet as tn
+from tustinnet.store.header import (
+    Judgement,
+    doubt_in_header,
+    judgement_in_header,
+    read_header,
+)
 from tustinnet.store.model_file import copy_with_header
 
 
@@ -40,7 +47,7 @@ def test_a_fit_says_in_the_file_how_it_was_judged(model, capsys):
         _, out, _ = tustinnet(capsys, "show", path)
         (line,) = [line for line in out.splitlines() if line.startswith("score ")]
         assert "validation, mean RMSE" in line
-        assert line.endswith(f"start 'derived-6', {length}")
+        assert f"start 'derived-6', {length}, in the median " in line
 
 
 @pytest.mark.thorough
@@ -136,3 +143,20 @@ def test_a_damaged_judgement_is_one_line(model, folder, capsys):
         code, out, err = tustinnet(capsys, "evaluate", file, folder)
         assert (code, out, err.count("\n")) == (1, "", 1)
         assert f"{file}, scores.{next(iter(changes))}: " in err
+
+
+def test_a_file_says_what_share_of_a_trivial_predictors_error_its_models_is(tmp_path, capsys):
+    for share, doubt, shown in (
+        (0.2, "", "in the median 20 % of standing still"),
+        (3.0, "its model is 3 times as far off as standing still, on half", "300 % of standing"),
+        (None, "its model diverges, on half", "mean RMSE"),
+    ):
+        reference = {"predictor": "standing still", "share": share}
+        scores = {"split": "left out", "unit": "rad", "mean": 0.1, "reference": reference}
+        file = tmp_path / "model.safetensors"
+        tn.save(example("qube"), file, scores=scores)
+        assert doubt_in_header(read_header(file)).startswith(doubt)
+        assert doubt or not doubt_in_header(read_header(file))
+        _, text, _ = tustinnet(capsys, "show", file)
+        assert shown in text
+    assert not doubt_in_header({})

@@ -310,6 +310,11 @@ def test_what_stays_where_it_is_put_is_to_be_brought_to_its_goal():
         settling = max(design.goal.hold, 3 * design.margins.slowest)
         assert design.steps * DT == pytest.approx(design.goal.hold + settling, abs=DT)
     assert settling > design.goal.hold
+    # whatever it holds, a model that is worse than none
+    reference = {"predictor": "standing still", "share": 2.0}
+    doubted = try_design(design, {"scores": {"reference": reference}}, count=1).robustness
+    assert doubted["nominal"].successes == 1
+    assert doubted.problem.startswith("its model is 2 times as far off as standing still")
 
 
 def test_encoders_of_variants_count_as_the_filter_assumes():

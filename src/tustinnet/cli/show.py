@@ -5,7 +5,7 @@ from typing import Any
 from tustinnet.cli import options, terminal
 from tustinnet.errors import to_printable
 from tustinnet.store import header as file_header
-from tustinnet.wording import counted
+from tustinnet.wording import counted, percent
 
 _LONGEST_LINE = 1000  # characters
 Lines = list[tuple[str, str]]
@@ -107,6 +107,8 @@ def _score_lines(header: dict[str, Any]) -> Lines:
     horizon = scores.get("horizon")
     length = "whole records" if horizon is None else f"segments of {horizon:g} s"
     parts = [split, f"mean RMSE {mean}", f"start '{start}'" if start else "", length]
+    if (trivial := scores.get("reference")) and trivial["share"] is not None:
+        parts.append(f"in the median {percent(trivial['share'])} % of {trivial['predictor']}")
     lines = [("score", ", ".join(part for part in parts if part))]
     norm = " (norm over all coordinates)" if " and " in unit else ""
     return lines + [

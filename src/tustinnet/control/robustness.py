@@ -91,11 +91,13 @@ class Robustness:
         goal: what it was to reach.
         rows: a row for each kind of variant.
         without: the same on the model with the inputs held instead, None where that is not known.
+        doubt: why the records that judged the model speak against it, "" where they do not.
     """
 
     goal: Goal
     rows: tuple[RobustnessRow, ...]
     without: RobustnessRow | None = None
+    doubt: str = ""
 
     def __getitem__(self, kind: str) -> RobustnessRow:
         """The row of a kind."""
@@ -115,9 +117,11 @@ class Robustness:
     def problem(self) -> str:
         """Why nothing can be promised of the controller; "" where nothing speaks against it.
 
-        That is where it fails on its own model, or on most of the plants that the records allow as
-        well: it may hold nothing else than its model.
+        That is where its model is worse than none, and where it fails on its own model, or on most
+        of the plants that the records allow as well: it may hold nothing else than its model.
         """
+        if self.doubt:
+            return self.doubt
         for row in self.rows:
             # shares of runs that meet the goal, of which on the model itself only starts differ
             least = 0.9 if row.kind == NOMINAL else 0.5 if row.allowed else 0.0

@@ -16,6 +16,7 @@ from tustinnet.control.sampled_plant import PlantOptions, SampledPlant
 from tustinnet.control.variants import VariantKind, make_variants
 from tustinnet.models.contract import Model
 from tustinnet.simulate.range import Range
+from tustinnet.store.header import doubt_in_header
 
 _START_SPREAD = 0.05  # of the places where runs begin: share of the range; of an angle at most rad
 _START_WINDOWS = 2.0  # of these places in windows of the goal, where its point is not unstable
@@ -97,6 +98,7 @@ def try_design(
             kinds[:1], make_controller(held), estimator, places, design.goal, design.steps, seed
         ).rows
         robustness = replace(robustness, without=row)
+    robustness = replace(robustness, doubt=doubt_in_header(header or {}))
     runs = {}
     for kind, row in zip(kinds, robustness.rows, strict=True):
         failed = [i for i, outcome in enumerate(row.outcomes) if not outcome.is_success]

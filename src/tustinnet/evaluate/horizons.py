@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.evaluate.reference import Reference, find_reference
+from tustinnet.evaluate.reference import Reference, find_reference, unseen
 from tustinnet.evaluate.scores import Score, mean_rmse_by_unit, score_runs
 from tustinnet.finding import Finding, make_finding
 from tustinnet.models.contract import Model
-from tustinnet.signals.outliers import white_noise
 from tustinnet.simulate.horizon import FOLLOWED
 from tustinnet.simulate.starts import start_named
 
@@ -82,11 +80,6 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
         follows = (rms <= np.maximum(FOLLOWED * spread, unseen(e)))[:, spread > 0].all(axis=1)
         seconds.append(float(e.dt * max(np.flatnonzero(follows), default=0)))
     return seconds
-
-
-def unseen(record: Experiment) -> Float[np.ndarray, " n_q"]:
-    """Distances that a sensor does not see: a step, or twice the deviation of its noise, (n_q,)."""
-    return np.maximum(record.channels.resolution, 2 * white_noise(record.q))
 
 
 def describe_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> Finding:

@@ -1,11 +1,15 @@
 """Trivial predictors that any model has to beat, the reference of free runs; scores beside it."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
@@ -19,6 +23,7 @@ from tustinnet.evaluate.scores import (
 )
 from tustinnet.models.contract import Model, State
 from tustinnet.models.step_layout import StepInput
+from tustinnet.signals.outliers import white_noise
 from tustinnet.simulate.starts import Start, default_start
 
 
@@ -77,6 +82,37 @@ class Reference:
         """The predictor and its errors as plain values."""
         by_unit = self.mean_by_unit
         return {"predictor": self.label, "mean": self.mean, "mean_by_unit": by_unit}
+
+    def median_share(self, rmse: Mapping[str, float], records: Iterable[Experiment]) -> float:
+        """Median over records of a model's error by that of the predictor; 0 of none.
+
+        Records that move no further than sensors see tell nothing, unless none does.
+
+        Args:
+            rmse: the errors of the model, by record.
+            records: the records.
+        """
+        own = self.rmse
+        both = [e for e in records if e.name in rmse and e.name in own]
+        moving = [e for e in both if own[e.name] > np.linalg.norm(unseen(e))]
+        names = [e.name for e in moving or both]
+        return median([rmse[n] / own[n] if own[n] else math.inf for n in names] or [0.0])
+
+    def as_header(
+        self, rmse: Mapping[str, float], records: Iterable[Experiment]
+    ) -> dict[str, str | float]:
+        """The entry of a model's file: the predictor, and the model's share of its error.
+
+        Args:
+            rmse: the errors of the model, by record.
+            records: the records.
+        """
+        return {"predictor": self.label, "share": self.median_share(rmse, records)}
+
+
+def unseen(record: Experiment) -> Float[np.ndarray, " n_q"]:
+    """Distances that a sensor does not see: a step, or twice the deviation of its noise, (n_q,)."""
+    return np.maximum(record.channels.resolution, 2 * white_noise(record.q))
 
 
 def find_reference(records: Sequence[Experiment], horizon: float | None) -> Reference:

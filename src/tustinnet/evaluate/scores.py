@@ -227,6 +227,7 @@ def scores_header(
     horizon: float | None,
     rmse: Mapping[str, float],
     mean_by_unit: Mapping[str, float] | None = None,
+    reference: Mapping[str, str | float] | None = None,
 ) -> Mapping[str, Any]:
     """The scores of a model on a split of the records, as files have them.
 
@@ -237,6 +238,7 @@ def scores_header(
         horizon: how long a free run lasted at most [s], None for whole records.
         rmse: over all coordinates, by record.
         mean_by_unit: means over the records for coordinates of each unit; None where unknown.
+        reference: what a trivial predictor is beside it, see `Reference.as_header`, or None.
     """
     return {
         "split": split,
@@ -246,4 +248,5 @@ def scores_header(
         "rmse": dict(rmse),
         "mean": metrics.mean_and_error(rmse.values())[0],
         **({} if mean_by_unit is None else {"mean_by_unit": dict(mean_by_unit)}),
+        **({} if reference is None else {"reference": dict(reference)}),
     }

@@ -156,7 +156,7 @@ class Run:
 
     def header(self, member: MemberRun) -> dict[str, Any]:
         """The header of the model file of a member, beside the model's own."""
-        channels = self.channels
+        channels, rmse = self.channels, rmse_by_record(member.scores)
         return {
             **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
@@ -166,8 +166,9 @@ class Run:
                 self.start,
                 channels,
                 member.scores[0].horizon,
-                rmse_by_record(member.scores),
+                rmse,
                 mean_rmse_by_unit(member.scores, channels),
+                self.reference.as_header(rmse, self.roles.ranking),
             ),
             **system_header(self.system),
             **equations_header(member.result.model),

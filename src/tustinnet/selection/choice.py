@@ -4,16 +4,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from statistics import median
 from typing import Any
-
-import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import SpoiledPart, spoiled_header
 from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
-from tustinnet.evaluate.horizons import describe_followed, unseen
+from tustinnet.evaluate.horizons import describe_followed
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
 from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.scores import Score, scores_header
@@ -112,15 +109,7 @@ class Choice(Shown):
 
     @cached_property
     def _median_share(self) -> float:
-        """Median over the records of the error by that of the trivial predictor.
-
-        Records that move no further than sensors see tell nothing, unless none does.
-        """
-        errors, reference, data = self._rmse, self.reference.rmse, self.context.data
-        both = errors.keys() & reference.keys()
-        moving = [n for n in both if reference[n] > np.linalg.norm(unseen(data[n]))]
-        shares = [errors[n] / reference[n] if reference[n] else math.inf for n in moving or both]
-        return median(shares or [0.0])
+        return self.reference.median_share(self._rmse, self._records)
 
     @property
     def follows(self) -> bool:
@@ -303,6 +292,7 @@ class Choice(Shown):
             "scores": {
                 **scores_header(LEFT_OUT, result.starts[0], data.channels, scoring.horizon, rmse),
                 "standard_error": mean_and_error(rmse.values())[1],
+                "reference": self.reference.as_header(rmse, self._records),
             },
             **self.context.system_header(final.model),
             **equations_header(final.model),

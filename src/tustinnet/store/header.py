@@ -252,6 +252,13 @@ class Judgement(Entries):
     split: str = ""
 
 
+class _Reference(Entries):
+    """The trivial predictor, and the median share of its error that the model's is."""
+
+    predictor: str
+    share: Size | None
+
+
 class _Scores(Judgement):
     """The scores of a model; those that are not finite are None."""
 
@@ -260,6 +267,7 @@ class _Scores(Judgement):
     mean: Size | None = None
     mean_by_unit: dict[str, Size | None] | None = None
     standard_error: Size | None = None
+    reference: _Reference | None = None
 
 
 class _SpoiledPart(Entries):
@@ -326,6 +334,20 @@ def judgement_in_header(header: Mapping[str, Any]) -> Judgement | None:
     if "start" not in scores:
         return None
     return Judgement(**{key: scores[key] for key in Judgement.model_fields if key in scores})
+
+
+def doubt_in_header(header: Mapping[str, Any]) -> str:
+    """Why the free runs of a file's model speak against it; "" where they do not."""
+    reference = header.get("scores", {}).get("reference")
+    share = reference and reference["share"]
+    if reference is None or (share is not None and share < 1):
+        return ""
+    how_far = (
+        "diverges"
+        if share is None
+        else f"is {share:.3g} times as far off as {reference['predictor']}"
+    )
+    return f"its model {how_far}, on half of the records that judged it or more"
 
 
 def cutoff_in_header(header: Mapping[str, Any]) -> float | None:

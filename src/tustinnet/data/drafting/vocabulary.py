@@ -74,7 +74,8 @@ _WEAK: dict[Quantity, str] = {
 }
 _QUALIFIERS: dict[Qualifier, str] = {
     "command": "cmd command commanded setpoint sp target desired des ref reference soll sollwert "
-    "vorgabe goal traj trajectory con fuehrungsgroesse request req set demand planned commands consigna",
+    "vorgabe goal traj trajectory con fuehrungsgroesse request req set demand planned commands "
+    "consigna",
     "measured": "meas measured applied act actual ist istwert mess messwert fb feedback raw roh m "
     "cell sensor",
     "filtered": "filt filtered filter smooth smoothed est estimated gefiltert lpf lp kf kalman hat "
