@@ -325,6 +325,12 @@ def test_words_say_how_far_off_a_new_record_may_be_and_when_the_mean_says_little
     assert two.endswith("; typical of a kind: a 0.01, b 5 rad")
     assert even.as_plain()["claim"]["level"] == 0.9
     assert with_errors(made.choice, 0.1, 0.2).findings[3].code == "expected"
+    # what left all bounds on one of its records is worse by no number
+    other = replace(even.result("hybrid"), fits_by_fold={0: even.result("grey").fits})
+    fit = replace(other.fits[0], rmse={"model-10": {"r0": 0.1, "r1": np.inf, "r2": 0.2}})
+    beside = [even.result("grey"), replace(other, fits_by_fold={0: (fit,)})]
+    alone = replace(even, candidates=replace(even.candidates, results=tuple(beside)))
+    assert "compared with nothing" in [f.code for f in alone.findings]
     cut = replace(even, is_cut=True).findings
     assert [f.code for f in cut].count("pieces are alike") == 1
 

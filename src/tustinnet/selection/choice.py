@@ -260,7 +260,9 @@ class Choice(Shown):
 
     def _comparison_with_next(self, best: CandidateResult) -> Finding:
         others = [r for r in self.candidates.results if r.follows_some and r is not best]
-        differences = {r.name: paired_difference(r, best) for r in others}
+        compared = {r.name: paired_difference(r, best) for r in others}
+        # what leaves all bounds on a record is worse by no number
+        differences = {name: d for name, d in compared.items() if math.isfinite(d.mean)}
         if not differences:
             return make_finding("compared with nothing")
         name = min(differences, key=lambda other: differences[other].mean)
