@@ -643,7 +643,8 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     steps = np.concatenate([np.diff(column) for column in columns])
     step, first = float(np.median(steps[steps > 0])), float(columns[0][0])
     is_named = reading.unit in TIME and reading.quantity == "time"
-    if is_named and step * TIME[reading.unit] >= _LOGGED_PERIODS[0]:
+    is_whole = all((column == np.round(column)).all() for column in columns)
+    if is_named and (is_whole or step * TIME[reading.unit] >= _LOGGED_PERIODS[0]):
         return reading.unit, f"in {reading.unit} by its name", True
     for word, unit in (
         ("millis", "ms"),
@@ -660,7 +661,7 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     for unit, low, high in _EPOCHS:
         if low < first < high and _LOGGED_PERIODS[0] <= step * TIME[unit] <= _LOGGED_PERIODS[1]:
             return unit, f"in {unit}: it begins at {first:.4g}, a time since 1970", True
-    if any((column != np.round(column)).any() for column in columns):
+    if not is_whole:
         return "s", f"in s: intervals of {step:.4g}", step < _LOGGED_PERIODS[1] and not is_named
     fits = [unit for unit in ("ms", "us", "ns") if 5e-4 <= step * TIME[unit] <= _LOGGED_PERIODS[1]]
     # of several the one whose period is nearest to 10 ms

@@ -131,7 +131,6 @@ def estimate_uncertainty(
             return None
         steps = np.stack([_inverse(whole - parts[k]) @ gradients[k] for k in left_out])
         steps -= steps.mean(axis=0)
-        # without bounds in a search that was stopped far from its end
         jackknife = (n - 1) / n * steps.T @ steps + inverse @ by_prior @ inverse
         # no other record contradicts the only one of a group, so its residuals have to say it
         lifts, alone = np.ones(len(jackknife)), is_alone.any(axis=0)
