@@ -6,7 +6,7 @@ from every_family import example
 from swinging import noises, records
 
 import tustinnet as tn
-from tustinnet.simulate.range import Range, join_ranges, recorded_range
+from tustinnet.simulate.range import Range, join_ranges, recorded_range, training_support
 from tustinnet.systems.qube_servo2_twin import twin
 
 
@@ -85,6 +85,30 @@ def test_free_runs_that_leave_the_records_are_told_and_others_are_not():
         if e.split == "test"
     ]
     assert not any(alarms)
+
+
+def test_an_experiment_that_was_repeated_says_of_no_other_what_is_far():
+    generator, t = np.random.default_rng(2), 0.02 * np.arange(500)
+    course = np.stack([np.sin(2 * t), 2 * np.cos(2 * t)], axis=1)
+    repeated = [
+        tn.from_arrays(
+            course[:, :1] + 1e-4 * generator.normal(size=(500, 1)),
+            np.sin(2 * t + 1)[:, None],
+            v=course[:, 1:],
+            dt=0.02,
+            name=f"r{i}",
+            coordinates=[tn.Coordinate("s", "linear")],
+            inputs=[tn.Input("force", "N")],
+        )
+        for i in range(3)
+    ]
+    channels = repeated[0].channels
+    cloud = training_support(channels, repeated)
+    ends = np.array([[-1.0, 1.0], [-2.0, 2.0]])
+    known = Range(ends, np.array([[-1.0, 1.0]]), cloud)
+    u = repeated[0].u
+    assert known.extrapolation_point(channels, 0.97 * course, u) is None
+    assert known.extrapolation_point(channels, course * [0.2, 1.0], u) is not None
 
 
 def test_what_leaves_is_named_with_its_value():

@@ -17,6 +17,7 @@ KEY = "range"  # in headers of model files
 _STATES = 200  # recorded states that are kept, at most
 _MARGIN = 0.1  # of the span, beyond which a value counts as outside
 _LEAST_SPAN = 1e-9  # span of what never moved
+_LEAST_REACH = 1 / 3  # standard deviations, a tenth of the span of usual signals
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,8 @@ def training_support(
 ) -> TrainingSupport | None:
     """Points that came together in records; None of a single one.
 
-    The reach is the largest distance of any record from the points of the others.
+    The reach is the largest distance of any record from the points of the others, at least a third
+    of a standard deviation: of an experiment that was repeated it would be the noise.
 
     Args:
         channels: of the model.
@@ -267,7 +269,7 @@ def training_support(
     for i, rows in enumerate(by_record):
         others = np.concatenate([other for j, other in enumerate(by_record) if j != i])
         distances.append(_nearest(rows, _spread_points(others)).max())
-    reach = max(float(max(distances)), _LEAST_SPAN)
+    reach = max(float(max(distances)), _LEAST_REACH)
     return TrainingSupport(_spread_points(np.concatenate(by_record)), spread, reach)
 
 
