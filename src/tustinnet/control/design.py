@@ -54,8 +54,9 @@ class DesignDefaults(NamedTuple):
         window: deviation within which a position counts as held, as a share of its recorded
             range; of an angle at most 0.2 rad.
         unknown_window: this deviation of a length whose range is not known [m].
+        hold: periods for which a goal is to be held, where these are shorter than usual.
         settling: time constants of the slowest mode of a loop in which it comes to its point.
-        longest_settling: longest such time [s].
+        longest_settling: longest such time, by that for which the goal is to be held.
     """
 
     swings: float = 6.0
@@ -67,8 +68,9 @@ class DesignDefaults(NamedTuple):
     followed: float = 0.01
     window: float = 0.1
     unknown_window: float = 0.05
+    hold: int = 5000
     settling: float = 3.0
-    longest_settling: float = 60.0
+    longest_settling: float = 12.0
 
 
 DESIGN = DesignDefaults()
@@ -192,11 +194,10 @@ class ControlDesign:
         """The periods of a run that shows whether the goal is met: the motion, and the hold."""
         planned = 0 if self.plan is None else len(self.plan.u)
         # without a plan, as long again to get there, and longer where the loop is slow
-        slow = np.clip(
-            DESIGN.settling * self.margins.slowest, self.goal.hold, DESIGN.longest_settling
-        )
-        settling = 0.2 * self.goal.hold if planned else slow
-        return planned + round((self.goal.hold + settling) / self.model.dt)
+        hold = self.goal.hold
+        slow = np.clip(DESIGN.settling * self.margins.slowest, hold, DESIGN.longest_settling * hold)
+        settling = 0.2 * hold if planned else slow
+        return planned + round((hold + settling) / self.model.dt)
 
     @property
     def first_positions(self) -> Vector:
@@ -265,7 +266,12 @@ def design_controller(
         point.x, point.u, deviations=own | sums, integral=task.integral, safe=task.safe
     )
     loop_margins = margins(model, feedback)
-    goal = Goal(task.at, _windows(model, task.at, range), limits=_position_limits(model, task))
+    goal = Goal(
+        task.at,
+        _windows(model, task.at, range),
+        min(Goal.hold, DESIGN.hold * model.dt),
+        _position_limits(model, task),
+    )
     start, beyond, gains = None, None, feedback
     if task.start is not None:
         on_message("motion")
