@@ -116,16 +116,17 @@ def test_a_search_that_is_stopped_has_its_best_stage():
     assert error(result.model, oscillation()) < 1.0
 
 
-def test_what_diverges_is_left_and_stages_are_not_trained():
+def test_what_diverges_stands_still_and_stages_are_not_trained():
     data = oscillation()
     states = np.column_stack([data[0].q, data[0].velocities("file")])
     record = LinearRecord(states, np.ones((len(states), 1)))
     residual = PositionResidual(np.ones(1), np.zeros(1, bool))
     search = LinearSearch([record], [record], residual, options=LinearSearchOptions((50,)))
-    unstable = np.column_stack([1e30 * np.eye(2), np.zeros(2)])
-    found, is_complete = search.run(unstable, lambda: False)
-    assert is_complete
-    np.testing.assert_array_equal(found, unstable)
+    for factor in (1e30, 1e300, np.nan):
+        unstable = np.column_stack([factor * np.eye(2), np.zeros(2)])
+        found, is_complete = search.run(unstable, lambda: False)
+        assert is_complete
+        np.testing.assert_array_equal(found, np.zeros((2, 3)))
     with pytest.raises(
         tn.InputError, match=r"stages: unknown key; nothing is trained: leave it out"
     ):

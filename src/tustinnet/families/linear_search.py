@@ -98,6 +98,7 @@ class LinearSearch:
         self._longest = min(self._longest, longest or self._longest)
         self._choosing = choosing
 
+    @np.errstate(all="ignore")  # of maps whose free runs diverge
     def run(self, initial: Change, should_stop: Callable[[], bool]) -> tuple[Change, bool]:
         """The best change after all stages, and whether there was time for all of them.
 
@@ -123,7 +124,8 @@ class LinearSearch:
         """The stage with the best free runs over the longest segments that one of them follows.
 
         That is: better than a position that stays at its mean. Whole records of a plant that a
-        controller holds are followed by none.
+        controller holds are followed by none. What over no length is better than standing still, as
+        where columns hardly move, is replaced by that.
         """
         best = stages[-1]
         for length in self._lengths:
@@ -132,7 +134,12 @@ class LinearSearch:
             costs = [self._cost(change, segments) for change in stages]
             if length == self._lengths[0] or min(costs) < still / _count(segments):
                 best = stages[int(np.argmin(costs))]
-        return best
+        rest = np.zeros_like(best)
+        is_better = (
+            self._cost(best, segments) < self._cost(rest, segments)
+            for segments in (_cut(self._choosing, length) for length in self._lengths)
+        )
+        return best if any(is_better) else rest
 
     def _descend(
         self, change: Change, segments: Sequence[LinearRecord], should_stop: Callable[[], bool]
@@ -162,13 +169,12 @@ class LinearSearch:
 
     def _cost(self, change: Change, segments: Sequence[LinearRecord]) -> float:
         """Mean squared residual of free runs; infinite where one diverges."""
+        if not np.isfinite(change).all():
+            return np.inf
         total = 0.0
-        with np.errstate(over="ignore", invalid="ignore"):
-            for segment in segments:
-                error = _FreeRun(change, segment).states[..., : self._outputs] - self._positions(
-                    segment
-                )
-                total += self._sum_of_squares(error)
+        for segment in segments:
+            states = _FreeRun(change, segment).states[..., : self._outputs]
+            total += self._sum_of_squares(states - self._positions(segment))
         return total / _count(segments) if np.isfinite(total) else np.inf
 
     def _normal_equations(
