@@ -98,6 +98,13 @@ def test_tables_of_the_same_columns_are_records(tmp_path: Path, content: Any) ->
     np.testing.assert_array_equal(columns.part("fast")["angle"], ANGLE)
 
 
+def test_motors_that_share_their_times_are_of_one_record(tmp_path: Path) -> None:
+    motors = {number: {"id": int(number), "angle": ANGLE} for number in ("31", "44")}
+    columns = read(tmp_path / "log.json", {"t": T, "motors": motors})
+    assert not columns.parts
+    assert columns.names == ("t", "motors/31/angle", "motors/44/angle")
+
+
 def as_lines(frame: pl.DataFrame) -> str:
     rows = ({k: v for k, v in row.items() if v is not None} for row in frame.iter_rows(named=True))
     return "\n".join(map(json.dumps, rows))

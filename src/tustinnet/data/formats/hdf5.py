@@ -80,9 +80,7 @@ def _contents(path: Path) -> Contents:
             texts = (item.data.attrs.get(key) for key in _UNITS)
             unit = next((text for text in texts if isinstance(text, str | bytes)), "")
             units[item.name] = unit if isinstance(unit, str) else unit.decode("utf-8", "replace")
-    return Contents(
-        arrays, others, units=units, parts=parts_of_groups([name for name, _ in arrays])
-    )
+    return Contents(arrays, others, units=units, parts=parts_of_groups(arrays))
 
 
 def _arrays(path: Path, names: set[str]) -> dict[str, Array]:

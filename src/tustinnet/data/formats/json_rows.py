@@ -3,7 +3,7 @@
 A list of objects or an object a line is a table, as is what is under the keys of an object:
 `{"mass": 0.9, "entries": [{"time": 0.0, "angle": 1.2}, ...]}`. Names within one another are joined
 as `motor/angle`, a list of two numbers is the columns `q[1]` and `q[2]`. Tables of the same columns
-under several keys, or in a list, are records.
+under several keys, or in a list, are records; those of motors that share their times are of one.
 """
 
 import json
@@ -41,8 +41,8 @@ class _Arrays:
         """Takes a value of the document and all that is in it."""
         if isinstance(value, Mapping) and {"columns", "data"} <= {*value}:  # `split` of pandas
             self.add(name, [dict(zip(value["columns"], row, strict=True)) for row in value["data"]])
-        elif isinstance(value, Mapping) and value and all(key.isdigit() for key in value):
-            self.add(name, [*value.values()])  # by the numbers of rows
+        elif isinstance(value, Mapping) and _has_rows_by_number(value):
+            self.add(name, [*value.values()])
         elif isinstance(value, Mapping):
             for key, item in value.items():
                 self.add(f"{name}/{key}" if name else key, item)
@@ -56,8 +56,7 @@ class _Arrays:
         some = [row for row in rows if row is not None]
         lengths = {len(row) for row in some if isinstance(row, list)}
         if some and all(isinstance(row, Mapping) for row in some):
-            lists = [len(x) for row in some for x in row.values() if isinstance(x, list)]
-            if max(lists, default=0) > len(rows):  # each is a record of its own
+            if _has_long_lists(some):  # each is a record of its own
                 for number, row in enumerate(some, start=1):
                     self.add(f"{name}/{number}" if name else str(number), row)
                 return
@@ -92,6 +91,17 @@ class _Arrays:
         times = read_dates(pl.Series([row or "" for row in rows]))
         self.numbers[name] = times.fill_null(float("nan")).to_numpy()
         self.notes.append(f"'{name}': dates or times of day, read as seconds since midnight")
+
+
+def _has_rows_by_number(value: Mapping[str, Any]) -> bool:
+    """Whether the keys of an object are the numbers of rows, and not those of motors or records."""
+    return bool(value) and all(map(str.isdigit, value)) and not _has_long_lists([*value.values()])
+
+
+def _has_long_lists(items: Sequence[Any]) -> bool:
+    """Whether objects have lists that are longer than there are objects."""
+    values = [x for item in items if isinstance(item, Mapping) for x in item.values()]
+    return max((len(x) for x in values if isinstance(x, list)), default=0) > len(items)
 
 
 def _read(path: Path) -> _Arrays:
@@ -146,7 +156,7 @@ def _contents(path: Path) -> Contents:
         [(name, shape) for name, shape in shapes.items() if shape[0] > 1],
         found.others,
         clocks,
-        parts=parts_of_groups([*found.numbers]),
+        parts=parts_of_groups([(name, array.shape) for name, array in found.numbers.items()]),
         notes=(*found.notes, *([NOTE] if topics else [])),
     )
 

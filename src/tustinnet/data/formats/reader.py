@@ -77,10 +77,17 @@ def parts_of_matrices(arrays: list[tuple[str, Shape]]) -> dict[str, Part]:
     return {name: Part(name) for name, _ in arrays} if is_record else {}
 
 
-def parts_of_groups(names: list[str]) -> dict[str, Part]:
-    """Groups beside one another, `run1/` and `run2/`, with arrays of the same names: records."""
+def parts_of_groups(arrays: list[tuple[str, Shape]]) -> dict[str, Part]:
+    """Groups beside one another, `run1/` and `run2/`, with arrays of the same names: records.
+
+    Where an array outside of them is as long as all of theirs, as times that they share, they are
+    of one record, as `motor1/` and `motor2/`.
+
+    Args:
+        arrays: names and shapes.
+    """
     inside: dict[str, set[str]] = {}
-    for name in names:
+    for name, _ in arrays:
         pieces = name.split("/")
         for k in range(1, len(pieces)):
             inside.setdefault("/".join(pieces[:k]), set()).add("/".join(pieces[k:]))
@@ -89,5 +96,12 @@ def parts_of_groups(names: list[str]) -> dict[str, Part]:
         siblings.setdefault(group.rpartition("/")[0], []).append(group)
     for groups in siblings.values():
         if len(groups) > 1 and all(inside[group] == inside[groups[0]] for group in groups):
+            starts = tuple(f"{group}/" for group in groups)
+            within, outside = (
+                {shape[0] for name, shape in arrays if shape and name.startswith(starts) == is_in}
+                for is_in in (True, False)
+            )
+            if len(within) == 1 and within <= outside:
+                return {}
             return {group.rpartition("/")[2]: Part(f"{group}/") for group in groups}
     return {}
