@@ -175,6 +175,8 @@ def select_model(
             on_step=stopwatch.end,
         ),
     )
+    for finding in prepared.findings:
+        reporter.on_message(finding.text)
     promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
     context = context.with_changes(data=prepare_for_folds(prepared.data)[0])
     folds = min(context.scoring.folds, len(context.data))
