@@ -2,7 +2,7 @@
 
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,6 +96,11 @@ class Reporter:
     on_message: Callable[[str], None] = lambda sentence: None
     make_listener: MakeListener = lambda job: SILENT
 
+    def report(self, findings: Iterable[Finding]) -> None:
+        """Calls `on_message` with each finding."""
+        for finding in findings:
+            self.on_message(finding.text)
+
 
 def select_model(
     data: DataSet,
@@ -161,8 +166,7 @@ def select_model(
     if records.channels.controller is not None:
         before.append(make_finding("judged in loop"))
     before += omitted
-    for finding in before:
-        reporter.on_message(finding.text)
+    reporter.report(before)
     specification = _make_specification(plan, context)
     stopwatch.end("records")
     prepared = prepare_records(
@@ -175,8 +179,7 @@ def select_model(
             on_step=stopwatch.end,
         ),
     )
-    for finding in prepared.findings:
-        reporter.on_message(finding.text)
+    reporter.report(prepared.findings)
     promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
     context = context.with_changes(data=prepare_for_folds(prepared.data)[0])
     folds = min(context.scoring.folds, len(context.data))
