@@ -391,8 +391,8 @@ def _compare_velocity(
     others = np.abs(np.nan_to_num([np.corrcoef(s, column)[0, 1] for s in slopes.T]))
     best = int(np.argmax(others))
     how = make_finding("times the slope", gain=gain, correlation=correlation)
-    left, left_by_best = 1 - correlation**2, 1 - others[best] ** 2
-    is_better = left > LEVELS.left_by_own * left_by_best
+    residual, best_residual = 1 - correlation**2, 1 - others[best] ** 2
+    is_better = residual > LEVELS.own_residual * best_residual
     if best != j and others[best] > LEVELS.high_correlation and is_better:
         relation = make_finding("is that of another", other=e.coordinates[best].name)
         how = make_finding("correlates with another", correlation=correlation, other=others[best])

@@ -44,8 +44,8 @@ class CheckLevels:
         same_velocity_unit: relative difference of a gain from that of another unit.
         low_correlation: of a column that is not the slope of the positions.
         high_correlation: of one that is.
-        left_by_own: share of a velocity column that the slope of its own positions leaves, by what
-            that of others leaves; joints that move together have velocities that are alike.
+        own_residual: share of a velocity column that the slope of its own positions does not
+            explain, by that of others; joints that move together have velocities that are alike.
         beyond_limits: of the range between the limits of an input.
         run: samples of a stretch that is looked up in other records.
         changes: of them, in which something moves.
@@ -117,7 +117,7 @@ class CheckLevels:
     same_velocity_unit: float = 0.1
     low_correlation: float = 0.5
     high_correlation: float = 0.9
-    left_by_own: float = 5.0
+    own_residual: float = 5.0
     beyond_limits: float = 0.01
     run: int = 16
     changes: int = 8

@@ -92,7 +92,7 @@ def select(
             choice = tn.select_model(
                 records, fit_options.out, selection, fit_options.earlier, reporter, executor
             )
-    folder, start = choice.context.folder, choice.result(choice.best).starts[0]
+    folder, start = choice.context.folder, choice.result(choice.best).start
     # the folder is let go only when figures and report, which are of this model, are there
     with after_model(folder / run_folder.MODEL), disk.lock_folder(folder):
         if choice.context.system_file is not None:

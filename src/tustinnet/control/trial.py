@@ -86,8 +86,7 @@ def try_design(
     ]
     training_range = None if header is None else Range.from_header(dict(header), design.model)
     places = draw_starts(design.first_positions, _spread(design, training_range), count, seed)
-    for j, c in enumerate(design.model.channels.coordinates):
-        places[:, j] = np.clip(places[:, j], *design.goal.limits.get(c.name, (-np.inf, np.inf)))
+    places = _within_limits(design, places)
     controller, estimator = compile_loop(design.controller, design.estimated, design.noise)
     robustness = assess_robustness(
         kinds, controller, estimator, places, design.goal, design.steps, seed
@@ -131,3 +130,13 @@ def _spread(design: ControlDesign, training_range: Range | None) -> Float[np.nda
         windows = [design.goal.window.get(c.name, 0.0) for c in channels.coordinates]
         spread = np.maximum(spread, _START_WINDOWS * np.array(windows))
     return spread
+
+
+def _within_limits(
+    design: ControlDesign, places: Float[np.ndarray, "count n_q"]
+) -> Float[np.ndarray, "count n_q"]:
+    """Positions, those beyond the limits of the goal moved onto these."""
+    free = (-np.inf, np.inf)
+    names = [c.name for c in design.model.channels.coordinates]
+    low, high = np.transpose([design.goal.limits.get(name, free) for name in names])
+    return np.clip(places, low, high)

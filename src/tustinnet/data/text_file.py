@@ -477,7 +477,7 @@ def find_names(lines: Sequence[str], width: int) -> list[str] | None:
 
 
 def find_descriptions(lines: Sequence[str], names: Collection[str]) -> dict[str, str]:
-    """What lines of a text say of columns by their names; empty where it is of few of them.
+    """Descriptions of columns by their names in lines of a text; empty where it has few.
 
     As ``- `d`: displacement (mm)``, `d = displacement` or `| d | displacement | mm |`.
     """

@@ -127,19 +127,15 @@ class LinearSearch:
         controller holds are followed by none. What over no length is better than standing still, as
         where columns hardly move, is replaced by that.
         """
-        best = stages[-1]
-        for length in self._lengths:
-            segments = _cut(self._choosing, length)
-            still = sum(self._sum_of_squares(self._positions(s)) for s in segments)
-            costs = [self._cost(change, segments) for change in stages]
-            if length == self._lengths[0] or min(costs) < still / _count(segments):
-                best = stages[int(np.argmin(costs))]
-        rest = np.zeros_like(best)
-        is_better = (
-            self._cost(best, segments) < self._cost(rest, segments)
-            for segments in (_cut(self._choosing, length) for length in self._lengths)
-        )
-        return best if any(is_better) else rest
+        rest = np.zeros_like(stages[0])
+        cuts = [_cut(self._choosing, length) for length in self._lengths]
+        costs = np.array([[self._cost(c, cut) for c in (*stages, rest)] for cut in cuts])
+        best = 0
+        for k, (cut, row) in enumerate(zip(cuts, costs[:, :-1], strict=True)):
+            still = sum(self._sum_of_squares(self._positions(s)) for s in cut)
+            if k == 0 or row.min() < still / _count(cut):
+                best = int(np.argmin(row))
+        return stages[best] if (costs[:, best] < costs[:, -1]).any() else rest
 
     def _descend(
         self, change: Change, segments: Sequence[LinearRecord], should_stop: Callable[[], bool]

@@ -28,7 +28,7 @@ def candidates_frame(choice: Choice) -> pl.DataFrame:
         row: dict[str, Any] = {"name": s.name, "is_chosen": s is best}
         row |= dict(zip(("rmse", "standard_error"), mean_and_error(s.rmse().values()), strict=True))
         row |= {
-            "start": s.starts[0],
+            "start": s.start,
             "difference": difference.mean,
             "difference_error": difference.standard_error,
             "difference_records": difference.records,
@@ -155,7 +155,7 @@ def free_runs(choice: Choice) -> dict[str, dict[str, Score]]:
     for label in labels:
         result, context = choice.result(label), choice.context
         scores = context.evaluate_folds(
-            result.fits_by_fold, result.starts[0], context.scoring.horizon, shown_names
+            result.fits_by_fold, result.start, context.scoring.horizon, shown_names
         )
         for name, score in scores.items():
             runs.setdefault(name, {})[label] = score

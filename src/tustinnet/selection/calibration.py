@@ -34,7 +34,7 @@ def calibrate_on_folds(
     """
     if not family_of(final.model).alternatives(final.model, dict(final.header)):
         return None
-    start, horizon = result.starts[0], context.scoring.horizon
+    start, horizon = result.start, context.scoring.horizon
     predictions, records = list[Prediction](), list[Experiment]()
     for fold, (fit, *_) in sorted(result.fits_by_fold.items()):
         model = context.load_model(fit.model)

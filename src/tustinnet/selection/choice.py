@@ -292,7 +292,7 @@ class Choice(Shown):
                 "made": self.origins[name],
             },
             "scores": {
-                **scores_header(LEFT_OUT, result.starts[0], data.channels, scoring.horizon, rmse),
+                **scores_header(LEFT_OUT, result.start, data.channels, scoring.horizon, rmse),
                 "standard_error": mean_and_error(rmse.values())[1],
                 "reference": self.reference.as_header(rmse, self._records),
             },
@@ -310,7 +310,7 @@ class Choice(Shown):
             "data": self.context.data.name,
             "unit": self.unit,
             "folds": self.context.scoring.folds,
-            "start": best.starts[0],
+            "start": best.start,
             "horizon": self.context.scoring.horizon,
             "best": self.best,
             "simplest": self.simplest,

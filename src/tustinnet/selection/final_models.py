@@ -118,7 +118,7 @@ def _possible_models(
     all folds are averaged. Models of single folds come last, the one with the lowest error first.
     """
     fits, why = result.fits, ""
-    single = sorted(fits, key=lambda fit: mean_and_error(fit.rmse[result.starts[0]].values())[0])
+    single = sorted(fits, key=lambda fit: mean_and_error(fit.rmse[result.start].values())[0])
     recipe = context.recipe_of(candidates.plan.candidate(result.name))
     if recipe.family.averages_folds and len(fits) > 1:
         try:
@@ -168,7 +168,7 @@ def _first_as_promised(
     something is wrong with it.
     """
     records, tried = records_without_test(context.data), list[tuple[float, FinalModel]]()
-    start, promised = result.starts[0], result.mean
+    start, promised = result.start, result.mean
     for way in ways:
         scores = score_runs(way.model, records, start, horizon=context.scoring.horizon)
         error = mean_and_error(rmse_by_record(scores).values())[0]

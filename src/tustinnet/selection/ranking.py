@@ -75,6 +75,11 @@ class CandidateResult:
         starts = dict.fromkeys(start for fit in self.fits for start in fit.rmse)
         return tuple(sorted(starts, key=lambda s: _mean(self._compared(self.rmse(start=s)))))
 
+    @property
+    def start(self) -> str:
+        """The start that judges."""
+        return self.starts[0]
+
     def rmse(self, folds: Iterable[int] | None = None, start: str = "") -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
 
@@ -86,7 +91,7 @@ class CandidateResult:
             pair
             for fold in (self.fits_by_fold if folds is None else folds)
             for fit in self.fits_by_fold[fold]
-            for pair in fit.rmse.get(start or self.starts[0], {}).items()
+            for pair in fit.rmse.get(start or self.start, {}).items()
         )
 
     @property

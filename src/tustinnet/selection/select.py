@@ -312,7 +312,7 @@ def _choose(
         bands,
         spoiled=spoiled,
         notes=left_out,
-        whole=context.evaluate_folds(best.fits_by_fold, best.starts[0], None),
+        whole=context.evaluate_folds(best.fits_by_fold, best.start, None),
     )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL

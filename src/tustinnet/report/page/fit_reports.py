@@ -62,7 +62,7 @@ def write_choice_report(choice: Choice, command: str) -> Path:
     rmse = result.rmse()
     shown_names = choose_shown_records(rmse)
     options = ReportOptions(
-        result.starts[0], choice.context.scoring.horizon, command=command, total_records=len(rmse)
+        result.start, choice.context.scoring.horizon, command=command, total_records=len(rmse)
     )
     models = read_reported_models([folder / MODEL], [choice.model])
     records = [e for e in choice.context.data if e.name in shown_names]
