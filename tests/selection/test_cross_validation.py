@@ -9,10 +9,12 @@ from swinging import SWING
 
 import tustinnet as tn
 from tustinnet.data.declaration import parse_toml
+from tustinnet.fitting.listener import Listener
 from tustinnet.selection.cross_validation import (
     CrossValidationOptions,
     cross_validate,
     make_cross_validation_options,
+    prepare_for_validation,
     remove_results,
 )
 from tustinnet.selection.jobs import JobResult
@@ -70,6 +72,18 @@ def test_scores_are_those_of_one_piece_and_jobs_that_are_done_are_kept(kind, tmp
     assert not (tmp_path / "folds.json").exists()
     cross_validate(swings(), options, folder=tmp_path, executor=made[2], system=system)
     assert made[2].fitted == physics | folds
+
+
+def test_holds_and_delays_that_were_determined_are_said():
+    messages: list[str] = []
+    listener = Listener(on_message=messages.append)
+    channels = swings().channels
+    unknown = (replace(channels.inputs[0], hold="unknown"),)
+    channels = replace(channels, inputs=unknown)
+    late = tn.DataSet("late", tuple(replace(e, channels=channels) for e in swings()))
+    data = prepare_for_validation(late, options_for("network"), listener)
+    assert data.channels.inputs[0].hold == "zero-order"
+    assert any("'voltage' acts" in sentence for sentence in messages)
 
 
 def test_a_job_that_fails_is_told_with_its_fold(tmp_path):

@@ -66,6 +66,11 @@ class MemberRun:
         """Mean RMSE over the judging records [rad or m]."""
         return mean_rmse(self.scores)
 
+    @property
+    def rmse(self) -> dict[str, float]:
+        """RMSE of each judging record [rad or m]."""
+        return rmse_by_record(self.scores)
+
 
 @dataclass(frozen=True)
 class Run:
@@ -102,7 +107,7 @@ class Run:
     @property
     def follows(self) -> bool:
         """Whether the best model follows these records better than a trivial predictor."""
-        return self.best.mean < self.reference.mean
+        return self.reference.median_share(self.best.rmse, self.roles.ranking) < 1
 
     @cached_property
     def training_rmse(self) -> Mapping[str, float]:
@@ -156,7 +161,7 @@ class Run:
 
     def header(self, member: MemberRun) -> dict[str, Any]:
         """The header of the model file of a member, beside the model's own."""
-        channels, rmse = self.channels, rmse_by_record(member.scores)
+        channels = self.channels
         return {
             **member.result.as_header(),
             "data": data_header(self.data, self.roles.all),
@@ -166,9 +171,9 @@ class Run:
                 self.start,
                 channels,
                 member.scores[0].horizon,
-                rmse,
+                member.rmse,
                 mean_rmse_by_unit(member.scores, channels),
-                self.reference.as_header(rmse, self.roles.ranking),
+                self.reference.as_header(member.rmse, self.roles.ranking),
             ),
             **system_header(self.system),
             **equations_header(member.result.model),
@@ -196,7 +201,7 @@ class Run:
                     "outcome": run.result.outcome,
                     "mean": run.mean,
                     "mean_by_unit": mean_rmse_by_unit(run.scores, self.channels),
-                    "rmse": rmse_by_record(run.scores),
+                    "rmse": run.rmse,
                     "train_seconds": run.result.seconds,
                     **run.result.details.get("training", {}),
                     "findings": [f.as_plain() for f in run.result.findings],

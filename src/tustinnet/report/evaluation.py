@@ -16,7 +16,7 @@ from tustinnet.evaluate.coverage import Coverage
 from tustinnet.evaluate.horizons import HorizonError, describe_followed, seconds_followed
 from tustinnet.evaluate.reference import Reference
 from tustinnet.evaluate.residuals import ResidualReport
-from tustinnet.evaluate.scores import Score, mean_rmse, mean_rmse_by_unit
+from tustinnet.evaluate.scores import Score, mean_rmse, mean_rmse_by_unit, rmse_by_record
 from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force_errors
 from tustinnet.fitting.report import ForceError, Stretch
 from tustinnet.report.fits import force_errors_table
@@ -119,7 +119,8 @@ class Evaluation:
         yield from _score_tables(self.by_split, self.channels, self.start, label, trivial)
         yield _horizon_table(self.horizons, self.channels)
         yield describe_followed(self.records, self.whole).text
-        if not mean_rmse(self.scores) < self.reference.mean:
+        rmse = rmse_by_record(self.scores)
+        if self.reference.median_share(rmse, self.records) >= 1:
             yield f"the model follows these records no better than {label}"
         if self.band_options is not None:
             yield _band_table(self.coverage, self.band_options, self.channels)

@@ -274,7 +274,10 @@ def prepare_for_validation(
     preparation = PreparationOptions(
         system=options.system, finds_timing=not is_published(options.recipe), listener=listener
     )
-    return prepare_records(data, preparation).data
+    prepared = prepare_records(data, preparation)
+    for finding in prepared.findings:
+        listener.on_message(finding.text)
+    return prepared.data
 
 
 def fit_splits(
