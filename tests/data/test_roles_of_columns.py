@@ -732,6 +732,41 @@ def test_a_readme_names_columns_that_have_no_header(text: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
+    ("script", "text"),
+    [
+        ("plot.m", "x = load('log.csv');\nuMotor = x(:, 1);\n% q = x(:,1);\nq = x(:, 2:3);"),
+        ("read.py", "data = np.loadtxt(path)\nuMotor = data[:, 0]\nq = data[:, 1:3]  # rad\n"),
+        ("table.m", "legend({'a','b','c'})\nT.Names = {'uMotor', 'q1', ...\n 'q2'};"),
+    ],
+)
+def test_a_script_names_columns_that_have_no_header(script: str, text: str, tmp_path: Path) -> None:
+    u = levels(36)
+    x, _ = moved_by(u)
+    np.savetxt(tmp_path / "log.csv", np.column_stack([u, x, x[::-1]]), "%.7g", ",")
+    (tmp_path / script).write_text(f"{text}\nTs = 1/200;\nother = 3\n")
+    made = draft_card(tmp_path, ["log.csv"])
+    assert made.notes[0] == f"names of columns by {script}: uMotor, q1, q2"
+    assert [c.name for c in made.choice.coordinates] == ["q1", "q2"]
+    assert [i.name for i in made.choice.inputs] == ["uMotor"]
+    assert made.dt == 0.005
+    assert f"as {script} has it" in made.text
+    assert "period" not in [question.key for question in made.questions]
+
+
+def test_a_script_says_what_channels_are_and_two_periods_say_none(tmp_path: Path) -> None:
+    u = levels(39)
+    x, _ = moved_by(u)
+    (tmp_path / "fit.m").write_text("theta = T('Channel 2');\ndata = iddata(theta', U', 5e-3);\n")
+    made = draft(tmp_path, {"Channel 1": u, "Channel 2": x}, clock="")
+    assert [c.column for c in made.choice.coordinates] == ["Channel 2"]
+    assert "'theta' in its name" in made.text
+    assert made.dt == 0.005
+    (tmp_path / "simulate.py").write_text("dt = 1e-3\n")
+    made = draft_card(tmp_path, ["r0.csv"])
+    assert "period" in [question.key for question in made.questions]
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "The rig.\n- `t`: time (s)\n- `y`: measured force\n- `d`: displacement (mm)\n"

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -62,6 +62,7 @@ _EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing 
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _MARKUP = " `*"
 _RULE = re.compile(r"[ |:]*-[-|: ]*\|[-|: ]*")  # below the head of a table in Markdown
+_LIST_MARK = re.compile(r"^\s*(?:[*+-]|\d+[.)])*\s*")
 _IS = re.compile(r"\s*[:=]\s+|\s+[-\u2013\u2014]\s+")  # between a name and what it means
 _NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
 
@@ -485,7 +486,8 @@ def find_descriptions(lines: Sequence[str], names: Collection[str]) -> dict[str,
     for line in lines:
         cells = _cells_in_text(line)
         if len(cells) < 2:
-            cells = [c.strip(_MARKUP) for c in _IS.split(line.strip(" *-+"), maxsplit=1)]
+            plain = _LIST_MARK.sub("", line).strip()
+            cells = [c.strip(_MARKUP) for c in _IS.split(plain, maxsplit=1)]
         cells = cells[cells[0].isdigit() :]
         if len(cells) > 1 and cells[0] in names and cells[1]:
             unit = next((f" [{cell}]" for cell in cells[2:] if cell and is_unit(cell)), "")
@@ -522,8 +524,13 @@ def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:
         numbers = [int(number) for number in re.findall(r"\d+", match[1])]
         names |= {n: f"{match[2]} {n}" if len(numbers) > 1 else match[2] for n in numbers}
     first = 0 if 0 in names else 1
-    columns = [names.get(first + k, f"{NUMBERED}{k + 1}") for k in range(width)]
-    named = sum(first + k in names for k in range(width))
+    return labels_of_columns({n - first + 1: name for n, name in names.items()}, width)
+
+
+def labels_of_columns(names: Mapping[int, str], width: int) -> list[str] | None:
+    """The names of all columns by those of some, which are numbered from 1; None of few of them."""
+    columns = [names.get(k, f"{NUMBERED}{k}") for k in range(1, width + 1)]
+    named = sum(k in names for k in range(1, width + 1))
     return columns if named >= max(2, width / 3) and len({*columns}) == width else None
 
 

@@ -29,6 +29,10 @@ _NAME_OF_RATE = re.compile(
 # a period of 100 ms or more is rather how long something lasts
 _IN_NAME = re.compile(r"(?<![\d.,])(\d{1,2}(?=ms)|\d{1,5}(?=us))(ms|us)(?![a-z])")
 
+_NUMERAL = r"(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)"
+_ASSIGNMENT = re.compile(rf"(?m)^\s*([\w.]+)\s*=\s*{_NUMERAL}(?:\s*/\s*{_NUMERAL})?\s*(?:[;#%,]|$)")
+_DATA_OBJECT = re.compile(rf"\biddata\(.*,\s*{_NUMERAL}\s*[,)]")  # of MATLAB
+
 
 def period_in_name(name: str) -> float | None:
     """The period [s] that a file's name may say, as `run_4000us`; None where it says none."""
@@ -50,6 +54,18 @@ def period_in_numbers(texts: Mapping[str, str]) -> float | None:
         if value > 0 and _NAME_OF_RATE.search(name):
             return 1 / value
     return None
+
+
+def period_in_script(text: str) -> float | None:
+    """The period [s] in a script: that of a data object or of a variable, as `Ts = 0.01`."""
+    if made := _DATA_OBJECT.search(text):
+        return float(made[1]) or None
+    values = {
+        name: float(number) / float(divisor or 1)
+        for name, number, divisor in _ASSIGNMENT.findall(text)
+        if float(divisor or 1)
+    }
+    return period_in_numbers({name: f"{value:.9g}" for name, value in values.items()})
 
 
 def find_period(path: Path) -> float | None:

@@ -31,7 +31,6 @@ from tustinnet.data.drafting.logs import (
     find_clock,
     find_pieces,
     keep_usual,
-    name_as_described,
     read_logs,
     read_names,
 )
@@ -41,6 +40,7 @@ from tustinnet.data.drafting.positions import period_by_velocities
 from tustinnet.data.drafting.relations import Slopes, compare_slopes, find_sines
 from tustinnet.data.drafting.splits import Splits, choose_splits, find_conditions
 from tustinnet.data.drafting.system_columns import SystemChannels
+from tustinnet.data.drafting.texts_beside import name_as_described, period_beside
 from tustinnet.data.readers import is_text
 from tustinnet.data.text_rate import find_period, period_in_name, period_in_numbers
 from tustinnet.errors import InputError
@@ -349,6 +349,8 @@ def _find_period(
         return float(answers[PERIOD]), "as you say"
     if (period := _said_period(folder, logs)) is not None:
         return period, "by the sampling rate that the files say"
+    if (said := period_beside(folder)) is not None:
+        return said
     if by_velocities is not None:
         return by_velocities
     return _only_period({period_in_name(log.file) for log in logs}) or _USUAL_PERIOD, ""

@@ -3,7 +3,6 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,14 +17,12 @@ from tustinnet.data.drafting.names import INPUTS, NameReading, read_name
 from tustinnet.data.drafting.numbers import Values
 from tustinnet.data.drafting.vocabulary import LINEAR, QUALIFIERS, Qualifier
 from tustinnet.data.readers import is_text, read_columns
-from tustinnet.data.text_dialect import decode
-from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER, find_descriptions, find_names
+from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 from tustinnet.wording import counted
 
 _MOST_COLUMNS = 60  # that are examined
-_LONGEST_README = 100_000  # characters of it
 _SHORTEST_RECORD = 20  # samples of a record
 _DAMAGED = re.compile("the text '|an empty cell")  # messages on cells that are no numbers
 _EPOCHS = (("s", 5e8, 5e9), ("ms", 5e11, 5e12), ("us", 5e14, 5e15), ("ns", 5e17, 5e18))
@@ -287,33 +284,6 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
         for log in logs
         if {*usual} <= {*log.values}
     ]
-
-
-def name_as_described(
-    folder: Path, logs: Sequence[Log], on_message: Callable[[str], None]
-) -> Sequence[Log]:
-    """The logs with what a README in their folder says of their columns.
-
-    Names of columns that have none, or descriptions of those that have.
-
-    Args:
-        folder: the folder of the card.
-        logs: the logs, of the same columns.
-        on_message: called with a sentence on what is from the README.
-    """
-    names = [*logs[0].values, *logs[0].texts]
-    is_bare = are_numbers(names) and all(log.has_header is False for log in logs)
-    for path in sorted(folder.glob("[Rr][Ee][Aa][Dd][Mm][Ee]*")):
-        with suppress(OSError, InputError):
-            lines = decode(path, None)[0][:_LONGEST_README].splitlines()
-            if is_bare and (labels := find_names(lines, len(names))):
-                on_message(f"names of columns by {path.name}: {', '.join(labels)}")
-                by_column = {f"{NUMBERED}{k}": text for k, text in enumerate(labels, start=1)}
-                return [replace(log, labels=by_column) for log in logs]
-            if not is_bare and (texts := find_descriptions(lines, names)):
-                on_message(f"described by {path.name}: {', '.join(texts)}")
-                return [replace(log, descriptions=texts) for log in logs]
-    return logs
 
 
 def _name_as_others(logs: Sequence[Log], on_message: Callable[[str], None]) -> Sequence[Log]:

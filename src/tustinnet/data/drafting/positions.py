@@ -23,6 +23,7 @@ from tustinnet.data.drafting.numbers import (
 )
 from tustinnet.data.units import ANGLE, LENGTH, TIME, convert_to_si
 
+_COUNTS_A_SECOND = "counts/s"
 _SAME_FACTOR = 0.02  # relative; factors of units this near are equal
 _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
@@ -215,6 +216,8 @@ def _unit_by_velocity(
     """The unit of a position by the factor of its velocity, empty where it says none."""
     if factor is None or factor <= 0:
         return ""
+    if velocity_unit == _COUNTS_A_SECOND and abs(factor - 1) < _SAME_FACTOR:
+        return "counts"
     tables: list[tuple[Mapping[str, float], Mapping[str, float]]] = []
     if kind != "linear":
         tables.append((ANGLE, ANGULAR_SPEEDS))
@@ -382,6 +385,8 @@ def _velocity(
         return None
     measured, because = _is_measured(column, velocity, findings)
     speed: str | None = findings.readings[velocity].unit or None
+    if speed == _COUNTS_A_SECOND and unit != "counts":
+        return None
     if speed is None and unit in (*ANGLE, *LENGTH):
         units = ANGLE if kind == "angular" else LENGTH
         speeds = ANGULAR_SPEEDS if kind == "angular" else LINEAR_SPEEDS

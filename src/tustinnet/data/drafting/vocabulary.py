@@ -26,8 +26,8 @@ Quantity = Literal[
 Qualifier = Literal["command", "measured", "filtered", "model"]
 
 _STRONG: dict[Quantity, str] = {
-    "time": "time times zeit timestamp stamp clock millis micros uptime zeitstempel elapsed temps "
-    "tijd nsec tsec tnsec",
+    "time": "time times zeit timestamp timestamps stamp clock millis micros uptime zeitstempel "
+    "elapsed temps tijd nsec tsec tnsec",
     "counter": "index idx frame seq sequence row zeile nr episode iteration iter sample samples "
     "task lfd messpunkt",
     "position": "pos position positions angle angles winkel enc encoder encoders theta phi psi "
@@ -42,7 +42,7 @@ _STRONG: dict[Quantity, str] = {
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
     "stell aktion pid",
-    "torque": "torque torques tau moment drehmoment effort efforts motormoment trq",
+    "torque": "torque torques tau moment drehmoment effort efforts motormoment trq couple",
     "force": "force forces kraft thrust schub antriebskraft",
     "current": "current currents strom motorstrom iq ankerstrom corriente",
     "pressure": "pressure druck",
