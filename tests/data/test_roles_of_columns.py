@@ -786,6 +786,22 @@ def test_a_readme_says_what_short_names_mean(text: str, tmp_path: Path) -> None:
     assert any(note.startswith("described by README.md") for note in made.notes)
 
 
+def test_lists_in_cells_are_columns_and_current_beside_target_is_no_ampere(tmp_path: Path) -> None:
+    valves = np.column_stack([levels(3), levels(4)])
+    x, _ = moved_by(valves[:, 0])
+    y, _ = moved_by(valves[:, 1])
+    rows = zip(valves.tolist(), x, y, strict=True)
+    lines = [f'{k * DT},"{u}",{a:.6f},{b:.6f},0.1,0.2' for k, (u, a, b) in enumerate(rows)]
+    names = "t,command valve,current_x,current_y,target_x,target_y"
+    (tmp_path / "log.csv").write_text("\n".join([names, *lines]))
+    made = draft_card(tmp_path, ["log.csv"])
+    assert [c.column for c in made.choice.coordinates] == ["current_x", "current_y"]
+    assert [i.column for i in made.choice.inputs] == ["command valve[1]", "command valve[2]"]
+    (tmp_path / "dataset.toml").write_text(made.text, encoding="utf-8")
+    loaded = np.concatenate([record.u for record in tn.load(tmp_path)])
+    np.testing.assert_array_equal(loaded, valves)  # the parts of a card's splits
+
+
 def test_joints_of_several_legs_are_told_by_leg_and_number(tmp_path: Path) -> None:
     joints = [f"{leg}{k}" for leg in ("FL", "FR") for k in (0, 1)]
     torques = {f"{joint}_torque": levels(40 + i) for i, joint in enumerate(joints)}

@@ -62,6 +62,7 @@ _EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing 
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _MARKUP = " `*"
 _RULE = re.compile(r"[ |:]*-[-|: ]*\|[-|: ]*")  # below the head of a table in Markdown
+_LIST = r"^\s*\[[-+.,;\deE\s]+\]\s*$"  # of numbers
 _LIST_MARK = re.compile(r"^\s*(?:[*+-]|\d+[.)])*\s*")
 _IS = re.compile(r"\s*[:=]\s+|\s+[-\u2013\u2014]\s+")  # between a name and what it means
 _NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
@@ -85,7 +86,7 @@ def read_text(
     lines, dialect, pairs = file.lines, file.dialect, file.pairs
     if header is not None and not isinstance(header, bool):
         header = True
-    table = _cells(path, lines, dialect)
+    table = _spread_lists(_cells(path, lines, dialect))
     first = _texts(table, 0)
     # a date alone is no sample: it may stand above the table
     is_sample = any(map(dialect.is_number, first)) and _is_like_others(first, table, dialect)
@@ -558,6 +559,27 @@ def _cells(path: Path, lines: Lines, dialect: Dialect) -> "pl.DataFrame":
     elif ragged is not None:
         defect = f"row {ragged[0]} has {ragged[1]} cells, row {first_row} has {width}"
     raise InputError(path, defect, f"rows of equal length separated by '{dialect.delimiter}'")
+
+
+def _spread_lists(table: "pl.DataFrame") -> "pl.DataFrame":
+    """The cells, of lists of numbers (`[1, 0]`, as Python writes them) a column for each element.
+
+    Below the name `u` they become `u[1]`, `u[2]`.
+    """
+    import polars as pl
+
+    spread: list[pl.Series] = []
+    for column in table.get_columns():
+        is_list = column.str.contains(_LIST).fill_null(value=False)
+        if not is_list[-1] or is_list.sum() < len(column) - HEADER_ROWS:
+            spread.append(column)
+            continue
+        elements = column.str.strip_chars("[] ").str.replace_all(r"[,;\s]+", " ").str.split(" ")
+        for k in range(elements.list.len()[-1]):
+            element = pl.when(is_list).then(elements.list.get(k, null_on_oob=True))
+            cells = element.otherwise(column.str.strip_chars() + f"[{k + 1}]")
+            spread.append(pl.select(cells.alias(f"{column.name}[{k + 1}]")).to_series())
+    return pl.DataFrame(spread)
 
 
 def _numbers(

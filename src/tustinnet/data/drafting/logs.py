@@ -716,7 +716,10 @@ def read_names(logs: Sequence[Log]) -> dict[str, NameReading]:
     for name in readings.keys() & logs[0].descriptions.keys():
         readings[name] = readings[name].with_description(logs[0].descriptions[name])
     words = {word for r in readings.values() for word in r.words}
+    goals = {r.words[1:] for r in readings.values() if {*r.words[:1]} & QUALIFIERS["command"]}
     for name, reading in [*readings.items()]:
+        if reading.words[:1] == ("current",) and reading.words[1:] in goals:  # beside `target_x`
+            readings[name] = replace(read_name(" ".join(reading.words[1:])), name=name)
         terms = {(*reading.words[:-1], term) for term in _TERMS}
         if reading.words in terms and terms <= {r.words for r in readings.values()}:
             readings[name] = replace(read_name("error"), name=name, words=reading.words)
