@@ -1,5 +1,7 @@
 """Equilibria under the limits of the inputs, and what is said of them."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from linear_machines import LinearMachine, double_integrator
 
 import tustinnet as tn
 from tustinnet.control import find_equilibrium
+from tustinnet.control.dynamics import recorded_limits
 from tustinnet.control.sticking import sticking_distances
 from tustinnet.simulate.range import Range
 
@@ -151,3 +154,16 @@ def test_dry_friction_holds_up_to_its_share_of_the_feedback():
     assert sticking_distances(model, held) == {"s": pytest.approx(0.5 / held.gain[0, 0], rel=0.01)}
     summed = tn.control.lqr(model, zero, np.zeros(1), range=ranges, integral=["s"])
     assert sticking_distances(model, summed) == {}
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [((1e-5, 4.0), (0.0, 4.0)), ((-4.0, -0.1), (-4.0, 0.0)), ((3.0, 5.0), (3.0, 5.0))],
+)
+def test_an_input_that_came_near_0_may_be_off(ends, expected):
+    free = replace(double_integrator().channels.inputs[0], limits=None)
+    machine = double_integrator()
+    model = replace(machine, channels=replace(machine.channels, inputs=(free,)))
+    range = Range(np.array([[-0.5, 0.5], [-1.0, 1.0]]), np.array([ends]))
+    assert recorded_limits(model, None, range) == {"force": expected}
+    assert recorded_limits(model, {"force": (1.0, 2.0)}, range) == {"force": (1.0, 2.0)}

@@ -289,6 +289,8 @@ def recorded_limits(
 ) -> dict[str, tuple[float, float]]:
     """Limits of inputs that are given, and as recorded those of inputs that declare none.
 
+    An input that came near 0 may be 0.
+
     Args:
         model: the model.
         limits: smallest and largest value of inputs by name.
@@ -298,9 +300,17 @@ def recorded_limits(
     if range is not None:
         ends = zip(model.channels.inputs, range.inputs.tolist(), strict=True)
         recorded = {
-            i.name: (low, high) for i, (low, high) in ends if i.limits is None and low < high
+            i.name: _with_zero(low, high)
+            for i, (low, high) in ends
+            if i.limits is None and low < high
         }
     return recorded | dict(limits or {})
+
+
+def _with_zero(low: float, high: float) -> tuple[float, float]:
+    """A recorded range, with 0 where the input came near it: what comes to rest can be off."""
+    near = 0.05 * (high - low)
+    return low if low > near else min(low, 0.0), high if high < -near else max(high, 0.0)
 
 
 def safe_inputs(
