@@ -54,7 +54,10 @@ def _find_misfit(
             found = type(given[name]).__name__.replace("NoneType", "None")
             model = getattr(given[name], "model", None)
             remedy = "" if model is None or not _fits(model, hint) else "give its `model`"
-            place, expected = f"{function.__name__}, {name}", " or ".join(_words(hint))
+            of = function.__qualname__.removesuffix(".__init__")
+            place, expected = f"{of}, {name}", " or ".join(_words(hint))
+            other = next((n for n, h in _hints(function).items() if _is_of(given[name], h)), "")
+            remedy = remedy or (f"give it as `{other}=`" if other else "")
             return InputError(place, found, expected, remedy)
     return None
 
@@ -81,9 +84,9 @@ def _fits(value: Any, hint: Any) -> bool:
             return True
         if not issubclass(origin, Iterable):
             return isinstance(value, origin)
-        is_whole = not isinstance(value, str) and isinstance(value, Iterable)
         if issubclass(origin, Mapping):
             return isinstance(value, Mapping)
+        is_whole = not isinstance(value, str | Mapping) and isinstance(value, Iterable)
         is_read = isinstance(value, list | tuple) or getattr(value, "shape", ())
         elements = value if is_read and inner else ()
         return is_whole and all(_fits(element, inner[0]) for element in elements)
@@ -95,6 +98,14 @@ def _fits(value: Any, hint: Any) -> bool:
     if not is_class or getattr(hint, "_is_protocol", False):
         return True
     return isinstance(value, typing.cast("type", _NUMBERS.get(hint, hint)))
+
+
+def _is_of(value: Any, hint: Any) -> bool:
+    """Whether a value is of a class of the package that a type names."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return any(_is_of(value, part) for part in typing.get_args(hint))
+    own = isinstance(hint, type) and hint.__module__.startswith(f"{__package__}.")
+    return own and not getattr(hint, "_is_protocol", False) and isinstance(value, hint)
 
 
 def _words(hint: Any) -> list[str]:

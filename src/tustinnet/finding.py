@@ -11,7 +11,7 @@ from tustinnet.words import WORDS, put_in_words
 from tustinnet.words.sentence import SEVERITIES, Severity
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Finding:
     """A finding: its code, and the numbers and names that it is about.
 
@@ -63,6 +63,9 @@ class Finding:
 
     def __str__(self) -> str:
         return self.text
+
+    def __repr__(self) -> str:
+        return f"Finding({self.code!r}: {self.text})"
 
     @property
     def _named(self) -> Mapping[str, Any]:

@@ -7,6 +7,7 @@ file can import at its top what takes seconds to load.
 
 import ast
 import sys
+from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import isfunction
@@ -45,6 +46,8 @@ class LazyPackage(ModuleType):
                 value = getattr(value, name)
             if isfunction(value):
                 value = check_arguments(value)
+            elif type(value) is type and is_dataclass(value):
+                value.__init__ = check_arguments(value.__init__)
         elif find_spec(module):
             value = LateModule(module)
         else:

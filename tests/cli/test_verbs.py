@@ -413,3 +413,13 @@ def test_show_prints_the_header(model, capsys):
     for word in ("angle (angular)", "torque [N m, zero-order]", "small, seed", "derived-6", "kept"):
         assert word in out
     assert json.loads(tustinnet(capsys, "show", model, "--json")[1])["kind"] == "tustin-net"
+
+
+def test_an_option_of_one_value_that_is_given_twice_is_refused(tmp_path, capsys):
+    out = tmp_path / "x"
+    code, _, err = tustinnet(
+        capsys, "fit", "qube", "--budget", "9s", "--out", out, "--budget", "60s"
+    )
+    assert code != 0
+    assert err == "error: --budget: given twice; expected one value\n"
+    assert not out.exists()

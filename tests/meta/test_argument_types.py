@@ -1,11 +1,13 @@
 """A public function that fails by a value of another type says so in a line."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 from jaxtyping import Float
+from swinging import SWING
 
 import tustinnet as tn
 from tustinnet.argument_types import check_arguments
@@ -66,5 +68,45 @@ def test_missing_arguments_are_those_of_python_and_the_function_keeps_its_name()
 
 @pytest.mark.parametrize("name", ["load", "fit", "evaluate", "load_model", "read_recipe", "check"])
 def test_public_doors_refuse_nothing(name):
-    with pytest.raises(tn.InputError, match=f"{name}, .*: None; expected "):
+    with pytest.raises(tn.InputError, match=f"({name}, .*: None|^data: NoneType); expected "):
         getattr(tn, name)(None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"coordinates": tn.Coordinate("s", "angular")},
+            "coordinates: Coordinate; expected tuple of Coordinate",
+        ),
+        ({"inputs": {"force": "N"}}, "inputs: dict; expected tuple of Input"),
+    ],
+)
+def test_a_public_class_says_it_as_well(changes, told):
+    assert type(SWING) is tn.LagrangianSystem  # which makes it one that says so
+    with pytest.raises(tn.InputError) as raised:
+        replace(SWING, **changes)
+    assert str(raised.value) == f"LagrangianSystem, {told}"
+    with pytest.raises(tn.InputError, match="Coordinate, resolution: str; expected float or None"):
+        tn.Coordinate("s", "linear", resolution="2e-5")  # pyright: ignore
+
+
+def test_the_argument_that_takes_such_a_value_is_named(pendulum):
+    with pytest.raises(
+        tn.InputError, match=r"fit, recipe: LagrangianSystem; .*give it as `system=`"
+    ):
+        tn.fit(pendulum, SWING)  # pyright: ignore
+    with pytest.raises(tn.InputError, match=r"data: str; .*use tn\.load"):
+        tn.fit("folder")  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("potential", "told"),
+    [
+        (lambda q, p: q[5] ** 2, "index 5 out of bounds.*counted from 0"),
+        (lambda q: q[0] ** 2, r"its arguments are \(q, p\)"),
+    ],
+)
+def test_energies_of_coordinates_that_are_not_there_are_refused(potential, told):
+    with pytest.raises(tn.InputError, match=told):
+        replace(SWING, potential=potential)

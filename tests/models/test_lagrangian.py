@@ -330,7 +330,7 @@ def test_a_memory_of_another_form_is_refused_with_the_forms():
         pushed(("fan",), lambda q, z, p: z)
     told = (
         "system 'cart', memory rate: the arguments (q, z, p); expected (q, v, z, p) or "
-        "(q, v, z, u, p); u are the inputs, p the parameters by name"
+        "(q, v, z, u, p); q are positions, v velocities, u inputs, p the parameters by name"
     )
     assert " ".join(str(refused.value).split()) == told
 

@@ -130,6 +130,10 @@ def test_rivals_are_other_candidates_with_equations_of_motion(made, alone):
     assert all(file.is_file() and best not in file.parts for file in files)
     rivals = load_rivals(folder / "model.safetensors", SWING)
     assert all(equations_in(model) is not None for model in rivals)
+    means = {r.name: r.mean for r in made.choice.candidates.results if r.fits_by_fold}
+    as_good = find_rivals(folder / "model.safetensors", as_good=True)
+    names = {name for name, mean in means.items() if name != best and mean < 2 * means[best]}
+    assert {file.parent.name for file in as_good} == names
     assert find_rivals(alone[0].context.folder / "candidates" / "nothing.safetensors") == []
 
 

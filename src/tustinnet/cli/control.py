@@ -278,7 +278,7 @@ def control(
             else {Path(plant).name: tn.control.load_plant(plant, simulator.channels, options=late)}
         )
         is_physical = physical_values.equations_in(simulator) is not None
-        rivals = [] if is_physical else tn.control.load_rivals(model, system)
+        rivals = tn.control.load_rivals(model, system, as_good=is_physical)
         candidates = [model_groups.model_for_groups(one, groups, "control") for one in rivals]
         trial = trials.try_design(
             design, header, plants=plants, count=starts, candidates=candidates
@@ -343,6 +343,11 @@ def control(
             terminal.messages().print(f"note: {note}")
         terminal.messages().print(
             f"written to {out}: {', '.join((*export.files, SUMMARY, LOOP, ROBUSTNESS, BODE, PAGE))}"
+        )
+        replay = shlex.join(["tustinnet", "control", str(out), "--replay"])
+        terminal.messages().print(
+            f"next: make -C {shlex.quote(str(out))} (its C code, README.md says what is in it), "
+            f"{replay} LOGS (along a log of the closed loop)"
         )
 
 

@@ -117,8 +117,9 @@ def fit(
         refuse_options(
             of_selection,
             "to a single recipe",
-            "no recipe, no model",
-            "omit --recipe, --physics and --from to try several",
+            "neither a recipe nor a model",
+            "omit --recipe, --physics and --from to try several; "
+            "--set 'stages.*.epochs=100' limits a training",
         )
     if resume and overwrite:
         raise InputError("--resume, --overwrite", "both", "one of them")

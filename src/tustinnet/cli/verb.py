@@ -3,6 +3,7 @@
 That are options of an earlier version, and paths that name nothing or that no file system takes.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,14 +24,17 @@ class Verb(TyperCommand):
         """Parses the arguments.
 
         Raises:
-            InputError: an option of an earlier version, an empty path, or one with a name that is
-                too long.
+            InputError: an option of an earlier version, one of a single value that is given twice,
+                an empty path, or one with a name that is too long.
         """
         if not ctx.resilient_parsing:
             for option in (arg.partition("=")[0] for arg in args):
                 if instead := OPTIONS.get((str(self.name), option)):
                     raise InputError(option, "an option of an earlier version", instead)
-            values, _, _ = self.make_parser(ctx).parse_args(args=list(args))
+            values, _, given = self.make_parser(ctx).parse_args(args=list(args))
+            for option, times in Counter(given).items():
+                if times > 1 and not (option.multiple or getattr(option, "is_flag", False)):
+                    raise InputError(max(option.opts, key=len), "given twice", "one value")
             for parameter in self.get_params(ctx):
                 is_argument = parameter.param_type_name == "argument"
                 if is_argument or any(word in str(parameter.metavar) for word in _FILES):

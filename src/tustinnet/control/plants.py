@@ -98,15 +98,19 @@ def qube_twin(
     return system_plant(twin, 0.01, {**TWIN_VALUES, **values}, options)
 
 
-def load_rivals(model: str | Path, system: AnySystem | None = None) -> list[Model]:
+def load_rivals(
+    model: str | Path, system: AnySystem | None = None, *, as_good: bool = False
+) -> list[Model]:
     """The other candidates with equations of motion of the selection that chose a model.
 
-    A network may hold nothing else than itself: forces of physics say what inputs do elsewhere.
+    A network may hold nothing else than itself: forces of physics say what inputs do elsewhere. And
+    what follows the records about as well says what they do not tell, as a lag of the inputs.
 
     Args:
         model: the file of the chosen model.
         system: the system of the candidates, where one was given; None for the copies that are
             kept with them.
+        as_good: whether only those are taken that are at most twice as far off as the model.
 
     Returns:
         Those that follow the records better than a trivial predictor; none of a model that is from
@@ -114,7 +118,7 @@ def load_rivals(model: str | Path, system: AnySystem | None = None) -> list[Mode
     """
     loaded = [
         load_model(path, system if read_system_name(path) else None)
-        for path in find_rivals(Path(model))
+        for path in find_rivals(Path(model), as_good=as_good)
     ]
     return [one for one in loaded if equations_in(one) is not None]
 

@@ -79,7 +79,7 @@ def make_variants(
         seed: of all draws.
         options: of encoders and inputs of all plants. Where neither these nor the model have counts
             of the encoders, the filter's noise is taken for their rounding.
-        candidates: other models of the same records, as with equations of motion beside a network.
+        candidates: other models of the same records, which have equations of motion.
         has_records: whether the noise was found by records, which allow its disturbances then.
     """
     generator = np.random.default_rng(seed)

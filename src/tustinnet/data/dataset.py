@@ -32,14 +32,16 @@ class DataSet(HasChannels, Plotted):
     experiments: tuple[Experiment, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.experiments, Iterable):
-            raise InputError(str(self.name), f"experiments of {self.experiments!r}", "records")
+        if isinstance(self.experiments, Experiment) or not isinstance(self.experiments, Iterable):
+            kind = type(self.experiments).__name__
+            raise InputError(str(self.name), f"{kind} as experiments", "a tuple of records")
         object.__setattr__(self, "experiments", tuple(self.experiments))
         require_text(self.name, "data set")
         if not self.experiments:
             raise InputError(self.name, "no experiments", "at least one")
         if other := [e for e in self.experiments if not isinstance(e, Experiment)]:
-            raise InputError(self.name, f"experiments of {other[0]!r}", "records")
+            kind = type(other[0]).__name__
+            raise InputError(self.name, f"{kind} among the experiments", "records alone")
         first, names = self.experiments[0], set()
         for experiment in self.experiments:
             if experiment.name in names:

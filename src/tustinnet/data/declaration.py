@@ -160,10 +160,12 @@ def read_packaged(
             return read_toml(path), f"{kind} '{name}'"
     if Path(name).suffix == ".toml":
         return read_toml(Path(name)), name
+    near = difflib.get_close_matches(str(name), homes, n=1)
     raise InputError(
         kind,
         f"no {kind} '{name}'",
         f"one of {', '.join(homes)}, or a file ending in .toml",
+        f"did you mean '{near[0]}'?" if near else "",
     )
 
 

@@ -66,6 +66,17 @@ def records_without_test(data: DataSet) -> list[Experiment]:
     return [e for e in data if e.split != "test"]
 
 
+def require_data_set(data: object) -> None:
+    """Raises unless records are a `DataSet`."""
+    if not isinstance(data, DataSet):
+        raise InputError(
+            "data",
+            type(data).__name__,
+            "a DataSet",
+            "use tn.load(folder) or tn.DataSet(name, experiments)",
+        )
+
+
 def assign_roles(data: DataSet) -> Roles:
     """The split `train` trains, `validation` chooses; `test` records take part in nothing.
 
@@ -74,13 +85,7 @@ def assign_roles(data: DataSet) -> Roles:
     Raises:
         InputError: no `DataSet`, or splits without one for training.
     """
-    if not isinstance(data, DataSet):
-        raise InputError(
-            "data",
-            type(data).__name__,
-            "a DataSet",
-            "use tn.load(folder) or tn.DataSet(name, experiments)",
-        )
+    require_data_set(data)
     train = data.split(TRAIN) if data.splits else data
     validation = data.split(VALIDATION) if VALIDATION in data.splits else ()
     return Roles(tuple(train), tuple(validation))

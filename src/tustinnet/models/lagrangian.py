@@ -1,7 +1,8 @@
 """Euler-Lagrange models: equations of motion from energies, by automatic differentiation."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -41,6 +42,8 @@ from tustinnet.wording import counted
 
 Scalar = Float[Array, ""]
 
+_CHECKS_INDICES = "jax_check_static_indices"  # a setting of JAX from 0.8 on
+_LETTERS = "q are positions, v velocities, u inputs, p the parameters by name"
 _SMALLEST_PIVOT = 1e-12  # of balanced internal states, relative to the size of the equations
 
 
@@ -398,8 +401,18 @@ class LagrangianSystem:
                     f"one of {', '.join(self.nominal())}",
                     "declare it among the parameters",
                 ) from error
+            except IndexError as error:
+                counts = f"{counted(n, 'coordinate')} and {counted(sizes['u'], 'input')}"
+                raise InputError(
+                    where,
+                    f"fails with {describe_error(error)}",
+                    "indices that the vectors have",
+                    f"{counts}, counted from 0",
+                ) from error
             except Exception as error:
                 remedy = tracing_remedy(error)
+                if isinstance(error, TypeError) and "positional argument" in str(error):
+                    remedy = f"its arguments are ({', '.join(letters)}): {_LETTERS}"
                 problem = type(error).__name__ if remedy else describe_error(error)
                 raise InputError(
                     where,
@@ -421,8 +434,7 @@ class LagrangianSystem:
             return f"{letters[:-1]}up" if takes_inputs(function, letters) else letters
         except TypeError as error:
             problem, _, expected = str(error).partition("; expected ")
-            remedy = "u are the inputs, p the parameters by name"
-            raise InputError(where, problem, expected, remedy) from error
+            raise InputError(where, problem, expected, _LETTERS) from error
 
 
 @lru_cache(maxsize=256)  # files are loaded again with every model of theirs
@@ -436,7 +448,22 @@ def _shape(
         else {name: jax.ShapeDtypeStruct((), jnp.float32) for name in x}
         for x in given
     ]
-    return jax.eval_shape(lambda *a: jnp.asarray(function(*a)), *arguments).shape
+    with _refuse_wrong_indices():
+        return jax.eval_shape(lambda *a: jnp.asarray(function(*a)), *arguments).shape
+
+
+@contextmanager
+def _refuse_wrong_indices() -> Iterator[None]:
+    """Within it, JAX refuses an index that an array has not; it takes the last element else."""
+    if not hasattr(jax.config, _CHECKS_INDICES):
+        yield
+        return
+    before = getattr(jax.config, _CHECKS_INDICES)
+    jax.config.update(_CHECKS_INDICES, True)
+    try:
+        yield
+    finally:
+        jax.config.update(_CHECKS_INDICES, before)
 
 
 def tracing_remedy(error: BaseException) -> str:

@@ -15,6 +15,7 @@ from tustinnet.fits.fit import fit_request
 from tustinnet.fits.request import FitRequest
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.report import FitResult
+from tustinnet.fitting.roles import require_data_set
 from tustinnet.fitting.task import AnyRecipe, Member
 from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.report.progress import FitProgress
@@ -96,9 +97,11 @@ def fit(
         InputError: records too short for a window, no training split, a recipe that does not fit,
             an argument that is not applicable; see also `identify` and `select_model`.
     """
+    require_data_set(data)
     if recipe is not None or physics is not None:
         needless = {"budget": budget, "folder": folder}
-        _refuse(needless, "to a single recipe", "no recipe and no physics")
+        remedy = "tn.read_recipe(NAME, ['stages.*.epochs=100']) limits a training"
+        _refuse(needless, "to a single recipe", "neither recipe nor physics", remedy)
         warn_of_single_precision("fit")
         members = (Member(seed or 0),)
         request = FitRequest(data, recipe, members, physics=physics, system=system)
@@ -155,8 +158,10 @@ def make_reporter(progress: FitProgress, on_message: Callable[[str], None]) -> R
     return Reporter(on_message, lambda job: progress.listener(job.label))
 
 
-def _refuse(given: dict[str, object], case: str, expected: str) -> None:
+def _refuse(
+    given: dict[str, object], case: str, expected: str, remedy: str = "leave it out"
+) -> None:
     """Raises an error for the first argument that was given where it does nothing."""
     for name, value in given.items():
         if value is not None:
-            raise InputError(f"`{name}=`", f"not applicable {case}", expected, "leave it out")
+            raise InputError(f"`{name}=`", f"not applicable {case}", expected, remedy)

@@ -2,9 +2,9 @@
 
 Every candidate is tried on the first fold; the best kinds go on to the others. Next is what could
 change the ranking soonest, which is what takes least: first fits of every kind, and those of the
-best by then to further folds; after these, further fits of others that are among the best, and
-first fits of second ones of a kind. What is ahead of the best on the records that both have, and
-was scored on too few of them to be sure, is one fit from changing the ranking.
+best by then to further folds, and of what may be better still: it is ahead on too few records to be
+sure, or the best is lost where it was not tried, or the records speak for it. After these, further
+fits of others that are among the best, and first fits of second ones of a kind.
 """
 
 import math
@@ -19,7 +19,13 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import Candidate, SelectionPlan
-from tustinnet.selection.ranking import CandidateResult, find_simplest, is_ahead, rank
+from tustinnet.selection.ranking import (
+    CandidateResult,
+    find_simplest,
+    is_ahead,
+    may_overtake,
+    rank,
+)
 from tustinnet.simulate.starts import start_named
 from tustinnet.store.run_folder import SCORES
 from tustinnet.wording import counted, percent
@@ -149,8 +155,8 @@ class CandidateQueue:
             goes_on = (c.name in places and place < kept) or c.name in ahead
             if jobs := self._missing(c, self._folds if goes_on else 1):
                 behind = 0 if c.name in ahead else (jobs[0].fold > 0) + place
-                is_best = kinds > 1 and place == 0
-                weight = self._weight(c, jobs[0], behind, is_best=is_best)
+                leads = (kinds > 1 and place == 0) or c.name in ahead
+                weight = self._weight(c, jobs[0], behind, leads=leads)
                 steps.append((weight, c, jobs))
         return [(c, jobs) for _, c, jobs in sorted(steps, key=lambda step: step[0])]
 
@@ -200,12 +206,19 @@ class CandidateQueue:
         return places
 
     def _find_ahead(self) -> set[str]:
-        """The candidates that are ahead of the best where both were scored, by name.
+        """The candidates that may be better than the best, which too few records tell, by name.
 
-        By more than nobody minds; with what these correct or begin with.
+        They are ahead where both were scored, by more than nobody minds, or not lost where the best
+        is lost, or the records speak for them. With what these correct or begin with.
         """
         ranking = self._rank()
-        ahead = {r.name for r in ranking[1:] if is_ahead(r, ranking[0])}
+        ahead = {
+            r.name
+            for r in ranking[1:]
+            if is_ahead(r, ranking[0])
+            or may_overtake(r, ranking[0])
+            or (r.name in self._promising and r.follows_some)
+        }
         for c in self._candidates:
             if c.name in ahead:
                 ahead |= self._needed(c)
@@ -242,7 +255,7 @@ class CandidateQueue:
     # --- what it costs ---
 
     def _weight(
-        self, candidate: Candidate, job: Job, behind: int, *, is_best: bool
+        self, candidate: Candidate, job: Job, behind: int, *, leads: bool
     ) -> tuple[bool, float]:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
@@ -255,7 +268,7 @@ class CandidateQueue:
             job: its next job.
             behind: 1 on further folds, and one more for every kind that is better; 0 of what is
                 ahead.
-            is_best: whether it is better than another kind, and none is better.
+            leads: whether it is better than another kind, and none is better, or is ahead.
         """
         power, is_further = behind, candidate.name in self._seconds
         if not is_further and candidate.name not in self._promising:
@@ -263,7 +276,7 @@ class CandidateQueue:
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = self.results[candidate.name].fits_by_fold
         cost = max(len(folds), 1) * self._expected(job) * OPTIONS.rarely**power
-        return (not is_best if is_further else power > 0), cost
+        return (not leads if is_further else candidate.last and power > 0), cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.

@@ -145,6 +145,13 @@ def is_ahead(one: CandidateResult, other: CandidateResult) -> bool:
     return bool(paired_difference(one, other).mean < -level)
 
 
+def may_overtake(one: CandidateResult, best: CandidateResult) -> bool:
+    """Whether the best is lost on records that a candidate, lost on none, was not scored on."""
+    ours, theirs = one.compared(), best.compared()
+    is_lost_alone = any(error >= best.lost for r, error in theirs.items() if r not in ours)
+    return is_lost_alone and max(ours.values(), default=math.inf) < one.lost
+
+
 def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
     """The candidates that were scored, the best first.
 

@@ -14,6 +14,7 @@ Members whose rates have a factor have folders like seed-0-rate-0.5.
 """
 
 import json
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal
@@ -68,20 +69,26 @@ def prepare_run_folder(
     require_outputs(files, overwrite=earlier == "discard")
 
 
-def find_rivals(model: Path) -> list[Path]:
+def find_rivals(model: Path, *, as_good: bool = False) -> list[Path]:
     """The model files of the other candidates of the selection that chose a model.
 
-    Of those only that follow the records better than a trivial predictor. None of other models.
+    Of those only that follow the records better than a trivial predictor, or, if they are to be
+    `as_good`, at most twice as far off as the chosen one. None of other models.
     """
     folder = model.parent
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        reference = summary["reference"]["mean"]
+        means = {
+            candidate["name"]: next(iter(candidate["starts"].values()))["mean"]
+            for candidate in summary["candidates"]
+            if candidate.get("starts")
+        }
+        most = 2 * means[summary["best"]] if as_good else summary["reference"]["mean"]
         return [
             folder / file
             for candidate in summary["candidates"]
-            if candidate["name"] != summary["best"] and candidate.get("starts")
-            if next(iter(candidate["starts"].values()))["mean"] < reference
+            if candidate["name"] != summary["best"]
+            if means.get(candidate["name"], math.inf) < most
             for file in candidate["models"]
             if (folder / file).is_file()
         ]
